@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""FAST-GS: dynamic scenes as 4D Gaussians.  The library: models, files, rendering.  It knows nothing of Blender.
+
+    import fastgs_blender as fg
+    model = fg.load("capture.safetensors")
+    camera = fg.Camera(1280, 720, fx=900, fy=900, cx=640, cy=360, world_to_camera=matrix)
+    image = fg.render(model, camera, t=0.25)["rgb"]
+"""
+from .appearance import RGB, SH, Features
+from .camera import Camera
+from .errors import FastGSError, LossWarning
+from .formats import load, save
+from .model import Clip, GaussianModel, Raster
+from .motion import Cosine, Fourier, Keyframes, Polynomial, Static
+from .rendering import render
+from .slicing import Slice, freeze, slice_model
+from .temporal import Always, Radial, Window
+
+__version__ = "0.1.0"
+__all__ = [
+    "RGB", "SH", "Always", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
+    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "freeze", "load", "render", "save", "slice_model",
+]
