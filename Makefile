@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
+.NOTPARALLEL:
+.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy bench extension clean
+
+PY := .venv/bin/python
+LTS := .venv313/bin/python
+
+help:
+	@echo "make demo          bake an animated scene into 4D Gaussians and render it through Blender"
+	@echo "make test          style, library and add-on tests (Blender 5.0.1; 5.2.3 too where Python 3.13 is found)"
+	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1 and 5.2.3"
+	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
+	@echo "make bench         the figures that the README quotes"
+	@echo "make extension     dist/*.zip to install in Blender"
+	@echo "make clean         remove everything that make made"
+
+# The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
+.venv/ready: pyproject.toml
+	@tools/make_venv.sh .venv 3.11 5.0.1
+.venv313/ready: pyproject.toml
+	@tools/make_venv.sh .venv313 3.13 5.2.3
+.venvs/4.2.23/ready: pyproject.toml
+	@mkdir -p .venvs && tools/make_venv.sh .venvs/4.2.23 3.11 4.2.23
+.venvs/4.5.15/ready: pyproject.toml
+	@mkdir -p .venvs && tools/make_venv.sh .venvs/4.5.15 3.11 4.5.15
+
+demo: .venv/ready
+	@$(PY) tools/demo.py
+
+test: lint test-library test-addon test-lts
+
+lint: .venv/ready
+	@$(PY) -m ruff check .
+
+test-library: .venv/ready
+	@$(PY) -m pytest tests/library -n 2
+
+# Blender has one set of global data a process, so these never share a process with the library's tests.
+test-addon: .venv/ready
+	@$(PY) -m pytest tests/addon
+
+test-lts:
+	@if tools/find_python.sh 3.13 >/dev/null; then $(MAKE) --no-print-directory test-addon-5.2.3; \
+	else echo "Python 3.13 was not found: the add-on's rendering tests on Blender 5.2.3 are left out."; fi
+
+.PHONY: test-addon-5.2.3 test-addon-4.5.15 test-addon-4.2.23
+test-addon-5.2.3: .venv313/ready
+	@echo "Blender 5.2.3, Python 3.13:" && $(LTS) -m pytest tests/addon
+test-addon-4.5.15: .venvs/4.5.15/ready
+	@echo "Blender 4.5.15:" && .venvs/4.5.15/bin/python -m pytest tests/addon
+test-addon-4.2.23: .venvs/4.2.23/ready
+	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest tests/addon
+
+test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
+
+bench: .venv/ready
+	@$(PY) benchmarks/raster_cpu.py
+
+extension: .venv/ready
+	@$(PY) tools/build_extension.py
+
+clean:
+	rm -rf .venv .venv313 .venvs build dist wheels demo *.egg-info .ruff_cache tests/.pytest_cache .hypothesis
