@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's side of rendering: the render engine, the objects that it shows and their properties."""
+from . import handlers, properties
+
+_MODULES = (properties, handlers)
+
+
+def register():
+    for module in _MODULES:
+        module.register()
+
+
+def unregister():
+    for module in reversed(_MODULES):
+        module.unregister()

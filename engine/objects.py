@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splat objects and the models that they show.
+
+An object stores a path; the models live here, once for each file, and are dropped when no object shows them any more.
+"""
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from dataclasses import dataclass
+
+import bpy
+from mathutils import Matrix
+
+from .. import fastgs_blender as fg
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Entry:
+    """What became of a file: its model, or the sentence that says why there is none."""
+
+    stamp: tuple[int, int]
+    model: fg.GaussianModel | None = None
+    error: str | None = None
+
+
+_entries: dict[str, _Entry] = {}
+_loading: dict[str, threading.Lock] = {}
+_lock = threading.Lock()
+
+
+def axes_matrix(axes: str) -> Matrix:
+    """4 x 4 rotation from a model's axes ('RDF', 'RFU' or 'RUB') to Blender's: what an importer gives the object."""
+    return {
+        'RFU': Matrix.Identity(4),
+        'RDF': Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))),
+        'RUB': Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1))),
+    }[axes]
+
+
+def is_splat(obj: bpy.types.Object) -> bool:
+    """Whether an object shows a splat file."""
+    return bool(obj.fastgs.filepath)
+
+
+def abspath(obj: bpy.types.Object) -> str:
+    """Absolute path of an object's file, "" where it shows none; `//` is the folder of the .blend that the object comes from."""
+    path = obj.fastgs.filepath
+    if not path:
+        return ""
+    return _key(bpy.path.abspath(path, library=obj.original.library))
+
+
+def load_model(path: str) -> fg.GaussianModel:
+    """The model of a file, from memory where the file has not changed since it was read.
+
+    Safe to call from several threads.  Raises FastGSError for a file that is missing or cannot be read; a broken file is
+    not read again before it changes or reload() is called.
+    """
+    path = _key(path)
+    with _lock:
+        loading = _loading.setdefault(path, threading.Lock())
+    with loading:
+        stamp = _stamp(path)
+        entry = _entries.get(path)
+        if entry is None or entry.stamp != stamp:
+            entry = _read(path, stamp)
+            with _lock:
+                _entries[path] = entry
+    if entry.model is None:
+        raise fg.FastGSError(entry.error)
+    return entry.model
+
+
+def error_of(obj: bpy.types.Object) -> str | None:
+    """Why an object cannot be shown, as far as known without reading its file; None where nothing speaks against it.
+
+    Cheap enough for a panel's draw().
+    """
+    path = abspath(obj)
+    if not path:
+        return None
+    try:
+        stamp = _stamp(path)
+    except fg.FastGSError as error:
+        return str(error)
+    entry = _entries.get(path)
+    return entry.error if entry and entry.stamp == stamp else None
+
+
+def reload(path: str):
+    """Forget what is known of a file; the next load_model() reads it again."""
+    with _lock:
+        _entries.pop(_key(path), None)
+
+
+def drop_unused():
+    """Free the models that no object of the open file shows."""
+    used = {abspath(obj) for obj in bpy.data.objects if is_splat(obj)}
+    with _lock:
+        for path in _entries.keys() - used:
+            del _entries[path]
+
+
+def clear():
+    """Free all models."""
+    with _lock:
+        _entries.clear()
+        _loading.clear()
+
+
+def loaded_bytes() -> int:
+    """Memory of the models at hand."""
+    with _lock:
+        return sum(e.model.nbytes for e in _entries.values() if e.model)
+
+
+def _key(path: str) -> str:
+    return os.path.normpath(os.path.abspath(path))
+
+
+def _stamp(path: str) -> tuple[int, int]:
+    try:
+        status = os.stat(path)
+    except OSError:
+        raise fg.FastGSError(f"{path}: there is no such file; choose it again or put it back.") from None
+    return status.st_mtime_ns, status.st_size
+
+
+def _read(path: str, stamp: tuple[int, int]) -> _Entry:
+    try:
+        return _Entry(stamp, model=fg.load(path))
+    except fg.FastGSError as error:
+        return _Entry(stamp, error=str(error))
+    except (OSError, MemoryError) as error:
+        return _Entry(stamp, error=f"{path}: the file cannot be read ({error or type(error).__name__}).")
+    except Exception as error:
+        log.exception("%s: unexpected error", path)
+        return _Entry(stamp, error=f"{path}: the file cannot be read ({type(error).__name__}: {error}).")

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+OUTSIDE = (
+    ('HIDE', "Hide", "Show nothing", 0),
+    ('HOLD', "Hold", "Keep showing the nearest frame of the clip", 1),
+    ('LOOP', "Loop", "Start over", 2),
+    ('PING_PONG', "Ping-Pong", "Play back and forth", 3),
+)
+
+
+class FASTGS_PG_object(bpy.types.PropertyGroup):
+    """A splat object: the file it shows, what is known of it, and its place in time."""
+
+    filepath: StringProperty(
+        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH')
+    file_hash: StringProperty(
+        name="File Hash", description="Fingerprint of the file when it was imported or last reloaded")
+    gaussian_count: IntProperty(
+        name="Gaussians", description="Number of Gaussians in the file", min=0)
+    frame_count: IntProperty(
+        name="Frames", description="Number of frames of the capture", min=0)
+    fps: FloatProperty(
+        name="Frame Rate", description="Frames per second of the capture", min=0.0)
+
+    start_frame: FloatProperty(
+        name="Start Frame", description="Scene frame on which the clip begins", default=1.0)
+    speed: FloatProperty(
+        name="Speed", description="Playback speed; negative plays from the last frame backwards",
+        default=1.0, soft_min=-4.0, soft_max=4.0)
+    offset: FloatProperty(
+        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0)
+    before: EnumProperty(
+        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD')
+    after: EnumProperty(
+        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD')
+
+
+class FASTGS_PG_scene(bpy.types.PropertyGroup):
+    """Settings of the render engine."""
+
+    depth: EnumProperty(
+        name="Depth",
+        description="Which depth the Depth pass holds where splats are translucent",
+        items=(
+            ('EXPECTED', "Expected", "Mean depth of the splats, weighted by how much each is seen", 0),
+            ('MEDIAN', "Median", "Depth at which half of the light is blocked: sharp edges, no values between surfaces", 1),
+        ),
+        default='EXPECTED')
+
+
+def _update_passes(self, context):
+    # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one
+    for layer in self.id_data.view_layers:
+        layer.update_render_passes()
+
+
+class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
+    """Passes of one view layer that Blender has no switch for."""
+
+    use_pass_alpha: BoolProperty(
+        name="Alpha", description="Deliver the opacity of the splats, without the world", default=False,
+        update=_update_passes)
+
+
+CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer)
+POINTERS = (
+    (bpy.types.Object, FASTGS_PG_object),
+    (bpy.types.Scene, FASTGS_PG_scene),
+    (bpy.types.ViewLayer, FASTGS_PG_view_layer),
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for owner, group in POINTERS:
+        owner.fastgs = PointerProperty(type=group)
+
+
+def unregister():
+    for owner, _ in POINTERS:
+        del owner.fastgs
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

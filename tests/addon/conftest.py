@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on inside the bpy wheel, loaded as Blender loads it: bl_ext.user_default.fastgs_blender."""
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ADDON = "bl_ext.user_default.fastgs_blender"
+
+
+@pytest.fixture(scope="session")
+def addon(tmp_path_factory):
+    """The enabled extension's root module.  Blender's user folder is a temporary one, in which the repository is linked."""
+    user = tmp_path_factory.mktemp("blender")
+    os.environ["BLENDER_USER_RESOURCES"] = str(user)
+    folder = user / "extensions" / "user_default"
+    folder.mkdir(parents=True)
+    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
+    pytest.importorskip("bpy")
+    import addon_utils
+
+    module = addon_utils.enable(ADDON, default_set=True)
+    assert module is not None, "the extension could not be enabled; the reason stands above"
+    yield module
+    addon_utils.disable(ADDON, default_set=True)
+
+
+@pytest.fixture(scope="session")
+def module(addon):
+    """module("engine.time") imports a module of the extension."""
+    return lambda name: import_module(f"{ADDON}.{name}")
+
+
+@pytest.fixture(scope="session")
+def fg(module):
+    """The library as the extension sees it."""
+    return module("fastgs_blender")
+
+
+@pytest.fixture(autouse=True)
+def scene(addon):
+    """Every test begins with an empty scene, rendered by FASTGS at 64 x 48 under the view transform Standard."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    if "FASTGS" in {getattr(engine, "bl_idname", "") for engine in bpy.types.RenderEngine.__subclasses__()}:
+        scene.render.engine = 'FASTGS'
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 64, 48, 100
+    scene.view_settings.view_transform = 'Standard'
+    scene.render.dither_intensity = 0
+    return scene
+
+
+@pytest.fixture
+def make_model(fg):
+    """make_model(n=40, seed=0, spread=1.0, **fields): a random cloud around the origin, small enough for the reference."""
+
+    def make(n=40, seed=0, spread=1.0, **fields):
+        rng = np.random.default_rng(seed)
+        defaults = dict(
+            position=rng.uniform(-spread, spread, (n, 3)),
+            rotation=rng.normal(size=(n, 4)),
+            scale=np.log(rng.uniform(0.05, 0.3, (n, 3)) * spread),
+            opacity=rng.uniform(-2, 4, n),
+            features=rng.uniform(0, 1, (n, 3)),
+        )
+        return fg.GaussianModel(**(defaults | fields))
+
+    return make
+
+
+@pytest.fixture
+def model_file(fg, tmp_path):
+    """model_file(model, name="model.safetensors"): its path, as written."""
+
+    def write(model, name="model.safetensors"):
+        path = tmp_path / name
+        fg.save(model, path)
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def splat_object(scene):
+    """splat_object(path, name="Splats", matrix=None, collection=None): an object that shows a file, without an importer."""
+    import bpy
+    from mathutils import Matrix
+
+    def make(path, name="Splats", matrix=None, collection=None):
+        obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        obj.fastgs.filepath = str(path)
+        if matrix is not None:
+            obj.matrix_world = Matrix(np.asarray(matrix, float).tolist())
+        (collection or scene.collection).objects.link(obj)
+        return obj
+
+    return make
+
+
+@pytest.fixture
+def add_camera(scene):
+    """add_camera(location=(0, -5, 0), rotation=(90, 0, 0), **data): the scene's camera; rotation in degrees."""
+    import bpy
+
+    def add(location=(0, -5, 0), rotation=(90, 0, 0), **data):
+        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        camera.location, camera.rotation_euler = location, np.radians(rotation)
+        for name, value in data.items():
+            setattr(camera.data, name, value)
+        scene.collection.objects.link(camera)
+        scene.camera = camera
+        return camera
+
+    return add
+
+
+@pytest.fixture
+def render(scene, tmp_path):
+    """render(kind="EXR"): render the scene and read the file back, the top row first.
+
+    "EXR"    dict of "Layer.Pass" (or "Combined" ...) -> float32 [h, w, channels]
+    "PNG"    uint8 [h, w, 4], "PNG16" uint16, as a viewer shows it
+    """
+    import bpy
+
+    def run(kind="EXR", **options):
+        path = tmp_path / f"render.{'exr' if kind == 'EXR' else 'png'}"
+        set_output(scene, kind)
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True, **options)
+        return read_exr(path) if kind == "EXR" else read_png(path)
+
+    return run
+
+
+def set_output(scene, kind):
+    """Let a scene write multi-layer EXR ("EXR") or PNG with 8 or 16 bits ("PNG", "PNG16")."""
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5.0 and later
+        settings.media_type = 'MULTI_LAYER_IMAGE' if kind == "EXR" else 'IMAGE'
+    settings.file_format = 'OPEN_EXR_MULTILAYER' if kind == "EXR" else 'PNG'
+    settings.color_depth = {"EXR": '32', "PNG": '8', "PNG16": '16'}[kind]
+    if kind != "EXR":
+        settings.color_mode = 'RGBA'
+
+
+def read_exr(path) -> dict[str, np.ndarray]:
+    """Passes of a multi-layer EXR by "Layer.Pass", float32 [h, w, channels]; Blender 4 writes one part, 5 one part a pass."""
+    import OpenEXR
+
+    order = "RGBAXYZWV"
+    planes: dict[str, dict[str, np.ndarray]] = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                full = name if name.count(".") >= 2 else f"{part.header['name']}.{name}"
+                group, letter = full.rsplit(".", 1)
+                planes.setdefault(group, {})[letter] = np.array(channel.pixels, np.float32)
+    return {group: np.stack([p[c] for c in sorted(p, key=order.index)], -1) for group, p in planes.items()}
+
+
+def read_png(path) -> np.ndarray:
+    """An image as its integers [h, w, 4], read by Blender without any conversion."""
+    import bpy
+
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.colorspace_settings.name = 'Non-Color'
+    width, height = image.size
+    values = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(values)
+    deep = image.is_float
+    bpy.data.images.remove(image)
+    return values.reshape(height, width, 4)[::-1] if deep else np.round(values.reshape(height, width, 4)[::-1] * 255).astype(np.uint8)
