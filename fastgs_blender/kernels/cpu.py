@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The CPU backend: project every part, sort once, list the tiles, rasterise."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..appearance import ACTIVATIONS, RGB, SH, Features
+from ..camera import Camera
+from ..scene import Buffers, Layout, Part
+from . import project, raster, tiles
+from .decode import decode
+from .jit import announce
+from .sort import order_by
+from .threads import ranges, run, thread_count
+
+CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
+CHUNK = 16_384
+"""Gaussians in one piece of work."""
+TILES = 64
+"""Tiles in one piece of work."""
+ENTRIES = 48_000_000
+"""Tile entries held at once; a picture with more is rasterised in bands."""
+
+
+def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress) -> Buffers:
+    """All parts as one cloud, composited into the layout's channels (scene.py)."""
+    announce()
+    channels = raster.padded(layout.channels)
+    total = sum(len(part.model) for part in parts)
+    geometry = np.empty((total, 5))
+    shade = np.empty((total, raster.CHANNEL + channels), np.float32)
+    depth = np.empty(total, np.float32)
+    visible, done = [], 0
+    for part in parts:
+        span = slice(done, done + len(part.model))
+        counts = project_part(part, camera, layout, geometry[span], shade[span], depth[span],
+                              lambda f, done=done, n=len(part.model): progress(0.3 * (done + f * n) / total))
+        visible += [np.arange(done + start, done + start + count, dtype=np.int32) for start, count in counts]
+        done = span.stop
+    index = np.concatenate(visible)
+    order = order_by(depth[index], index)
+    buffers = rasterise(order, geometry, shade, channels, camera, median, lambda f: progress(0.35 + 0.6 * f))
+    return Buffers(buffers.channels[..., :layout.channels], buffers.alpha, buffers.median)
+
+
+def project_part(part: Part, camera: Camera, layout: Layout, geometry, shade, depth, progress=None) -> list[tuple[int, int]]:
+    """Slice, cull and project one part into arrays of its length; returns (first row, number of rows) of what is visible."""
+    model, group = part.model, layout.group_of(part)
+    to_camera, to_model = part.model_to_camera, part.camera_to_model
+    x0, y0, width, height = camera.window
+    view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, part.near(camera), *camera.tangent_limits(),
+            x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
+    r = model.raster
+    common = (
+        tuple(_plain(a) for a in model.arrays.values()),
+        (part.t, model.temporal_kind.code, _weights(model.basis, part.t), _weights(model.rotation_basis, part.t)),
+        np.ascontiguousarray(view), tuple(float(v) for v in lens),
+        (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
+        (CODES[type(model.appearance)], getattr(model.appearance, "degree", 0), group.offset,
+         -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth),
+        geometry, shade, depth,
+    )
+    pieces = ranges(len(model), CHUNK)
+    counts = run(lambda first, last: project.project(first, last, *common), pieces, progress)
+    return [(first, count) for (first, _), count in zip(pieces, counts)]
+
+
+def rasterise(order, geometry, shade, channels: int, camera: Camera, median: bool, progress=None) -> Buffers:
+    """Blend splats (raster.py) in the given order into the camera's window."""
+    x0, y0, width, height = camera.window
+    tile_x, tile_y = x0 // raster.TILE, y0 // raster.TILE
+    columns = (x0 + width - 1) // raster.TILE - tile_x + 1
+    rows = (y0 + height - 1) // raster.TILE - tile_y + 1
+    out = np.zeros((height, width, channels), np.float32)
+    alpha = np.zeros((height, width), np.float32)
+    nearest = np.empty((height, width) if median else (0, 0), np.float32)
+    grid = (tile_x, tile_y, columns, rows)
+    segments, counts = count_tiles(order, geometry, shade, grid)
+    kernel = raster.rasteriser(channels, median)
+    row_totals = counts.sum(0).reshape(rows, columns).sum(1)
+    for first, last in _bands(row_totals):
+        starts, ids = fill_tiles(order, geometry, shade, grid, segments, counts, first, last)
+        run(lambda a, b: kernel(a, b, columns, x0, y0, x0 + width, y0 + height, tile_x, tile_y, starts, ids,  # noqa: B023
+                                geometry, shade, out, alpha, nearest),
+            [(first * columns + a, first * columns + b) for a, b in ranges((last - first) * columns, TILES)],
+            progress and (lambda f: progress((first + f * (last - first)) / rows)))  # noqa: B023
+    return Buffers(out, alpha, nearest if median else None)
+
+
+def count_tiles(order, geometry, shade, grid):
+    """Tiles that each segment of the sorted splats touches: the segments, and counts [segments, tiles] int64."""
+    tile_x, tile_y, columns, rows = grid
+    segments = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
+    counts = np.zeros((max(len(segments), 1), columns * rows), np.int64)
+    nothing = np.empty(0, np.int32)
+    run(lambda s, first, last: tiles.visit(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, 0, rows,
+                                           counts[s], nothing), [(s, *piece) for s, piece in enumerate(segments)])
+    return segments, counts
+
+
+def fill_tiles(order, geometry, shade, grid, segments, counts, first_row, last_row):
+    """Tile lists of some rows of tiles: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
+    tile_x, tile_y, columns, rows = grid
+    counts = counts.copy()
+    counts[:, :first_row * columns] = 0
+    counts[:, last_row * columns:] = 0
+    starts = np.zeros(columns * rows + 1, np.int64)
+    np.cumsum(counts.sum(0), out=starts[1:])
+    cursors = starts[:-1] + np.cumsum(counts, 0) - counts
+    ids = np.empty(starts[-1], np.int32)
+    if len(ids):
+        run(lambda s, a, b: tiles.visit(a, b, order, geometry, shade, tile_x, tile_y, columns, rows, first_row, last_row,
+                                        cursors[s], ids), [(s, *piece) for s, piece in enumerate(segments)])
+    return starts, ids
+
+
+def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
+    """Premultiplied colour [h, w, 3] of blended features [h, w, 9]; see reference.decode_features."""
+    appearance: Features = part.model.appearance
+    x0, y0, width, height = camera.window
+    out = np.empty((height, width, 3), np.float32)
+    to_model = np.ascontiguousarray(np.concatenate([part.camera_to_model[:3, :3], part.camera_to_model[None, :3, 3]]))
+    lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
+    features, weight = np.ascontiguousarray(features), np.ascontiguousarray(weight)
+    run(lambda first, last: decode(first, last, features, weight, appearance.w1, appearance.w2,
+                                   ACTIVATIONS.index(appearance.activation), to_model, lens, x0, y0, camera.orthographic, out),
+        ranges(height, 64))
+    return out
+
+
+def _bands(row_totals) -> list[tuple[int, int]]:
+    """Runs of rows of tiles with at most ENTRIES entries each (one row at least)."""
+    bands, first, total = [], 0, 0
+    for row, entries in enumerate(row_totals):
+        if row > first and total + entries > ENTRIES:
+            bands.append((first, row))
+            first, total = row, 0
+        total += entries
+    return [*bands, (first, len(row_totals))]
+
+
+def _weights(basis, t):
+    """(index, weights, centred) of a basis for the kernel: only the coefficients that count at time t."""
+    if basis.centred:
+        return np.empty(0, np.int64), np.empty(0), True
+    weights = basis.weights(t)
+    index = np.flatnonzero(weights)
+    return index, weights[index], False
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """The same memory as an ordinary array, so that read-only and memory-mapped models need no kernels of their own."""
+    if type(array) is np.ndarray and array.flags.writeable:
+        return array
+
+    class Memory:
+        __array_interface__ = {**array.__array_interface__, "data": (array.__array_interface__["data"][0], False)}
+        owner = array
+
+    return np.asarray(Memory()) if array.size else np.zeros(array.shape, array.dtype)

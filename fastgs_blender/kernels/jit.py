@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How kernels are compiled and where the machine code is kept.
+
+Kernels are compiled without Python's lock and without numba's own threads (see threads.py).  The code is cached in a folder
+that the user may write to, under a digest of the kernels' sources, so that an update never runs old code.
+"""
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import threading
+from pathlib import Path
+
+import numba
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels: $FASTGS_CACHE_DIR, else the system's place for caches."""
+    if os.environ.get("FASTGS_CACHE_DIR"):
+        base = Path(os.environ["FASTGS_CACHE_DIR"])
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home())) / "fastgs-blender"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches" / "fastgs-blender"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fastgs-blender"
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:12]
+    return base / f"kernels-{digest}"
+
+
+FOLDER = cache_folder()
+
+
+@contextlib.contextmanager
+def _numba_cache():
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(FOLDER)
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def kernel(function):
+    """Decorator: compile on the first call, run without Python's lock, keep the machine code."""
+    options = dict(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False)
+    try:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        with _numba_cache():
+            return numba.njit(cache=True, **options)(function)
+    except (OSError, RuntimeError):  # nowhere to write: compile anew in every process
+        return numba.njit(**options)(function)
+
+
+inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never")
+"""Decorator of the small functions that kernels call; LLVM inlines them."""
+
+_announced = threading.Event()
+
+
+def announce():
+    """Say on one line, once, that kernels are being compiled, if there are none in the cache."""
+    if _announced.is_set():
+        return
+    _announced.set()
+    if not any(FOLDER.rglob("*.nbi")):
+        print("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.",
+              file=sys.stderr, flush=True)
+
+
+@intrinsic
+def as_int(context, value):
+    """The bits of a float32 as an int32."""
+    def build(_, builder, __, args):
+        return builder.bitcast(args[0], ir.IntType(32))
+    return types.int32(types.float32), build
+
+
+@intrinsic
+def as_float(context, value):
+    """The float32 with the bits of an int32."""
+    def build(_, builder, __, args):
+        return builder.bitcast(args[0], ir.FloatType())
+    return types.float32(types.int32), build

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Eight floats at once.
+
+LLVM does not vectorise the blending loop of its own accord reliably, so its body is written with vectors here.  They become
+AVX on x86, pairs of NEON registers on ARM; no instruction is named.
+"""
+from __future__ import annotations
+
+from llvmlite import ir
+from numba.core import types
+from numba.np.arrayobj import make_array
+
+LANES = 8
+FLOATS = ir.VectorType(ir.FloatType(), LANES)
+INTS = ir.VectorType(ir.IntType(32), LANES)
+FUSE = ("contract", "nsz")
+
+
+class Floats:
+    """A vector of eight float32 while code is being generated; + - * work as they look and may fuse."""
+
+    def __init__(self, builder, value):
+        self.builder, self.value = builder, value
+
+    def _with(self, other):
+        return other.value if isinstance(other, Floats) else constant(self.builder, other).value
+
+    def __add__(self, other):
+        return Floats(self.builder, self.builder.fadd(self.value, self._with(other), flags=FUSE))
+
+    def __sub__(self, other):
+        return Floats(self.builder, self.builder.fsub(self.value, self._with(other), flags=FUSE))
+
+    def __mul__(self, other):
+        return Floats(self.builder, self.builder.fmul(self.value, self._with(other), flags=FUSE))
+
+    def __gt__(self, other):
+        return self.builder.fcmp_ordered(">", self.value, self._with(other))
+
+    def __ge__(self, other):
+        return self.builder.fcmp_ordered(">=", self.value, self._with(other))
+
+    def min(self, other):
+        """The smaller of each pair."""
+        other = self._with(other)
+        return Floats(self.builder, self.builder.select(self.builder.fcmp_ordered("<", self.value, other), self.value, other))
+
+    def max(self, other):
+        """The larger of each pair."""
+        other = self._with(other)
+        return Floats(self.builder, self.builder.select(self.builder.fcmp_ordered(">", self.value, other), self.value, other))
+
+    def where(self, mask, other):
+        """self where the mask holds, else other."""
+        return Floats(self.builder, self.builder.select(mask, self.value, self._with(other)))
+
+    def negative_magnitude(self):
+        """-|self|, by setting the sign bit."""
+        bits = self.builder.or_(self.builder.bitcast(self.value, INTS), ir.Constant(INTS, [-(1 << 31)] * LANES))
+        return Floats(self.builder, self.builder.bitcast(bits, FLOATS))
+
+    def exp2(self):
+        """2^self for self <= 0, to 1e-7 relative; 2^-126 below -126.
+
+        The sum with 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the fraction in [-1/2, 1/2] goes
+        through a minimax polynomial; the whole number is added to the exponent's bits.
+        """
+        b = self.builder
+        x = self.max(-126.0)
+        shifted = x + 12582912.0
+        f = x - (shifted - 12582912.0)
+        p = constant(b, 0.0013398899)
+        for c in (0.0096707680, 0.055503285, 0.24022119, 0.69314718, 1.0):
+            p = p * f + c
+        whole = b.shl(b.bitcast(shifted.value, INTS), ir.Constant(INTS, [23] * LANES))
+        return Floats(b, b.bitcast(b.add(b.bitcast(p.value, INTS), whole), FLOATS))
+
+
+def constant(builder, number) -> Floats:
+    """The same number in every lane."""
+    return Floats(builder, ir.Constant(FLOATS, [float(number)] * LANES))
+
+
+def ramp(builder) -> Floats:
+    """0, 1, ... 7."""
+    return Floats(builder, ir.Constant(FLOATS, [float(i) for i in range(LANES)]))
+
+
+def broadcast(builder, scalar) -> Floats:
+    """A float32 of the running program in every lane."""
+    one = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return Floats(builder, builder.shuffle_vector(one, one, ir.Constant(INTS, [0] * LANES)))
+
+
+class Memory:
+    """The elements of a C-contiguous float32 array while code is being generated."""
+
+    def __init__(self, context, builder, array_type, array):
+        assert array_type.dtype == types.float32 and array_type.layout == "C"
+        self.builder, self.data = builder, make_array(array_type)(context, builder, array).data
+
+    def _at(self, index, offset):
+        return self.builder.gep(self.data, [self.builder.add(index, ir.Constant(index.type, offset))])
+
+    def floats(self, index, offset) -> Floats:
+        """Eight elements from index + offset on."""
+        pointer = self.builder.bitcast(self._at(index, offset), FLOATS.as_pointer())
+        return Floats(self.builder, self.builder.load(pointer, align=4))
+
+    def store(self, index, offset, floats):
+        """Write eight elements from index + offset on."""
+        pointer = self.builder.bitcast(self._at(index, offset), FLOATS.as_pointer())
+        self.builder.store(floats.value, pointer, align=4)
+
+    def scalar(self, index, offset):
+        """One element."""
+        return self.builder.load(self._at(index, offset))

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work for several threads.
+
+Kernels release Python's lock, so plain Python threads run them side by side.  Numba's own parallel loops are not used: their
+fallback layer aborts the process when two threads render at once.  What a piece of work computes never depends on how the
+work is cut, so the result has the same bytes for any number of threads.
+"""
+from __future__ import annotations
+
+import os
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from functools import cache
+
+_chosen = 0
+
+
+def set_threads(count: int):
+    """Use this many threads from now on; 0: one for each processor the process may use."""
+    global _chosen
+    _chosen = max(0, int(count))
+
+
+def thread_count() -> int:
+    """Threads in use: set_threads(), else $FASTGS_THREADS or $NUMBA_NUM_THREADS, else the processors of this process."""
+    wanted = _chosen or os.environ.get("FASTGS_THREADS") or os.environ.get("NUMBA_NUM_THREADS") or 0
+    if str(wanted).isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _pool(count):
+    return ThreadPoolExecutor(count, thread_name_prefix="fastgs")
+
+
+def run(work, pieces, progress=None) -> list:
+    """[work(*piece) for piece in pieces], side by side.
+
+    progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.
+    """
+    pieces = list(pieces)
+    count = thread_count()
+    if count == 1 or len(pieces) == 1:
+        results = []
+        for i, piece in enumerate(pieces):
+            results.append(work(*piece))
+            if progress:
+                progress((i + 1) / len(pieces))
+        return results
+    futures = [_pool(count).submit(work, *piece) for piece in pieces]
+    try:
+        pending = set(futures)
+        while pending:
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                future.result()
+            if progress:
+                progress(1 - len(pending) / len(futures))
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        wait(futures)
+        raise
+    return [future.result() for future in futures]
+
+
+def ranges(total: int, size: int) -> list[tuple[int, int]]:
+    """(start, stop) of pieces of at most `size` that cover range(total)."""
+    return [(start, min(start + size, total)) for start in range(0, total, size)]
