@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colour: the sRGB curve (IEC 61966-2-1), and what happens to an image after blending.
+
+Images are premultiplied and in the space in which their model was trained and is blended.  A conversion happens once,
+after blending, on un-premultiplied colour.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+
+def srgb_to_linear(srgb: np.ndarray) -> np.ndarray:
+    """Scene-linear values of sRGB ones; beyond 0..1 the curve goes on."""
+    x = np.asarray(srgb)
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(x.dtype, copy=False)
+
+
+def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
+    """The inverse of srgb_to_linear."""
+    x = np.asarray(linear)
+    return np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 0) ** (1 / 2.4) - 0.055).astype(x.dtype, copy=False)
+
+
+def straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Un-premultiplied colour [h, w, 3] of rgb [h, w, 3] and alpha [h, w]; 0 where alpha is 0."""
+    a = alpha[..., None]
+    return np.divide(rgb, a, out=np.zeros_like(rgb), where=a > 0)
+
+
+def over(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:
+    """Premultiplied rgb over an opaque background [3] of the same colour space."""
+    return rgb + (1 - alpha[..., None]) * np.asarray(background, rgb.dtype)
+
+
+def scene_linear(rgb: np.ndarray, alpha: np.ndarray, colour_space: str) -> np.ndarray:
+    """Premultiplied scene-linear colour of premultiplied colour in a model's space ("srgb" or "linear")."""
+    return rgb if colour_space == "linear" else srgb_to_linear(straight(rgb, alpha)) * alpha[..., None]
+
+
+def display(rgb: np.ndarray, alpha: np.ndarray, colour_space: str) -> np.ndarray:
+    """Straight sRGB colour of premultiplied colour in a model's space."""
+    colour = straight(rgb, alpha)
+    return colour if colour_space == "srgb" else linear_to_srgb(colour)
