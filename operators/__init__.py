@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture."""
+import bpy
+
+from . import import_model
+from .fit_scene import FASTGS_OT_fit_scene
+from .import_model import FASTGS_FH_import, FASTGS_OT_import
+from .reload import FASTGS_OT_reload
+
+CLASSES = (
+    FASTGS_OT_import,
+    FASTGS_FH_import,
+    FASTGS_OT_reload,
+    FASTGS_OT_fit_scene,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.TOPBAR_MT_file_import.append(import_model.draw_menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_import.remove(import_model.draw_menu)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reading the files of splat objects again, after they changed, came back or were chosen anew."""
+from __future__ import annotations
+
+import bpy
+
+from ..engine import objects
+from ..fastgs_blender.errors import FastGSError
+from .splat_object import refresh
+
+
+def _targets(context) -> list[bpy.types.Object]:
+    found = dict.fromkeys([context.object, *context.selected_objects])
+    return [obj for obj in found if obj is not None and objects.is_splat(obj)]
+
+
+class FASTGS_OT_reload(bpy.types.Operator):
+    """Read the files of the active and the selected objects again"""
+
+    bl_idname = "fastgs.reload"
+    bl_label = "Reload"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        return bool(_targets(context))
+
+    def execute(self, context):
+        targets = _targets(context)
+        for path in {objects.abspath(obj) for obj in targets}:
+            objects.reload(path)
+        errors = []
+        for obj in targets:
+            try:
+                refresh(obj)
+            except FastGSError as error:
+                errors.append(str(error))
+        for error in dict.fromkeys(errors):
+            self.report({'ERROR'}, error)
+        return {'FINISHED'} if len(errors) < len(targets) else {'CANCELLED'}
