@@ -6,7 +6,6 @@ import hashlib
 from pathlib import Path
 
 import bpy
-from mathutils import Matrix
 
 from ..engine import objects
 from ..fastgs_blender.model import GaussianModel
