@@ -3,6 +3,8 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
+
 OUTSIDE = (
     ('HIDE', "Hide", "Show nothing", 0),
     ('HOLD', "Hold", "Keep showing the nearest frame of the clip", 1),
@@ -15,7 +17,7 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
     filepath: StringProperty(
-        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH')
+        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=_PATH)
     file_hash: StringProperty(
         name="File Hash", description="Fingerprint of the file when it was imported or last reloaded")
     gaussian_count: IntProperty(
