@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command fastgs: one module a subcommand in commands/, and here what they share."""
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+
+from . import __version__
+from .commands import COMMANDS
+from .errors import FastGSError
+
+FAILED, STOPPED = 2, 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line; nothing heavy is imported for it."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
+    common.add_argument("--debug", action="store_true", help="show where in the program an error came from")
+    top = argparse.ArgumentParser(
+        prog="fastgs", description="4D Gaussian models: look at, convert, render and time them.",
+        epilog="fastgs COMMAND --help tells more.")
+    top.add_argument("--version", action="version", version=f"fastgs {__version__}")
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    for module in COMMANDS:
+        name = module.__name__.rpartition(".")[2]
+        command = commands.add_parser(
+            name, parents=[common], help=module.__doc__.splitlines()[0], description=module.__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return top
+
+
+def main(argv=None) -> int:
+    """Run one command; returns the exit code: 0, 2 for an error told in one sentence, 130 when stopped."""
+    args = parser().parse_args(argv)
+    try:
+        return args.run(args) or 0
+    except KeyboardInterrupt as stop:
+        return _tell(str(stop) or "stopped.", STOPPED, args.debug)
+    except BrokenPipeError:  # the reader of our output has gone, for example `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except FastGSError as error:
+        return _tell(str(error), FAILED, args.debug)
+    except MemoryError:
+        return _tell("there is not enough memory for this; use a smaller image or model, or close other programs.", FAILED, args.debug)
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        return _tell(f"{name}{error.strerror or error}.", FAILED, args.debug)
+
+
+def _tell(sentence, code, debug):
+    if debug:
+        traceback.print_exc()
+    print(f"fastgs: {sentence}", file=sys.stderr)
+    return code

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""time the stages of rendering a frame
+
+Without FILE it draws a cloud of random moving Gaussians (Fourier, order 5).  Times are medians in milliseconds; the first
+frame is told apart, as it may compile the renderer.
+"""
+from __future__ import annotations
+
+import statistics
+import time
+
+from ..errors import FastGSError
+from .shared import add_backend, image_size, print_json, use_threads
+
+
+def add_arguments(parser):
+    parser.add_argument("model", nargs="?", metavar="FILE", help="a model to time (default: a synthetic one)")
+    parser.add_argument("--gaussians", type=int, default=300_000, metavar="N", help="size of the synthetic model (default: 300000)")
+    parser.add_argument("--size", default="1352x1014", metavar="WxH", help="image size (default: 1352x1014)")
+    parser.add_argument("--camera", metavar="CAMERAS.json", help="cameras to look from (default: one that sees all of the model)")
+    parser.add_argument("--view", default="0", metavar="NAME", help="which of them (default: the first)")
+    parser.add_argument("--repeat", type=int, default=5, metavar="N", help="frames to time (default: 5)")
+    add_backend(parser)
+
+
+def run(args):
+    from .. import formats
+    from ..cameras import choose, load_cameras, resized
+
+    if not (1 <= args.gaussians <= 100_000_000 and 1 <= args.repeat <= 10_000):
+        raise FastGSError("--gaussians must be from 1 to 100000000 and --repeat from 1 to 10000.")
+    use_threads(args.threads)
+    size = image_size(args.size)
+    model = formats.load(args.model) if args.model else synthetic(args.gaussians)
+    if args.camera:
+        camera = resized(choose(load_cameras(args.camera), args.view, args.camera).camera, *size)
+    else:
+        camera = overview(model, *size)
+    result = measure(model, camera, args.backend, args.repeat)
+    if args.json:
+        print_json(result)
+        return
+    print(f"{result['gaussians']} Gaussians, {size[0]} x {size[1]} pixels, {result['threads']} threads, backend {result['backend']}")
+    if "visible" in result:
+        print(f"{result['visible']} visible, {result['tile_entries']} tile entries")
+    print(f"first frame {result['first_frame_ms']:.0f} ms\n")
+    whole = result["milliseconds"]["whole frame"]
+    for stage, value in result["milliseconds"].items():
+        print(f"{stage:<22}{value:9.1f} ms {100 * value / whole:6.0f} %")
+
+
+def synthetic(count: int):
+    """A cloud of moving Gaussians in a ball, the same for the same count."""
+    import numpy as np
+
+    from ..appearance import SH
+    from ..model import Clip, GaussianModel
+    from ..motion import Fourier, Polynomial
+    from ..temporal import Radial
+
+    rng = np.random.default_rng(1)
+    basis, turn = Fourier(), Polynomial(1)
+    draw = rng.standard_normal
+    direction = draw((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return GaussianModel(
+        position=direction * rng.uniform(0, 1, (count, 1)) ** (1 / 3), rotation=draw((count, 4)),
+        scale=np.log(0.5 * count ** (-1 / 3)) - 0.7 + 0.4 * draw((count, 3)), opacity=0.5 + draw(count), features=0.5 * draw((count, 12)),
+        motion=0.01 * draw((count, basis.terms, 3)), rotation_motion=0.1 * draw((count, 1, 4)), mu_tau=rng.uniform(0, 1, count),
+        temporal=rng.uniform(0, 3, (count, 1)), basis=basis, rotation_basis=turn, temporal_kind=Radial(), appearance=SH(1),
+        clip=Clip(60, 30))
+
+
+def overview(model, width: int, height: int):
+    """A camera outside the model that sees all of its centres at t = 0, looking along the axis that the model calls forward."""
+    import numpy as np
+
+    from ..camera import Camera
+    from .info import bounds
+
+    low, high = bounds(model)
+    if low is None:
+        raise FastGSError("the model has no Gaussians to look at.")
+    # rows: the camera's right, down and forward in the axes of the model
+    right_down_forward = {"RDF": np.eye(3), "RFU": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "RUB": np.diag([1, -1, -1])}
+    rotation = right_down_forward[model.axes].astype(np.float64)
+    centre, radius = (np.array(low) + high) / 2, max(float(np.linalg.norm(np.subtract(high, low))) / 2, 1e-6)
+    focal, distance = 1.2 * min(width, height), 2.6 * radius + model.raster.near
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ centre + [0, 0, distance]
+    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
+
+
+def measure(model, camera, backend: str, repeat: int) -> dict:
+    """Median milliseconds of the stages and of the whole frame, at the middle of the clip."""
+    from ..kernels.threads import thread_count
+    from ..rendering import render
+
+    def frame():
+        render(model, camera, 0.5, backend=backend)
+
+    first = _milliseconds(frame)
+    stages, counts = {}, {}
+    if backend != "reference":
+        stages, counts = _stages(model, camera, repeat)
+    stages["whole frame"] = statistics.median(_milliseconds(frame) for _ in range(repeat))
+    return {"gaussians": len(model), "width": camera.width, "height": camera.height, "backend": backend, "threads": thread_count(),
+            **counts, "first_frame_ms": round(first, 3), "milliseconds": {name: round(ms, 3) for name, ms in stages.items()}}
+
+
+def _milliseconds(work) -> float:
+    start = time.perf_counter()
+    work()
+    return 1000 * (time.perf_counter() - start)
+
+
+def _stages(model, camera, repeat):
+    """What kernels.cpu.draw does, stage by stage."""
+    import numpy as np
+
+    from ..kernels import cpu, raster, sort
+    from ..scene import Layout, Part
+
+    part = Part(model, np.eye(4), 0.5, camera.world_to_camera)
+    layout = Layout([part], depth=False)
+    channels = raster.padded(layout.channels)
+    geometry, depth = np.empty((len(model), 5)), np.empty(len(model), np.float32)
+    shade = np.empty((len(model), raster.CHANNEL + channels), np.float32)
+    times = {"slice and project": [], "sort": [], "tiles": [], "rasterise": []}
+    grid = (0, 0, -(-camera.width // raster.TILE), -(-camera.height // raster.TILE))
+    for _ in range(repeat):
+        clock = [time.perf_counter()]
+        rows = cpu.project_part(part, camera, layout, geometry, shade, depth)
+        index = np.concatenate([np.arange(start, start + count, dtype=np.int32) for start, count in rows])
+        clock.append(time.perf_counter())
+        order = sort.order_by(depth[index], index)
+        clock.append(time.perf_counter())
+        segments, counts = cpu.count_tiles(order, geometry, shade, grid)
+        cpu.fill_tiles(order, geometry, shade, grid, segments, counts, 0, grid[3])
+        clock.append(time.perf_counter())
+        cpu.rasterise(order, geometry, shade, channels, camera, median=False)
+        clock.append(time.perf_counter())
+        spans = np.diff(clock)
+        spans[-1] -= spans[-2]  # rasterise() lists the tiles as well
+        for values, span in zip(times.values(), spans, strict=True):
+            values.append(1000 * span)
+    return {name: statistics.median(values) for name, values in times.items()}, {
+        "visible": len(order), "tile_entries": int(counts.sum())}

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""write a model in another format, or frames of it as static models
+
+The format of OUT follows from its name.  What OUT's format cannot hold is told, one line each, before the end.
+--at FRAME writes the model as it is at that frame (counted from 0; fractions allowed); --at A:B or A:B:S (both ends included)
+writes one file a frame, and OUT then says where the number goes: out_####.ply or out_%04d.ply.
+"""
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+from ..errors import FastGSError, LossWarning
+from .shared import human_bytes, note, print_json
+
+PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
+
+
+def add_arguments(parser):
+    parser.add_argument("input", metavar="IN", help="the model to read")
+    parser.add_argument("output", metavar="OUT", help="the file to write")
+    parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
+
+
+def run(args):
+    from .. import formats
+    from ..frames import parse_frames
+    from ..slicing import freeze
+
+    frames = parse_frames(args.at) if args.at is not None else None
+    targets = _targets(args.output, frames)
+    if not args.overwrite:
+        taken = next((target for target in targets if target.exists()), None)
+        if taken:
+            raise FastGSError(f"{taken} is there already; give another name, or --overwrite to replace it.")
+    model = formats.load(args.input)
+    losses = []
+    for target, frame in zip(targets, frames or [None], strict=True):
+        result = model if frame is None else freeze(model, model.clip.t_of_frame(float(frame)))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", LossWarning)
+            formats.save(result, target)
+        losses += [str(w.message) for w in caught if issubclass(w.category, LossWarning) and str(w.message) not in losses]
+        if not args.json:
+            size = human_bytes(target.stat().st_size)
+            print(f"{target}: {len(result)} Gaussians, {size}")
+    if args.json:
+        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(model), "losses": losses})
+    for loss in losses:
+        note(f"lost: {loss}")
+
+
+def _targets(output, frames) -> list[Path]:
+    """The file of each frame, or the one file."""
+    folder, name = Path(output).parent, Path(output).name
+    place = PLACE.search(name)
+    if frames is None:
+        return [Path(output)]
+    if place is None:
+        if len(frames) > 1:
+            raise FastGSError(f"{output} must say where the frame's number goes, as in out_####.ply, to hold {len(frames)} frames.")
+        return [Path(output)]
+    digits = int(place[1] or 1) if place[2] is None else len(place[2])
+    return [folder / (name[:place.start()] + frames.label(frame, digits) + name[place.end():]) for frame in frames]

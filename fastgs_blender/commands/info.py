@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""what a model file holds
+
+Prints the format, the number of Gaussians, how they move, fade and look, the clip, the rasteriser constants, the axes and the
+bounds.  --json gives the same for scripts.
+"""
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from .shared import human_bytes, print_json
+
+CHUNK = 65_536
+
+
+def add_arguments(parser):
+    parser.add_argument("file", metavar="FILE", help="the model")
+
+
+def run(args):
+    facts = describe(args.file)
+    if args.json:
+        print_json(facts)
+    else:
+        print(text(facts))
+
+
+def describe(path) -> dict:
+    """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
+    from .. import formats
+
+    file_format = formats.identify(path)
+    model = formats.load(path)
+    clip, low, high = model.clip, *bounds(model)
+    return {
+        "file": str(path),
+        "format": getattr(file_format, "name", str(file_format)),
+        "file_bytes": Path(path).stat().st_size,
+        "gaussians": len(model),
+        "memory_bytes": model.nbytes,
+        "motion": _basis(model.basis, clip),
+        "rotation": _basis(model.rotation_basis, clip),
+        "temporal_opacity": model.temporal_kind.name,
+        "appearance": _appearance(model.appearance),
+        "clip": {**asdict(clip), "duration_seconds": clip.duration},
+        "raster": asdict(model.raster),
+        "axes": model.axes,
+        "colour_space": model.colour_space,
+        "bounds": {"low": low, "high": high},
+        "provenance": model.provenance,
+    }
+
+
+def _basis(basis, clip) -> dict:
+    """Name, order and parameters of a basis; its band limit in Hz, None where it has none."""
+    values = {key: value for key, value in asdict(basis).items() if key != "times"}
+    limit = basis.max_frequency / clip.duration
+    return {"basis": basis.name, "terms": basis.terms, **values, "band_limit_hz": limit or None}
+
+
+def _appearance(appearance) -> dict:
+    values = {key: getattr(appearance, key) for key in ("degree", "activation") if hasattr(appearance, key)}
+    return {"kind": appearance.name, "columns": appearance.width, **values}
+
+
+def bounds(model) -> tuple[list[float] | None, list[float] | None]:
+    """Lowest and highest centre [3] at the quarters of the clip; None for a model without (finite) Gaussians."""
+    import numpy as np
+
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for start in range(0, len(model), CHUNK):
+        part = model.take(slice(start, start + CHUNK))
+        for t in (0, 0.25, 0.5, 0.75, 1) if model.basis.terms else (0,):
+            centre = part.position + part.basis.evaluate(part.motion, t, part.mu_tau)[0]
+            centre = centre[np.isfinite(centre).all(1)]
+            low, high = np.minimum(low, centre.min(0, initial=np.inf)), np.maximum(high, centre.max(0, initial=-np.inf))
+    return (low.tolist(), high.tolist()) if np.isfinite(low).all() else (None, None)
+
+
+def text(facts: dict) -> str:
+    """The facts for people."""
+    clip, raster, box = facts["clip"], facts["raster"], facts["bounds"]
+    sizes = f"{human_bytes(facts['file_bytes'])} on disk, {human_bytes(facts['memory_bytes'])} in memory"
+    lines = [
+        ("file", facts["file"]),
+        ("format", f"{facts['format']}, {sizes}"),
+        ("Gaussians", f"{facts['gaussians']:,}".replace(",", " ")),
+        ("motion", _motion_text(facts["motion"])),
+        ("rotation", _motion_text(facts["rotation"])),
+        ("opacity", facts["temporal_opacity"]),
+        ("appearance", ", ".join(f"{v}" if k == "kind" else f"{k} {v}" for k, v in facts["appearance"].items())),
+        ("clip", f"{clip['frame_count']} frames from {clip['start_frame']} at {clip['fps']:g} fps, {clip['duration_seconds']:.3g} s"),
+        ("rasteriser", ", ".join(f"{k} {v:.6g}" for k, v in raster.items() if k != "antialiased")
+         + (", antialiased" if raster["antialiased"] else "")),
+        ("axes", facts["axes"]),
+        ("colour", facts["colour_space"]),
+        ("bounds", "none" if box["low"] is None else f"{_vector(box['low'])} to {_vector(box['high'])}"),
+        *((f"from {key}", value) for key, value in facts["provenance"].items()),
+    ]
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines)
+
+
+def _motion_text(motion: dict) -> str:
+    parameters = [f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in motion.items()
+                  if k not in ("basis", "band_limit_hz", "terms") and v is not False]
+    limit = [f"up to {motion['band_limit_hz']:.3g} Hz"] if motion["band_limit_hz"] else []
+    terms = [f"{motion['terms']} terms"] if motion["terms"] else []
+    return ", ".join([motion["basis"], *parameters, *terms, *limit])
+
+
+def _vector(values) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

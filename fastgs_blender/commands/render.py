@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""render frames of a model to PNG or multi-layer EXR files
+
+Frames are counted from 0; A:B has both ends, A:B:S goes in steps, fractions are sub-frames.  The default is the whole clip.
+Frames that are there already are kept; a stopped run goes on when it is started again.
+
+PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
+R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, inf where there is nothing).
+
+Several cameras: --view picks one by name or number.  Without --view, as many cameras as frames are a camera path; so they
+are with --path, where frame f otherwise takes camera f.  Else the first camera is used.
+"""
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from pathlib import Path
+
+from ..errors import FastGSError
+from .shared import add_backend, image_size, note, print_json, use_threads
+
+NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
+
+
+def add_arguments(parser):
+    parser.add_argument("model", metavar="MODEL", help="the model to render")
+    parser.add_argument("--camera", required=True, metavar="CAMERAS.json", help="the cameras, as 3DGS trainers write them")
+    parser.add_argument("--frames", metavar="A:B", help="frames to render (default: the whole clip)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
+    parser.add_argument("--format", default="png", choices=("png", "exr"), help="file format (default: png)")
+    parser.add_argument("--passes", metavar="P,P", help="EXR: the passes to write (default: all)")
+    parser.add_argument("--size", metavar="WxH", help="image size (default: the camera's); the horizontal view stays")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--view", "--camera-index", metavar="NAME", help="the camera to use: its name, or its number from 0")
+    which.add_argument("--path", action="store_true", help="a camera for each frame")
+    parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB (default: transparent)")
+    parser.add_argument("--overwrite", action="store_true", help="render frames that are there again")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_backend(parser)
+
+
+def run(args):
+    from .. import formats, images
+    from ..aside import remove_stale
+    from ..cameras import load_cameras
+    from ..frames import parse_frames
+
+    use_threads(args.threads)
+    passes = _passes(args)
+    background = None if args.background is None else _colour(args.background)
+    size = image_size(args.size) if args.size else None
+    frames = parse_frames(args.frames) if args.frames is not None else None
+    views = load_cameras(args.camera)
+    model = formats.load(args.model)
+    if frames is None:
+        frames = parse_frames(f"0:{model.clip.frame_count - 1}")
+    cameras = _cameras(views, frames, args, size)
+    if any(not 0 <= frame < model.clip.frame_count for frame in (frames.numbers[0], frames.numbers[-1])) and model.basis.terms:
+        note(f"the clip has the frames 0 to {model.clip.frame_count - 1}; beyond them its motion is only continued.")
+
+    out = Path(args.out)
+    _make_folder(out)
+    files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
+    remove_stale(out, {file.name for file in files})
+    todo = [i for i, file in enumerate(files) if args.overwrite or not file.exists()]
+    kept = len(files) - len(todo)
+    if kept:
+        note(f"{kept} of {len(files)} frames are there already and are kept; --overwrite renders them again.")
+
+    def write(path, image, frame):
+        if args.format == "png":
+            images.write_png(path, image, model.colour_space)
+        else:
+            attributes = {"comments": f"frame {frame} of {Path(args.model).name}; scene-linear Rec. 709, premultiplied"}
+            images.write_exr(path, image, model.colour_space, passes, attributes)
+
+    start = time.perf_counter()
+    _render_all(args, model, cameras, frames, files, todo, write, passes, background)
+    if args.json:
+        print_json({
+            "model": args.model, "frames": [float(frame) for frame in frames], "files": [str(file) for file in files],
+            "rendered": len(todo), "kept": kept, "seconds": round(time.perf_counter() - start, 3),
+        })
+
+
+def _render_all(args, model, cameras, frames, files, todo, write, passes, background):
+    from tqdm import tqdm
+
+    from ..rendering import render
+
+    wanted = tuple(dict.fromkeys((*passes, "alpha")))
+    done = 0
+    with _stop_on_sigterm(), tqdm(total=len(todo), unit="frame", desc="rendering", disable=args.quiet or not todo) as bar:
+        try:
+            for i in todo:
+                frame = frames.numbers[i]
+                image = render(model, cameras[i], model.clip.t_of_frame(float(frame)), wanted, args.backend)
+                write(files[i], image if background is None else _over(image, background, model.colour_space), frame)
+                done += 1
+                bar.update()
+        except KeyboardInterrupt:
+            bar.close()
+            rest = f"stopped; {done} of {len(todo)} frames are written to {args.out}, and the same command goes on from there."
+            raise KeyboardInterrupt(rest) from None
+
+
+@contextlib.contextmanager
+def _stop_on_sigterm():
+    """Farm managers and `kill` ask politely with SIGTERM: end as cleanly as with Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _passes(args) -> tuple[str, ...]:
+    from ..rendering import PASSES
+
+    if args.format == "png":
+        if args.passes is not None:
+            raise FastGSError("a PNG holds colour and alpha only; --passes needs --format exr.")
+        return ("rgb", "alpha")
+    if args.passes is None:
+        return tuple(PASSES)
+    passes = tuple(dict.fromkeys(name.strip() for name in args.passes.split(",") if name.strip()))
+    unknown = [name for name in passes if name not in PASSES]
+    if unknown or not passes:
+        raise FastGSError(f"--passes {args.passes!r} names no known pass; there are {', '.join(PASSES)}.")
+    return passes
+
+
+def _colour(text: str) -> list[float]:
+    """sRGB values 0..1 of #rgb, #rrggbb or a name."""
+    digits = NAMED_COLOURS.get(text.lower(), text).removeprefix("#")
+    if len(digits) == 3:
+        digits = "".join(2 * d for d in digits)
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        return [value / 255 for value in bytes.fromhex(digits)]
+    except ValueError as error:
+        raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
+
+
+def _over(image, background, colour_space):
+    """The image with an opaque background, blended in the model's own space like everything else in it."""
+    import numpy as np
+
+    from .. import colour
+
+    srgb = np.array(background, np.float32)
+    if "rgb" not in image:
+        return image
+    ground = srgb if colour_space == "srgb" else colour.srgb_to_linear(srgb)
+    return {**image, "rgb": colour.over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
+
+
+def _cameras(views, frames, args, size) -> list:
+    """The camera of each frame."""
+    from ..cameras import choose, resized
+
+    if args.view is not None:
+        chosen = [choose(views, args.view, args.camera)] * len(frames)
+    elif len(views) == len(frames):
+        chosen = views
+    elif args.path:
+        if not all(frame == int(frame) and 0 <= frame < len(views) for frame in frames):
+            raise FastGSError(f"{args.camera} has {len(views)} cameras, so there is none for some of the {len(frames)} frames of the path.")
+        chosen = [views[int(frame)] for frame in frames]
+    else:
+        if len(views) > 1:
+            note(f"{args.camera} has {len(views)} cameras; the first, {views[0].name}, is used (--view picks another).")
+        chosen = views[:1] * len(frames)
+    return [resized(view.camera, *size) if size else view.camera for view in chosen]
+
+
+def _make_folder(folder: Path):
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FastGSError(f"{folder}: the folder for the frames cannot be made ({error.strerror}).") from error

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arguments and output that several subcommands share."""
+from __future__ import annotations
+
+import json
+import sys
+
+from ..errors import FastGSError
+
+
+def add_backend(parser):
+    """--backend and --threads."""
+    parser.add_argument("--backend", default="auto", help="cpu, reference (slow, double precision) or auto (default)")
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def use_threads(count: int | None):
+    """Let rendering use that many threads."""
+    if count is None:
+        return
+    if count < 1:
+        raise FastGSError(f"--threads must be at least 1, not {count}.")
+    from ..kernels.threads import set_threads
+
+    set_threads(count)
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """(width, height) of "1920x1080"; raises FastGSError for anything else."""
+    from ..cameras import LARGEST_SIDE
+
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= LARGEST_SIDE and 0 < int(height) <= LARGEST_SIDE):
+        raise FastGSError(f"a size is written WIDTHxHEIGHT, as in 1920x1080, each at most {LARGEST_SIDE}, not {text!r}.")
+    return int(width), int(height)
+
+
+def print_json(values):
+    """One JSON document on standard output."""
+    json.dump(values, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def note(text: str):
+    """A remark on standard error: standard output is for results."""
+    print(f"fastgs: {text}", file=sys.stderr)
+
+
+def human_bytes(count: float) -> str:
+    """3.4 MB"""
+    if count < 1000:
+        return f"{count:.0f} bytes"
+    power = min(int(len(f"{count:.0f}") - 1) // 3, 4)
+    return f"{count / 1000**power:.1f} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
