@@ -6,9 +6,9 @@ Nothing is imported before register(), so that pytest and other tools may import
 
 
 def _packages():
-    from . import engine
+    from . import engine, operators
 
-    return (engine,)
+    return engine, operators
 
 
 def register():

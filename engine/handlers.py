@@ -1,20 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What happens when Blender opens another file: the models of the last one are freed."""
+"""What happens when a render job begins and when another file is opened."""
 import bpy
 from bpy.app.handlers import persistent
 
-from . import objects
+from . import notices, objects
 
 
 @persistent
-def _on_load(*_):
+def _begin_job(*_):
+    notices.begin_job()
+
+
+@persistent
+def _forget_models(*_):
     objects.clear()
 
 
+HANDLERS = (
+    (bpy.app.handlers.render_init, _begin_job),
+    (bpy.app.handlers.load_pre, _forget_models),
+)
+
+
 def register():
-    bpy.app.handlers.load_pre.append(_on_load)
+    for handlers, function in HANDLERS:
+        handlers.append(function)
 
 
 def unregister():
-    bpy.app.handlers.load_pre.remove(_on_load)
+    for handlers, function in HANDLERS:
+        handlers.remove(function)
     objects.clear()

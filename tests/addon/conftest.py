@@ -49,8 +49,7 @@ def scene(addon):
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
-    if "FASTGS" in {getattr(engine, "bl_idname", "") for engine in bpy.types.RenderEngine.__subclasses__()}:
-        scene.render.engine = 'FASTGS'
+    scene.render.engine = 'FASTGS'
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 64, 48, 100
     scene.view_settings.view_transform = 'Standard'
     scene.render.dither_intensity = 0

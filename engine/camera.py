@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's camera as the library's: sensor fit, shift, pixel aspect, orthographic scale, clip start, border."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import fastgs_blender as fg
+
+OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From Blender's camera axes (y up, looking along -z) to the library's."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The picture's size, and the part of it to render (x, y, width, height), y counted from the top."""
+
+    width: int
+    height: int
+    window: tuple[int, int, int, int]
+
+
+def frame_of(render) -> Frame:
+    """Size and border of RenderSettings, truncated to pixels exactly as Blender does it (C integers, single precision)."""
+    width = render.resolution_x * render.resolution_percentage // 100
+    height = render.resolution_y * render.resolution_percentage // 100
+    window = (0, 0, width, height)
+    if render.use_border:
+        x0, x1 = (int(np.float32(v) * np.float32(width)) for v in (render.border_min_x, render.border_max_x))
+        y0, y1 = (int(np.float32(v) * np.float32(height)) for v in (render.border_min_y, render.border_max_y))
+        window = (x0, height - y1, x1 - x0, y1 - y0)
+    if min(window[2:]) < 1:
+        raise fg.FastGSError("the render region is smaller than one pixel; enlarge it or the resolution.")
+    return Frame(width, height, window)
+
+
+def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | None = None) -> fg.Camera:
+    """The library's camera for an evaluated camera object.
+
+    model_matrix, shift_x   where a view of a stereo pair stands and how far it is shifted, if not as the object itself
+    Raises FastGSError for the kinds of camera that splats cannot be projected through.
+    """
+    data = obj.data
+    if obj.type != 'CAMERA' or data.type not in ('PERSP', 'ORTHO'):
+        kind = data.type.lower() if obj.type == 'CAMERA' else obj.type.lower()
+        raise fg.FastGSError(f'the camera "{obj.name}" is of the type {kind}, which FAST-GS does not render; '
+                             "set it to Perspective or Orthographic.")
+    render = depsgraph.scene.render
+    width, height = frame.width, frame.height
+    aspect_x, aspect_y = render.pixel_aspect_x, render.pixel_aspect_y
+    p = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=aspect_x, scale_y=aspect_y), np.float64)
+    orthographic = data.type == 'ORTHO'
+    # OpenGL's projection of (X, Y, -z): the principal point is where x = y = 0 lands
+    centre_x, centre_y = (p[0, 3], p[1, 3]) if orthographic else (-p[0, 2], -p[1, 2])
+    cx, cy = width / 2 * (1 + centre_x), height / 2 * (1 - centre_y)
+    if shift_x is not None:
+        cx -= (shift_x - data.shift_x) * _shift_unit(data.sensor_fit, width, height, aspect_x, aspect_y)
+    pose = np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64)
+    pose[:3, :3] /= np.maximum(np.linalg.norm(pose[:3, :3], axis=0), 1e-30)  # a camera's own scale does not count
+    return fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=cx, cy=cy,
+                     world_to_camera=OPENCV @ np.linalg.inv(pose), orthographic=orthographic,
+                     near=data.clip_start, window=frame.window)
+
+
+def _shift_unit(fit: str, width: int, height: int, aspect_x: float, aspect_y: float) -> float:
+    """Pixels by which a shift of 1 moves the picture: the side that the sensor is fitted to, measured in pixel widths."""
+    tall = height * aspect_y / aspect_x
+    horizontal = fit == 'HORIZONTAL' or (fit == 'AUTO' and width >= tall)
+    return width if horizontal else tall

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a frame shows: from an evaluated scene to the library's list of (model, placement, t)."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import fastgs_blender as fg
+from . import objects
+from .time import Retime, clip_frame
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One appearance of a splat object: by itself, or as an instance."""
+
+    name: str
+    path: str
+    placement: np.ndarray
+    retime: Retime
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """A scene's splats at one moment, copied out of the depsgraph: nothing here refers to Blender's data."""
+
+    shown: list[Shown]
+    frame: float
+    fps: float
+
+    def parts(self, load=objects.load_model) -> tuple[list, dict[str, str]]:
+        """([(model, placement, t), ...], {object's name: why its file cannot be loaded}); reads files where it must."""
+        parts, failed = [], {}
+        for item in self.shown:
+            try:
+                model = load(item.path)
+            except fg.FastGSError as error:
+                failed[item.name] = str(error)
+                continue
+            frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
+            if frame is not None:
+                parts.append((model, item.placement, model.clip.t_of_frame(frame)))
+        return parts, failed
+
+
+def contents(depsgraph) -> Contents:
+    """What the depsgraph's view layer shows of splats on its frame and sub-frame."""
+    scene = depsgraph.scene
+    render = scene.render
+    shown, seen = [], set()
+    for instance in depsgraph.object_instances:
+        obj = instance.object
+        if not (instance.show_self and objects.is_splat(obj)):
+            continue
+        # an object whose geometry nodes make several kinds of geometry comes once for each kind
+        key = (obj.original.as_pointer(), instance.is_instance and instance.parent.original.as_pointer(),
+               tuple(instance.persistent_id) if instance.is_instance else ())
+        if key not in seen:
+            seen.add(key)
+            shown.append(Shown(obj.name, objects.abspath(obj), np.array(instance.matrix_world, np.float64), retime_of(obj)))
+    # as Blender computes the time of its animation, time stretching included
+    frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
+    return Contents(shown, frame, render.fps / render.fps_base)
+
+
+def retime_of(obj) -> Retime:
+    """An evaluated object's place in time."""
+    settings = obj.fastgs
+    return Retime(settings.start_frame, settings.speed, settings.offset, settings.before, settings.after)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The colour behind the splats."""
+from __future__ import annotations
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, str | None]:
+    """(scene-linear colour, or None for transparent film; a sentence about what is not shown, or None)."""
+    if scene.render.film_transparent:
+        return None, None
+    world = getattr(view_layer, "world_override", None) or scene.world
+    if world is None or not view_layer.use_sky:
+        return BLACK, None
+    if not (world.use_nodes and world.node_tree):
+        return tuple(world.color), None
+    output = world.node_tree.get_output_node('ALL')
+    link = _source(output.inputs["Surface"]) if output else None
+    if link is None:
+        return BLACK, None
+    node = link.from_node
+    if node.bl_idname != 'ShaderNodeBackground':
+        return BLACK, f'The world "{world.name}" is more than a Background node: FAST-GS renders it black.'
+    colour, plain = _value(node.inputs["Color"])
+    strength, also_plain = _value(node.inputs["Strength"])
+    text = None
+    if not (plain and also_plain):
+        text = f'The world "{world.name}" is textured: FAST-GS shows the plain colour of its Background node.'
+    return tuple(c * strength for c in colour[:3]), text
+
+
+def _source(socket):
+    """The link that feeds a socket, seen through reroutes; None where nothing does."""
+    while socket.is_linked:
+        link = socket.links[0]
+        if link.from_node.bl_idname != 'NodeReroute':
+            return link
+        socket = link.from_node.inputs[0]
+    return None
+
+
+def _value(socket):
+    """(value of a socket, whether that is all there is to it): constants are followed, textures are not."""
+    link = _source(socket)
+    if link is None:
+        return socket.default_value, True
+    if link.from_node.bl_idname in ('ShaderNodeRGB', 'ShaderNodeValue'):
+        return link.from_socket.default_value, True
+    return socket.default_value, False
