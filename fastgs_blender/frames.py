@@ -11,6 +11,7 @@ from decimal import Decimal, InvalidOperation
 from .errors import FastGSError
 
 MOST = 1_000_000
+DECIMALS = 6
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ def parse_frames(text: str) -> Frames:
     start, stop, step = parts[0], parts[-1] if len(parts) == 1 else parts[1], parts[2] if len(parts) == 3 else Decimal(1)
     if step <= 0 or stop < start:
         raise FastGSError(rule)
-    decimals = max(0, *(-part.normalize().as_tuple().exponent for part in (start, step)))
-    if decimals > 6:
-        raise FastGSError(f"frame numbers have at most 6 decimals, unlike those of {text!r}.")
+    if any(part != round(part, DECIMALS) for part in parts):
+        raise FastGSError(f"frame numbers have at most {DECIMALS} decimals, unlike those of {text!r}.")
+    decimals = max(0, *(-round(part, DECIMALS).normalize().as_tuple().exponent for part in (start, step)))
     if (stop - start) / step >= MOST:
         raise FastGSError(f"the range {text!r} has more than {MOST} frames; give a shorter one.")
     count = int((stop - start) / step) + 1

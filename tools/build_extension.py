@@ -67,8 +67,9 @@ def download(name: str) -> list[Path]:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:",
                    "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
         command += [f"--platform={tag}" for tag in PLATFORMS[name]]
-        if subprocess.run([*command, *packages], check=False).returncode:
-            sys.exit(f"The wheels for {name} and Python {python} could not be downloaded; the reason stands above.")
+        result = subprocess.run([*command, *packages], capture_output=True, text=True, check=False)
+        if result.returncode:
+            sys.exit(f"{result.stderr}\nThe wheels for {name} and Python {python} could not be downloaded; the reason stands above.")
     return sorted(folder.glob("*.whl"))
 
 
