@@ -7,7 +7,8 @@ import numpy as np
 from . import colour
 from .aside import written_aside
 
-FORMATS = ("png", "exr")
+FAR = np.float32(1e10)
+"""Depth where there is nothing, as Blender's own engines write it: filters turn an infinity into NaN."""
 
 
 def write_png(path, image: dict, colour_space: str):
@@ -25,7 +26,8 @@ def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dic
     """The passes (default: all in image) as 32-bit float channels, named so that Blender finds its passes again.
 
     rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer: Depth.Z,
-    MedianDepth.Z, and X, Y, Z for passes of several channels.  image["alpha"] must be there if "rgb" is.
+    MedianDepth.Z (1e10 where there is nothing), and X, Y, Z for passes of several channels.  image["alpha"] must be there if
+    "rgb" is.
     """
     import OpenEXR
 
@@ -47,7 +49,7 @@ def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
         elif name == "alpha":
             planes["A"] = image["alpha"]
         elif image[name].ndim == 2:
-            planes[f"{_layer(name)}.Z"] = image[name]
+            planes[f"{_layer(name)}.Z"] = np.minimum(image[name], FAR) if "depth" in name else image[name]
         else:
             planes.update(zip((f"{_layer(name)}.{axis}" for axis in "XYZW"), np.moveaxis(image[name], -1, 0), strict=False))
     return {name: np.ascontiguousarray(plane, np.float32) for name, plane in planes.items()}

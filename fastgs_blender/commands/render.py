@@ -5,7 +5,7 @@ Frames are counted from 0; A:B has both ends, A:B:S goes in steps, fractions are
 Frames that are there already are kept; a stopped run goes on when it is started again.
 
 PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
-R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, inf where there is nothing).
+R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where there is nothing).
 
 Several cameras: --view picks one by name or number.  Without --view, as many cameras as frames are a camera path; so they
 are with --path, where frame f otherwise takes camera f.  Else the first camera is used.
