@@ -58,7 +58,7 @@ def colours(s: Slice, part: Part, camera: Camera) -> np.ndarray:
         direction = s.position - part.camera_to_model[:3, 3]
     direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
     basis = sh_basis(direction, appearance.degree)
-    return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(len(basis), -1, 3)))
+    return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3)))
 
 
 def project(part: Part, camera: Camera, layout: Layout) -> Splats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
             shape = (height, width, 3) if name == "rgb" else (height, width)
             image = np.full(shape, np.inf if "depth" in name else 0.0)
         elif name == "rgb":
-            image = sum(_decoded(group, buffers, camera, module) for group in layout.groups)
+            image = reduce(np.add, (_decoded(group, buffers, camera, module) for group in layout.groups))
         elif name == "alpha":
             image = alpha
         elif name == "depth":

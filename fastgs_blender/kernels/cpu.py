@@ -76,42 +76,38 @@ def rasterise(order, geometry, shade, channels: int, camera: Camera, median: boo
     alpha = np.zeros((height, width), np.float32)
     nearest = np.empty((height, width) if median else (0, 0), np.float32)
     grid = (tile_x, tile_y, columns, rows)
-    segments, counts = count_tiles(order, geometry, shade, grid)
+    segments, counts = list_spans(order, geometry, shade, grid)
     kernel = raster.rasteriser(channels, median)
-    row_totals = counts.sum(0).reshape(rows, columns).sum(1)
-    for first, last in _bands(row_totals):
-        starts, ids = fill_tiles(order, geometry, shade, grid, segments, counts, first, last)
-        run(lambda a, b: kernel(a, b, columns, x0, y0, x0 + width, y0 + height, tile_x, tile_y, starts, ids,  # noqa: B023
-                                geometry, shade, out, alpha, nearest),
-            [(first * columns + a, first * columns + b) for a, b in ranges((last - first) * columns, TILES)],
-            progress and (lambda f: progress((first + f * (last - first)) / rows)))  # noqa: B023
+    for first, last in _bands(counts.sum(0).reshape(rows, columns).sum(1)):
+        starts, ids = list_tiles(segments, counts, first * columns, last * columns)
+        rest = (columns, x0, y0, x0 + width, y0 + height, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, nearest)
+        tiles_of_band = [(first * columns + a, first * columns + b) for a, b in ranges((last - first) * columns, TILES)]
+        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / rows))
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), tiles_of_band, share)
     return Buffers(out, alpha, nearest if median else None)
 
 
-def count_tiles(order, geometry, shade, grid):
-    """Tiles that each segment of the sorted splats touches: the segments, and counts [segments, tiles] int64."""
-    tile_x, tile_y, columns, rows = grid
-    segments = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
-    counts = np.zeros((max(len(segments), 1), columns * rows), np.int64)
-    nothing = np.empty(0, np.int32)
-    run(lambda s, first, last: tiles.visit(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, 0, rows,
-                                           counts[s], nothing), [(s, *piece) for s, piece in enumerate(segments)])
-    return segments, counts
+def list_spans(order, geometry, shade, grid):
+    """Runs of tiles for each segment of the sorted splats (tiles.spans), and how many splats of it each tile has.
+
+    grid: first tile in x and y, columns, rows.  Returns the segments' runs and counts [segments, tiles] int64.
+    """
+    pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
+    counts = np.zeros((max(len(pieces), 1), grid[2] * grid[3]), np.int64)
+    return run(lambda s, first, last: tiles.spans(first, last, order, geometry, shade, *grid, counts[s]),
+               [(s, *piece) for s, piece in enumerate(pieces)]), counts
 
 
-def fill_tiles(order, geometry, shade, grid, segments, counts, first_row, last_row):
-    """Tile lists of some rows of tiles: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
-    tile_x, tile_y, columns, rows = grid
+def list_tiles(segments, counts, first: int, last: int):
+    """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
     counts = counts.copy()
-    counts[:, :first_row * columns] = 0
-    counts[:, last_row * columns:] = 0
-    starts = np.zeros(columns * rows + 1, np.int64)
+    counts[:, :first] = 0
+    counts[:, last:] = 0
+    starts = np.zeros(counts.shape[1] + 1, np.int64)
     np.cumsum(counts.sum(0), out=starts[1:])
     cursors = starts[:-1] + np.cumsum(counts, 0) - counts
     ids = np.empty(starts[-1], np.int32)
-    if len(ids):
-        run(lambda s, a, b: tiles.visit(a, b, order, geometry, shade, tile_x, tile_y, columns, rows, first_row, last_row,
-                                        cursors[s], ids), [(s, *piece) for s, piece in enumerate(segments)])
+    run(lambda s, segment: tiles.scatter(*segment, first, last, cursors[s], ids), enumerate(segments))
     return starts, ids
 
 

@@ -22,31 +22,58 @@ SCALE = math.sqrt(0.5 * math.log2(math.e))
 
 
 @inline
+def _exp(x):
+    """exp in float32 (enough for what comes from float32), as float64."""
+    return np.float64(math.exp(np.float32(x)))
+
+
+@inline
 def _temporal_factor(code, t, mu_tau, p):
     """Temporal opacity; p [P] are the Gaussian's parameters (temporal.py)."""
     if code == RADIAL:
         delta = t - mu_tau
-        return math.exp(-math.exp(p[0]) * delta * delta)
+        return _exp(-_exp(p[0]) * delta * delta)
     if code == WINDOW:
-        early, late = max(p[0] - t, 0.0) / math.exp(p[2]), max(t - p[1], 0.0) / math.exp(p[3])
-        return math.exp(-early * early - late * late)
+        early, late = max(p[0] - t, 0.0) / _exp(p[2]), max(t - p[1], 0.0) / _exp(p[3])
+        return _exp(-early * early - late * late)
     return 1.0
 
 
 @inline
-def _add_motion(value, coefficients, index, weights, centred, delta):
-    """value [D] += the basis' weighted coefficients [K, D]: all of them with powers of delta, or those listed in index."""
+def _moved3(c, basis, delta):
+    """Sum of the weighted coefficients c [K, 3]: with powers of delta, or of those listed, with their weights."""
+    index, weights, centred = basis
+    x, y, z = 0.0, 0.0, 0.0
     if centred:
-        for d in range(len(value)):
-            total = 0.0
-            for k in range(len(coefficients) - 1, -1, -1):
-                total = (total + coefficients[k, d]) * delta
-            value[d] += total
+        for k in range(len(c) - 1, -1, -1):
+            x, y, z = (x + c[k, 0]) * delta, (y + c[k, 1]) * delta, (z + c[k, 2]) * delta
     else:
         for m in range(len(index)):
-            w = weights[m]
-            for d in range(len(value)):
-                value[d] += w * coefficients[index[m], d]
+            w, k = weights[m], index[m]
+            x, y, z = x + w * c[k, 0], y + w * c[k, 1], z + w * c[k, 2]
+    return x, y, z
+
+
+@inline
+def _moved4(c, basis, delta):
+    """The same for c [K, 4]."""
+    index, weights, centred = basis
+    a, x, y, z = 0.0, 0.0, 0.0, 0.0
+    if centred:
+        for k in range(len(c) - 1, -1, -1):
+            a, x, y, z = (a + c[k, 0]) * delta, (x + c[k, 1]) * delta, (y + c[k, 2]) * delta, (z + c[k, 3]) * delta
+    else:
+        for m in range(len(index)):
+            w, k = weights[m], index[m]
+            a, x, y, z = a + w * c[k, 0], x + w * c[k, 1], y + w * c[k, 2], z + w * c[k, 3]
+    return a, x, y, z
+
+
+@inline
+def _project_axis(x, y, z, row0, row1, row2, a02, a12):
+    """An axis in model space, in the camera, sheared by the projection: u and v before focal length and depth."""
+    depth = row2[0] * x + row2[1] * y + row2[2] * z
+    return row0[0] * x + row0[1] * y + row0[2] * z + a02 * depth, row1[0] * x + row1[1] * y + row1[2] * z + a12 * depth
 
 
 @kernel
@@ -67,54 +94,46 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
     fx, fy, cx, cy, near, low_x, high_x, low_y, high_y, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
     appearance, degree, channel, weight_channel, depth_channel = look
-    centre, q, factor, colour = np.empty(3), np.empty(4), np.empty((3, 3)), np.empty(3)
+    colour, (row0, row1, row2, shift, eye) = np.empty(3), (view[0], view[1], view[2], view[3], view[4])
+    log2_cut = math.log2(alpha_cut)
     out = first
     for n in range(first, last):
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal[n]) / (1.0 + math.exp(-np.float64(opacity[n])))
+        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal[n]) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= alpha_cut):
             continue
         delta = t - np.float64(mu_tau[n])
-        for d in range(3):
-            centre[d] = position[n, d]
-        _add_motion(centre, motion[n], moving[0], moving[1], moving[2], delta)
-        x = view[0, 0] * centre[0] + view[0, 1] * centre[1] + view[0, 2] * centre[2] + view[3, 0]
-        y = view[1, 0] * centre[0] + view[1, 1] * centre[1] + view[1, 2] * centre[2] + view[3, 1]
-        z = view[2, 0] * centre[0] + view[2, 1] * centre[1] + view[2, 2] * centre[2] + view[3, 2]
+        px, py, pz = _moved3(motion[n], moving, delta)
+        px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
+        y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
+        z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z < np.inf):
             continue
 
-        for d in range(4):
-            q[d] = rotation[n, d]
-        _add_motion(q, rotation_motion[n], turning[0], turning[1], turning[2], delta)
-        norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        qw, qx, qy, qz = _moved4(rotation_motion[n], turning, delta)
+        qw, qx, qy, qz = qw + rotation[n, 0], qx + rotation[n, 1], qy + rotation[n, 2], qz + rotation[n, 3]
+        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         if norm > 1e-12:
-            for d in range(4):
-                q[d] /= norm
+            qw, qx, qy, qz = qw / norm, qx / norm, qy / norm, qz / norm
         else:
-            q[0], q[1], q[2], q[3] = 1.0, 0.0, 0.0, 0.0
-        _rotation(q, factor)
+            qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
 
-        # rows of J W, then times R S: the 2 x 3 factor of the projected covariance
+        # the 2 x 3 factor J W R S of the projected covariance: J's third column first
         if orthographic:
-            mx, my, a02, a12, depth_scale = fx * x + cx, fy * y + cy, 0.0, 0.0, 1.0
+            mx, my, a02, a12, per_depth = fx * x + cx, fy * y + cy, 0.0, 0.0, 1.0
         else:
-            mx, my, depth_scale = fx * (x / z) + cx, fy * (y / z) + cy, 1.0 / z
+            mx, my, per_depth = fx * (x / z) + cx, fy * (y / z) + cy, 1.0 / z
             a02 = -min(max(x / z, low_x), high_x)
             a12 = -min(max(y / z, low_y), high_y)
-        s00, s01, s11 = 0.0, 0.0, 0.0
-        p = np.empty((2, 3))
-        for j in range(3):
-            column_0 = view[0, 0] * factor[0, j] + view[0, 1] * factor[1, j] + view[0, 2] * factor[2, j]
-            column_1 = view[1, 0] * factor[0, j] + view[1, 1] * factor[1, j] + view[1, 2] * factor[2, j]
-            column_2 = view[2, 0] * factor[0, j] + view[2, 1] * factor[1, j] + view[2, 2] * factor[2, j]
-            size = math.exp(np.float64(scale[n, j])) * depth_scale
-            p[0, j] = fx * (column_0 + a02 * column_2) * size
-            p[1, j] = fy * (column_1 + a12 * column_2) * size
-            s00 += p[0, j] * p[0, j]
-            s01 += p[0, j] * p[1, j]
-            s11 += p[1, j] * p[1, j]
-        sharp = ((p[0, 1] * p[1, 2] - p[0, 2] * p[1, 1]) ** 2 + (p[0, 2] * p[1, 0] - p[0, 0] * p[1, 2]) ** 2
-                 + (p[0, 0] * p[1, 1] - p[0, 1] * p[1, 0]) ** 2)
+        # columns of the rotation matrix, turned into the camera, projected and scaled
+        u0, v0 = _project_axis(1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy), row0, row1, row2, a02, a12)
+        u1, v1 = _project_axis(2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx), row0, row1, row2, a02, a12)
+        u2, v2 = _project_axis(2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy), row0, row1, row2, a02, a12)
+        size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
+        u0, u1, u2 = fx * u0 * size0, fx * u1 * size1, fx * u2 * size2
+        v0, v1, v2 = fy * v0 * size0, fy * v1 * size1, fy * v2 * size2
+        s00, s01, s11 = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
+        sharp = (u1 * v2 - u2 * v1) ** 2 + (u2 * v0 - u0 * v2) ** 2 + (u0 * v1 - u1 * v0) ** 2
         det = sharp + blur * (s00 + s11) + blur * blur
         s00 += blur
         s11 += blur
@@ -124,16 +143,19 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
             sigma *= math.sqrt(sharp / det)
             if not (sigma >= alpha_cut):
                 continue
-        reach = 2.0 * math.log(sigma / alpha_cut)
+        log2_sigma = math.log2(sigma)
+        reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
         radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
         if not (mx + radius_x >= left and mx - radius_x <= right and my + radius_y >= top and my - radius_y <= bottom):
             continue
 
         if appearance == SH:
-            for d in range(3):
-                q[d] = view[4, d] if orthographic else centre[d] - view[4, d]
-            norm = max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), 1e-30)
-            sh_colour(features[n], degree, q[0] / norm, q[1] / norm, q[2] / norm, colour)
+            if orthographic:
+                dx, dy, dz = eye[0], eye[1], eye[2]
+            else:
+                dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
+            norm = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-30)
+            sh_colour(features[n], degree, dx / norm, dy / norm, dz / norm, colour)
         good = True
         for c in range(raster.CHANNEL, shade.shape[1]):
             shade[out, c] = float32(0.0)
@@ -155,21 +177,12 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         geometry[out, raster.L11] = SCALE * root / math.sqrt(det)
         geometry[out, raster.L21] = -SCALE * s01 / (root * math.sqrt(det))
         geometry[out, raster.L22] = SCALE / root
-        shade[out, raster.LOG2_OPACITY] = math.log2(sigma)
+        shade[out, raster.LOG2_OPACITY] = log2_sigma
         shade[out, raster.ALPHA_MAX] = alpha_max
-        shade[out, raster.LOG2_CUT] = math.log2(alpha_cut)
+        shade[out, raster.LOG2_CUT] = log2_cut
         shade[out, raster.DEPTH] = z
         shade[out, raster.RADIUS_X] = radius_x + 1e-3
         shade[out, raster.RADIUS_Y] = radius_y + 1e-3
         depth[out] = z
         out += 1
     return out - first
-
-
-@inline
-def _rotation(q, m):
-    """m [3, 3] becomes the rotation matrix of the unit quaternion q [4], w x y z."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    m[0, 0], m[0, 1], m[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    m[1, 0], m[1, 1], m[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    m[2, 0], m[2, 1], m[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)

@@ -27,6 +27,8 @@ MEAN_X, MEAN_Y, L11, L21, L22 = range(5)
 # columns of a splat's shade [., 6 + C] float32; RADIUS: half the size of the box in which alpha reaches the cut
 LOG2_OPACITY, ALPHA_MAX, LOG2_CUT, DEPTH, RADIUS_X, RADIUS_Y, CHANNEL = range(7)
 
+AHEAD = 8
+"""How many splats ahead memory is asked for: a tile's splats lie all over it."""
 SIZES = (3, 4, 9, 10, 16, 32, 64, 128, 256)
 """Numbers of channels for which code is made; others are padded to the next."""
 
@@ -91,6 +93,9 @@ def rasteriser(channels: int, median: bool):
             blended = 0
             for k in range(starts[tile], starts[tile + 1]):
                 i = np.intp(ids[k])
+                ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
+                simd.prefetch(geometry, ahead)
+                simd.prefetch(shade, ahead)
                 # in float64 up to the tile's corner, so that splats far off the screen keep their precision
                 mx, my = geometry[i, MEAN_X] - left - 0.5, geometry[i, MEAN_Y] - top - 0.5
                 rx, ry = shade[i, RADIUS_X], shade[i, RADIUS_Y]

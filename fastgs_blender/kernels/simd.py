@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from llvmlite import ir
 from numba.core import types
+from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
 LANES = 8
@@ -115,3 +116,19 @@ class Memory:
     def scalar(self, index, offset):
         """One element."""
         return self.builder.load(self._at(index, offset))
+
+
+@intrinsic
+def prefetch(context, array, index):
+    """Ask for row `index` of a C-contiguous array to be brought into the cache; never faults."""
+    def build(context, b, signature, args):
+        array_type = signature.args[0]
+        made = make_array(array_type)(context, b, args[0])
+        stride = b.extract_value(made.strides, 0)
+        bytes_ = b.bitcast(made.data, ir.IntType(8).as_pointer())
+        address = b.gep(bytes_, [b.mul(args[1], stride)])
+        number = ir.IntType(32)
+        function = b.module.declare_intrinsic("llvm.prefetch", [address.type], ir.FunctionType(ir.VoidType(), [address.type, number, number, number]))
+        b.call(function, [address, ir.Constant(number, 0), ir.Constant(number, 3), ir.Constant(number, 1)])
+        return context.get_dummy_value()
+    return types.void(array, types.intp), build

@@ -12,58 +12,85 @@ import numpy as np
 
 from . import raster
 from .jit import inline, kernel
+from .simd import prefetch
 
 TILE = raster.TILE
+SHIFT = TILE.bit_length() - 1
 MARGIN = 1e-3
 """Pixels by which an extent is widened, so that rounding never loses a pixel that the rasteriser would blend."""
 
 
-@inline
-def _row_extent(geometry, reach, row):
-    """First and last pixel (x) that the splat's ellipse covers between the first and last pixel of a row of tiles.
+AHEAD = 16
+"""How many splats ahead memory is asked for: sorted by depth, they lie all over it."""
 
-    geometry [5] of a splat, reach = log2(opacity / cut) > 0: the ellipse is (L11 dx + L21 dy)^2 + (L22 dy)^2 <= reach.
-    """
-    mx, my = geometry[raster.MEAN_X], geometry[raster.MEAN_Y]
-    a, b, c = geometry[raster.L11], geometry[raster.L21], geometry[raster.L22]
-    half = math.sqrt(reach) / c + MARGIN
-    low, high = max(row * TILE + 0.5 - my, -half), min(row * TILE + TILE - 0.5 - my, half)
-    if low > high:
-        return 1.0, 0.0
-    # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else the extreme is at the row's edge
-    peak = b * math.sqrt(reach) / (c * math.sqrt(b * b + c * c))
-    y = min(max(-peak, low), high)
-    right = (math.sqrt(max(reach - (c * y) ** 2, 0.0)) - b * y) / a
-    y = min(max(peak, low), high)
-    left = (-math.sqrt(max(reach - (c * y) ** 2, 0.0)) - b * y) / a
-    return math.ceil(mx + left - MARGIN - 0.5), math.floor(mx + right + MARGIN - 0.5)
+
+@inline
+def _grown(array):
+    larger = np.empty(2 * len(array), array.dtype)
+    larger[:len(array)] = array
+    return larger
 
 
 @kernel
-def visit(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, row_first, row_last, cursor, ids):
-    """Go through the tiles of the splats order[first:last] within rows row_first..row_last of the window's tiles.
+def spans(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, counts):
+    """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
-    cursor [columns * rows] counts them; where ids is not empty, ids[cursor] is set to the splat.
+    The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them.  counts [columns * rows] counts the
+    splats of each tile.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays.
     """
-    writing = len(ids) > 0
+    splat = np.empty(2 * (last - first) + 16, np.int32)
+    begin, end = np.empty_like(splat), np.empty_like(splat)
+    n = 0
     for k in range(first, last):
         i = np.intp(order[k])
-        my, ry = geometry[i, raster.MEAN_Y], np.float64(shade[i, raster.RADIUS_Y])
-        reach = np.float64(shade[i, raster.LOG2_OPACITY]) - np.float64(shade[i, raster.LOG2_CUT])
-        top = max(math.floor((my - ry) / TILE) - tile_y, np.float64(row_first))
-        bottom = min(math.floor((my + ry) / TILE) - tile_y, row_last - 1.0)
-        if not (top <= bottom):
+        ahead = np.intp(order[min(k + AHEAD, last - 1)])
+        prefetch(geometry, ahead)
+        prefetch(shade, ahead)
+        mx, my = geometry[i, raster.MEAN_X], geometry[i, raster.MEAN_Y]
+        rx, ry = np.float64(shade[i, raster.RADIUS_X]), np.float64(shade[i, raster.RADIUS_Y])
+        # pixel centres lie at + 0.5
+        box_top = max(math.ceil(max(my - ry, -1e9) - 0.5), tile_y * TILE)
+        box_bottom = min(math.floor(min(my + ry, 1e9) - 0.5), (tile_y + rows) * TILE - 1)
+        box_left = max(math.ceil(max(mx - rx, -1e9) - 0.5), tile_x * TILE)
+        box_right = min(math.floor(min(mx + rx, 1e9) - 0.5), (tile_x + columns) * TILE - 1)
+        if box_top > box_bottom or box_left > box_right:
             continue
-        for row in range(int(top), int(bottom) + 1):
-            xl, xh = _row_extent(geometry[i], reach, row + tile_y)
-            if not (xl <= xh):
-                continue
-            left = max(math.floor(xl / TILE) - tile_x, 0.0)
-            right = min(math.floor(xh / TILE) - tile_x, columns - 1.0)
-            if not (left <= right):
-                continue
-            for tile in range(row * columns + int(left), row * columns + int(right) + 1):
-                at = cursor[tile]
-                cursor[tile] = at + 1
-                if writing:
-                    ids[at] = i
+        left, right = (box_left >> SHIFT) - tile_x, (box_right >> SHIFT) - tile_x
+        top, bottom = (box_top >> SHIFT) - tile_y, (box_bottom >> SHIFT) - tile_y
+        exact = left < right and top < bottom  # in one row or one column of tiles the box is exact already
+        a, b, c, root, peak = 0.0, 0.0, 0.0, 0.0, 0.0
+        if exact:
+            a, b, c = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+            reach = np.float64(shade[i, raster.LOG2_OPACITY]) - np.float64(shade[i, raster.LOG2_CUT])
+            root = math.sqrt(reach)
+            peak = b * root / (c * math.sqrt(b * b + c * c))
+        for row in range(top, bottom + 1):
+            if exact:
+                # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
+                low = (tile_y + row) * TILE + 0.5 - my
+                high = low + (TILE - 1)
+                y = min(max(-peak, low), high)
+                right_end = (math.sqrt(max(root * root - (c * y) ** 2, 0.0)) - b * y) / a
+                y = min(max(peak, low), high)
+                left_end = (-math.sqrt(max(root * root - (c * y) ** 2, 0.0)) - b * y) / a
+                x0 = max(math.ceil(max(mx + left_end - MARGIN, -1e9) - 0.5), box_left)
+                x1 = min(math.floor(min(mx + right_end + MARGIN, 1e9) - 0.5), box_right)
+                if x0 > x1:
+                    continue
+                left, right = (x0 >> SHIFT) - tile_x, (x1 >> SHIFT) - tile_x
+            if n == len(splat):
+                splat, begin, end = _grown(splat), _grown(begin), _grown(end)
+            splat[n], begin[n], end[n] = i, row * columns + left, row * columns + right + 1
+            for tile in range(begin[n], end[n]):
+                counts[tile] += 1
+            n += 1
+    return splat[:n], begin[:n], end[:n]
+
+
+@kernel
+def scatter(splat, begin, end, first_tile, last_tile, cursor, ids):
+    """Write the splats of spans() into the lists of the tiles first_tile..last_tile; cursor [tiles]: where each goes next."""
+    for k in range(len(splat)):
+        for tile in range(max(begin[k], first_tile), min(end[k], last_tile)):
+            ids[cursor[tile]] = splat[k]
+            cursor[tile] += 1

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The CPU renderer's figures, from one run.
+
+    python benchmarks/raster_cpu.py [--gaussians 300000] [--size 1352x1014] [--limit raster_limit.cpp] [--runs 9] [--json FILE]
+
+* rasterise stage      ours beside hand-written AVX2 intrinsics (raster_limit.cpp, if it and g++ are at hand) on identical input;
+                       the two run in turn, so that the ratio holds when the machine's speed drifts
+* whole frame          from a 4D model (Fourier L = 5, temporal opacity, rotation, features with decoder) to the image,
+                       and from the same frame sliced beforehand into a static model
+* peak memory          of a process that renders 1 M Gaussians, less what it used before
+* warm start           of a process: imports, first frame, kernels from the cache
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import fastgs_blender as fg  # noqa: E402
+from fastgs_blender.kernels import cpu, raster, threads  # noqa: E402
+from fastgs_blender.kernels.project import SCALE  # noqa: E402
+from fastgs_blender.kernels.sort import order_by  # noqa: E402
+from fastgs_blender.scene import Layout, Part  # noqa: E402
+
+
+def scene(n: int, width: int, height: int, appearance: str = "rgb") -> tuple[fg.GaussianModel, fg.Camera]:
+    """A cloud that fills the view: about 7 tiles a splat, opacities from faint to solid, Fourier motion, slow turning."""
+    rng = np.random.default_rng(0)
+    focal = 0.9 * width
+    depth = rng.uniform(3, 9, n)
+    position = np.stack([rng.uniform(-0.55, 0.55, n) * width * depth / focal, rng.uniform(-0.55, 0.55, n) * height * depth / focal, depth], 1)
+    kinds = {"rgb": (fg.RGB(), 3), "sh": (fg.SH(3), 48),
+             "features": (fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.3, (3, 6)), "clamp"), 9)}
+    look, columns = kinds[appearance]
+    pixels = 5.2 * (300_000 / n) ** 0.5
+    model = fg.GaussianModel(
+        position=position, rotation=rng.normal(size=(n, 4)), scale=np.log(pixels * depth[:, None] / focal) + rng.normal(-0.2, 0.5, (n, 3)),
+        opacity=rng.normal(0, 2, n), features=rng.uniform(0, 1, (n, columns)) * 0.5,
+        motion=rng.normal(0, 0.02, (n, 10, 3)), rotation_motion=rng.normal(0, 0.2, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n),
+        temporal=rng.normal(-2, 1, (n, 1)), basis=fg.Fourier(5), rotation_basis=fg.Polynomial(1), temporal_kind=fg.Radial(),
+        appearance=look, raster=fg.Raster(alpha_max=0.999, near=0.01))
+    return model, fg.Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4))
+
+
+def timed(*functions, runs: int) -> list[list[float]]:
+    """Milliseconds of each function, called in turn, `runs` times after one warm-up each."""
+    times = [[] for _ in functions]
+    for run in range(runs + 1):
+        for function, out in zip(functions, times):
+            begin = time.perf_counter()
+            function()
+            if run:
+                out.append(1e3 * (time.perf_counter() - begin))
+    return times
+
+
+class Stage:
+    """The rasterise stage of one frame, ready to run: everything before it is done."""
+
+    def __init__(self, model, camera, t):
+        part = Part(model, np.eye(4), t, camera.world_to_camera)
+        layout, n = Layout([part], False), len(model)
+        self.channels = raster.padded(layout.channels)
+        self.size = (camera.height, camera.width)
+        self.geometry, self.shade = np.empty((n, 5)), np.empty((n, raster.CHANNEL + self.channels), np.float32)
+        depth = np.empty(n, np.float32)
+        spans = cpu.project_part(part, camera, layout, self.geometry, self.shade, depth)
+        index = np.concatenate([np.arange(a, a + count, dtype=np.int32) for a, count in spans])
+        self.order = order_by(depth[index], index)
+        self.columns, self.rows = -(-camera.width // raster.TILE), -(-camera.height // raster.TILE)
+        grid = (0, 0, self.columns, self.rows)
+        segments, counts = cpu.list_spans(self.order, self.geometry, self.shade, grid)
+        self.starts, self.ids = cpu.list_tiles(segments, counts, 0, counts.shape[1])
+        self.out, self.alpha = np.zeros((*self.size, self.channels), np.float32), np.zeros(self.size, np.float32)
+
+    def __call__(self):
+        kernel, (height, width) = raster.rasteriser(self.channels, False), self.size
+        rest = (self.columns, 0, 0, width, height, 0, 0, self.starts, self.ids, self.geometry, self.shade, self.out, self.alpha,
+                np.empty((0, 0), np.float32))
+        threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, cpu.TILES))
+
+    def write(self, folder: Path) -> list[str]:
+        """The same splats and lists as files for raster_limit.cpp."""
+        a, b, c = self.geometry[:, 2:].T / SCALE  # the scaled triangle of the inverse covariance, back to conic A, B, C
+        conic = np.stack([a * a, a * b, b * b + c * c], 1)
+        splats = np.concatenate([self.geometry[:, :2], conic, np.exp2(self.shade[:, :1]), self.shade[:, raster.CHANNEL:]], 1)
+        files = [folder / f"{name}.bin" for name in ("splats", "starts", "ids")]
+        for file, array in zip(files, (splats.astype(np.float32), self.starts, self.ids)):
+            array.tofile(file)
+        return [str(file) for file in files]
+
+
+def rasterise_stage(n, width, height, runs, limit) -> dict:
+    """Ours beside raster_limit.cpp on the same splats and the same tile lists."""
+    stage = Stage(*scene(n, width, height), 0.4)
+    result = {"Gaussians": n, "visible": len(stage.order), "tile entries": len(stage.ids), "threads": threads.thread_count()}
+    if not (limit and Path(limit).is_file() and shutil.which("g++")):
+        return result | {"rasterise ms": statistics.median(timed(stage, runs=runs)[0])}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        program, picture = folder / "limit", folder / "out.bin"
+        subprocess.run(["g++", "-O3", "-march=native", "-ffast-math", "-fopenmp", str(limit), "-o", str(program)], check=True)
+        command = [str(program), *stage.write(folder), str(width), str(height), "3", str(picture)]
+        env = {**os.environ, "OMP_NUM_THREADS": str(threads.thread_count())}
+        theirs, ours = [], []
+        for _ in range(runs):
+            theirs.append(float(subprocess.run(command, env=env, check=True, capture_output=True, text=True).stdout.split()[0]))
+            ours.append(statistics.median(timed(stage, runs=3)[0]))
+        image = np.fromfile(picture, np.float32).reshape(height, width, 4)
+    return result | {"rasterise ms": statistics.median(ours), "limit ms": statistics.median(theirs),
+                     "rasterise / limit": statistics.median(a / b for a, b in zip(ours, theirs)),
+                     "mean difference of the pictures": float(np.abs(image[..., :3] - stage.out).mean())}
+
+
+def whole_frame(n, width, height, runs, appearance) -> dict:
+    """Model to image: a 4D model, the same frame as a static model, and the rasterise stage alone."""
+    model, camera = scene(n, width, height, appearance)
+    static, stage = fg.freeze(model, 0.4), Stage(model, camera, 0.4)
+    frame, still, alone = timed(lambda: fg.render(model, camera, 0.4, backend="cpu"),
+                                lambda: fg.render(static, camera, 0.0, backend="cpu"), stage, runs=runs)
+    return {"frame ms": statistics.median(frame), "static frame ms": statistics.median(still), "rasterise ms": statistics.median(alone),
+            "frame / rasterise": statistics.median(a / b for a, b in zip(frame, alone)),
+            "4D / static": statistics.median(a / b for a, b in zip(frame, still))}
+
+
+def child(code: str) -> dict:
+    """Run Python code in a process of its own; what it prints last is JSON."""
+    begin = time.perf_counter()
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return json.loads(out.splitlines()[-1]) | {"process s": time.perf_counter() - begin}
+
+
+def peak_memory(n, width, height) -> dict:
+    """Growth of a process that has its kernels and the model, over one frame; and the model's size."""
+    return child(f"""
+import sys; sys.path.insert(0, "benchmarks")
+import json, resource, raster_cpu as bench, fastgs_blender as fg
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+small, camera = bench.scene(1000, 64, 48)
+fg.render(small, camera, 0.4, backend="cpu")
+before = peak()
+model, camera = bench.scene({n}, {width}, {height})
+built = peak()
+fg.render(model, camera, 0.4, backend="cpu")
+print(json.dumps({{"model MB": model.nbytes / 1e6, "before MB": before / 1e6, "peak MB": peak() / 1e6,
+                  "(peak - before) / model": (peak() - before) / model.nbytes}}))
+""")
+
+
+def warm_start() -> dict:
+    """Process start to first frame with the kernels in the cache (the second of two processes)."""
+    code = """
+import sys; sys.path.insert(0, "benchmarks")
+import raster_cpu as bench
+model, camera = bench.scene(10_000, 640, 360)
+bench.fg.render(model, camera, 0.4, backend="cpu")
+print("{}")
+"""
+    child(code)
+    return child(code)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--gaussians", type=int, default=300_000)
+    parser.add_argument("--size", default="1352x1014")
+    parser.add_argument("--limit", default=ROOT.parent / "shared" / "bench" / "raster_limit.cpp", help="path of raster_limit.cpp")
+    parser.add_argument("--runs", type=int, default=9)
+    parser.add_argument("--json", help="write the figures here as well")
+    args = parser.parse_args()
+    width, height = (int(v) for v in args.size.split("x"))
+    sections = {
+        "rasterise stage": lambda: rasterise_stage(args.gaussians, width, height, args.runs, args.limit),
+        "whole frame, RGB": lambda: whole_frame(args.gaussians, width, height, args.runs, "rgb"),
+        "whole frame, features + decoder": lambda: whole_frame(args.gaussians, width, height, args.runs, "features"),
+        "peak memory, 1 M Gaussians": lambda: peak_memory(1_000_000, width, height),
+        "warm start": warm_start,
+    }
+    results = {}
+    for title, measure in sections.items():
+        results[title] = measure()
+        print(title)
+        for name, value in results[title].items():
+            print(f"    {name:34}{value:12.3f}" if isinstance(value, float) else f"    {name:34}{value:12}")
+    if args.json:
+        Path(args.json).write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
