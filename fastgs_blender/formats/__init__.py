@@ -1,4 +1,122 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""File formats."""
-def load(path): raise NotImplementedError
-def save(model, path): raise NotImplementedError
+"""File formats: load() and save().  A file is known by its content; the name's extension chooses what is written.
+
+A new format is one module with a Format, listed in FORMATS.
+"""
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FastGSError, LossWarning
+from ..model import GaussianModel
+from . import native
+from .base import Format, usable
+from .inria import Inria
+from .outputs import replacing
+from .splatv import Splatv
+from .stg import SpacetimeGaussians
+from .unsupported import explain
+
+FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), Inria(), Splatv())
+"""Asked in this order, both to read and, among those that share an extension, to write."""
+WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv())
+
+
+def identify(path: str | os.PathLike) -> Format:
+    """The format of a file, by its content.  Raises FastGSError where it is none of ours."""
+    path = _existing(path)
+    try:
+        return _identify(path)
+    except (FastGSError, OSError) as error:
+        raise _named("cannot read", path, error) from error
+
+
+def load(path: str | os.PathLike) -> GaussianModel:
+    """The model in a file, whatever its name; every number in it is finite.
+
+    Gaussians that cannot be computed with are left out, with a LossWarning.  Arrays of our own format are mapped from
+    the file, which is neither changed nor copied.  Raises FastGSError.
+    """
+    path = _existing(path)
+    try:
+        known = _identify(path)
+        model = usable(known.load(path), path)
+    except (FastGSError, OSError, MemoryError) as error:
+        raise _named("cannot read", path, error) from error
+    if not model.provenance:
+        model.provenance = {"source": path.name, "format": known.name}
+    return model
+
+
+def save(model: GaussianModel, path: str | os.PathLike) -> None:
+    """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .splatv.
+
+    One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
+    Raises FastGSError.
+    """
+    path = Path(os.fsdecode(path))
+    try:
+        if not isinstance(model, GaussianModel):
+            raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
+        writer = _writer(model, path)
+        with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
+            fitted, lost = writer.fit(model)
+            with replacing(writer.files(fitted, path), lambda target: _release(target, model)) as targets:
+                writer.write(fitted, targets)
+    except (FastGSError, OSError, ValueError, MemoryError) as error:
+        raise _named("cannot write", path, error) from error
+    if lost:
+        warnings.warn(LossWarning(f"{path} cannot hold everything as {writer.name}: {'; '.join(lost)}."), stacklevel=2)
+
+
+def _existing(path) -> Path:
+    path = Path(os.fsdecode(path))
+    try:
+        if path.is_dir():
+            raise FastGSError(f"cannot read {path}: it is a folder; choose a file in it.")
+        if not path.exists():
+            raise FastGSError(f"cannot read {path}: there is no such file; check the name and the folder.")
+        if not path.is_file():
+            raise FastGSError(f"cannot read {path}: it is not an ordinary file.")
+    except (OSError, ValueError) as error:  # names that are too long or hold a zero
+        raise _named("cannot read", path, error) from error
+    return path
+
+
+def _identify(path: Path) -> Format:
+    with open(path, "rb") as stream:
+        head = stream.read(64)
+    if not head:
+        raise FastGSError("the file is empty; copy or export it again.")
+    for known in FORMATS:
+        if known.sniff(head, path):
+            return known
+    raise FastGSError(f"{explain(head, path)}.")
+
+
+def _writer(model: GaussianModel, path: Path) -> Format:
+    choices = [known for known in WRITERS if path.suffix.lower() in known.extensions]
+    if not choices:
+        known = sorted({extension for f in WRITERS for extension in f.extensions})
+        raise FastGSError(f"the extension {path.suffix!r} is unknown; use one of {', '.join(known)}.")
+    return next(known for known in choices if known.suits(model))
+
+
+def _release(target: Path, model: GaussianModel) -> None:
+    native.release(target)
+    native.hold(model)
+
+
+def _named(action: str, path: Path, error: Exception) -> FastGSError:
+    """The error as users see it: one sentence with the file's name in it."""
+    if isinstance(error, MemoryError):
+        text = "there is too little memory for it; close other programs or use fewer Gaussians."
+    elif isinstance(error, OSError):
+        text = f"{error.strerror or error}; check the folder, its permissions and the space on its disk."
+    else:
+        text = str(error)
+    return FastGSError(f"{action} {path}: {text}")

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every file format answers to, and the check that every loaded model passes."""
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FastGSError, LossWarning
+from ..model import GaussianModel
+from ..temporal import Radial, Window
+
+LIMIT = 1e18
+"""Larger numbers than this are no scene: their squares leave float32."""
+STEEP = 80.0
+"""Logarithms of temporal widths are kept within +-STEEP: beyond it nothing changes but that exp() overflows."""
+OPAQUE = 30.0
+"""The logit that stands for an opacity of exactly 1 (sigmoid(30) is 1 in float32)."""
+
+
+class Format:
+    """One file format.  Errors carry no file name: load() and save() of the package put it in front.
+
+    name        as users know it
+    extensions  of the files it writes, lower case, with the dot
+    """
+
+    name = ""
+    extensions: tuple[str, ...] = ()
+
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """Whether the file is of this format, by its first bytes `head` and, where these do not tell, its header."""
+        raise NotImplementedError
+
+    def load(self, path: Path) -> GaussianModel:
+        """The file's model; arrays may hold anything, finite or not.  Raises FastGSError."""
+        raise NotImplementedError
+
+    def suits(self, model: GaussianModel) -> bool:
+        """Whether this format is the one for such a model, among those that share its extension."""
+        return True
+
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
+        """The model in the kinds that the format can hold, and one clause for everything that is lost on the way."""
+        return model, []
+
+    def losses(self, model: GaussianModel) -> list[str]:
+        """What writing the model would lose, one clause each."""
+        return self.fit(model)[1]
+
+    def files(self, model: GaussianModel, path: Path) -> list[Path]:
+        """All files that save() writes, companions first, `path` last."""
+        return [path]
+
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
+        """Write a model that fit() returned to `targets`, which stand for files()."""
+        raise NotImplementedError
+
+
+def generator() -> str:
+    """Who writes: name and version."""
+    from .. import __version__
+
+    return f"FAST-GS for Blender {__version__}"
+
+
+def usable(model: GaussianModel, path: Path) -> GaussianModel:
+    """The model without the Gaussians that cannot be computed with; says so in a LossWarning.
+
+    Left out are those with NaN, infinite or absurd (> 1e18) numbers.  Infinities that have a meaning stay, as the finite
+    number that means the same: opaque (logit inf), flat (ln 0) and unchanging (ln of an infinite time).
+    Raises FastGSError where nothing is left.
+    """
+    _tame(model)
+    bad: dict[str, np.ndarray] = {}
+    for name, array in model.arrays.items():
+        mask = _unusable_rows(array, np.log(LIMIT) if name == "scale" else LIMIT)
+        if mask is not None:
+            bad[name] = mask
+    if not bad:
+        return model
+    drop = np.logical_or.reduce(list(bad.values()))
+    names = ", ".join(bad)
+    if drop.all():
+        raise FastGSError(f"none of its {len(model)} Gaussians can be used, their {names} are not finite numbers; "
+                          "the training has probably diverged, so use an earlier checkpoint.")
+    warnings.warn(LossWarning(f"{path}: {drop.sum()} of {len(model)} Gaussians are left out, because their {names} "
+                              "are not finite numbers."), stacklevel=3)
+    return model.take(~drop)
+
+
+def _tame(model: GaussianModel) -> None:
+    """Replace infinities that have a meaning, and steepness that cannot be told from a step."""
+    model.opacity = _clipped(model.opacity, -OPAQUE, OPAQUE, only=np.isinf)
+    model.scale = _clipped(model.scale, -np.log(LIMIT), np.inf, only=np.isneginf)
+    if isinstance(model.temporal_kind, Radial):
+        model.temporal = _clipped(model.temporal, -STEEP, STEEP)
+    elif isinstance(model.temporal_kind, Window) and len(model):
+        low = np.array([-np.inf, -np.inf, -STEEP, -STEEP], np.float32)
+        model.temporal = _clipped(model.temporal, low, -low)
+
+
+def _clipped(array, low, high, only=None):
+    """The array with its values clipped; those alone for which only(values) holds.  The same array if nothing changes."""
+    with np.errstate(invalid="ignore"):
+        outside = (array < low) | (array > high)
+    if only is not None:
+        outside &= only(array)
+    if not outside.any():
+        return array
+    return np.where(outside, np.clip(array, low, high), array).astype(np.float32)
+
+
+def _unusable_rows(array: np.ndarray, limit: float) -> np.ndarray | None:
+    """Mask [N] of rows with a value that is not within +-limit; None if there is none.
+
+    A few rows at a time, so that a memory-mapped file is read once and never held in memory.
+    """
+    n = len(array)
+    flat = array.reshape(n, -1) if array.size else np.zeros((n, 0), np.float32)
+    step = max(1, (1 << 18) // max(1, flat.shape[1]))
+    mask = None
+    for start in range(0, n if flat.size else 0, step):
+        part = flat[start:start + step]
+        with np.errstate(invalid="ignore"):
+            if part.max() <= limit and part.min() >= -LIMIT:
+                continue
+            mask = np.zeros(n, bool) if mask is None else mask
+            mask[start:start + step] = ~((part <= limit) & (part >= -LIMIT)).all(1)
+    return mask

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`cfg_args`, the file in which trainers of the INRIA family leave their settings: one printed Namespace(...)."""
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from ..errors import FastGSError
+
+MAX_SIZE = 1 << 16
+
+
+def find(model_file: Path) -> Path | None:
+    """The cfg_args of <model>/point_cloud/iteration_<n>/point_cloud.ply: up to three folders above the file."""
+    folder = model_file.absolute().parent
+    for _ in range(4):
+        if (folder / "cfg_args").is_file():
+            return folder / "cfg_args"
+        folder = folder.parent
+    return None
+
+
+def read(path: Path) -> dict:
+    """Its settings, those that are literals.  Parsed, never evaluated; raises FastGSError for anything but a Namespace."""
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(MAX_SIZE + 1)
+        if len(data) > MAX_SIZE:
+            raise ValueError("too long")
+        call = ast.parse(data.decode("utf-8").strip(), mode="eval").body
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Namespace" and not call.args):
+            raise ValueError("no Namespace")
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise FastGSError(f"{path} is not the printed Namespace(...) that trainers write") from error
+    return {k.arg: k.value.value for k in call.keywords if k.arg and isinstance(k.value, ast.Constant)}

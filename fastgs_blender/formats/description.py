@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything of a model but its arrays, as plain JSON values; and back, every value checked.
+
+The native file holds it whole, PLY files in comments and .splatv in its JSON, so that these read back exactly too.
+"""
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import MISSING, asdict, fields
+
+from ..appearance import RGB, SH, Features
+from ..errors import FastGSError
+from ..model import AXES, Clip, GaussianModel, Raster
+from ..motion import BASES, Basis, Keyframes, Polynomial, Static, basis_from_dict, basis_to_dict
+from ..temporal import Always, Radial, temporal_by_name
+
+MAX_PROVENANCE = 1 << 16
+"""Characters of JSON; foreign formats do without a longer one."""
+
+
+def describe(model: GaussianModel) -> dict:
+    """The model's kinds and constants as JSON values; a decoder's weights are arrays and not among them."""
+    appearance = {"name": model.appearance.name}
+    if isinstance(model.appearance, SH):
+        appearance["degree"] = model.appearance.degree
+    elif isinstance(model.appearance, Features):
+        appearance["activation"] = model.appearance.activation
+    return {
+        "basis": basis_to_dict(model.basis), "rotation_basis": basis_to_dict(model.rotation_basis),
+        "temporal": model.temporal_kind.name, "appearance": appearance, "raster": asdict(model.raster),
+        "clip": asdict(model.clip), "axes": model.axes, "colour_space": model.colour_space,
+        "provenance": {str(k): str(v) for k, v in model.provenance.items()},
+    }
+
+
+def understand(values: dict) -> dict:
+    """The inverse of describe(): keyword arguments for GaussianModel, for those keys that `values` has.
+
+    An appearance with a decoder comes back as Features with no weights yet.  Unknown keys are passed over.
+    Raises FastGSError for anything that is not what it should be.
+    """
+    if not isinstance(values, dict):
+        raise FastGSError("the description of the model is no table of names and values.")
+    readers = {
+        "basis": ("basis", _basis), "rotation_basis": ("rotation_basis", _basis),
+        "temporal": ("temporal_kind", lambda v: temporal_by_name(_typed(v, "", "the kind of temporal opacity"))),
+        "appearance": ("appearance", _appearance),
+        "raster": ("raster", lambda v: _from_fields(Raster, v, "rasteriser constant")),
+        "clip": ("clip", lambda v: _from_fields(Clip, v, "clip's")),
+        "axes": ("axes", lambda v: _one_of(v, AXES, "axes")),
+        "colour_space": ("colour_space", lambda v: _one_of(v, ("srgb", "linear"), "colour space")),
+        "provenance": ("provenance", _provenance),
+    }
+    return {name: read(values[key]) for key, (name, read) in readers.items() if key in values}
+
+
+def read_json(text: str | bytes):
+    """Decoded JSON; raises FastGSError for what is none, however it is broken."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FastGSError("the JSON in its header is damaged; copy or export the file again.") from error
+
+
+def comments(model: GaussianModel, keys: tuple[str, ...]) -> tuple[list[str], list[str]]:
+    """Lines for a PLY header that describe the model, and what could not be written (clauses)."""
+    values, lost = describe(model), []
+    if "provenance" in keys and len(json.dumps(values["provenance"])) > MAX_PROVENANCE:
+        keys = tuple(k for k in keys if k != "provenance")
+        lost = ["its long provenance is left out"]
+    return [f"fastgs {key} {json.dumps(values[key], allow_nan=False)}" for key in keys], lost
+
+
+def from_comments(lines: tuple[str, ...]) -> dict:
+    """understand() of the lines that comments() wrote; other lines are passed over."""
+    values = {}
+    for line in lines:
+        tag, _, rest = line.partition(" ")
+        if tag == "fastgs":
+            key, _, text = rest.partition(" ")
+            values[key] = read_json(text)
+    return understand(values)
+
+
+def _one_of(value, known, what: str):
+    if value not in known:
+        raise FastGSError(f"its {what} must be one of {', '.join(known)}, not {_short(value)}.")
+    return value
+
+
+def _short(value) -> str:
+    text = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else type(value).__name__
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _typed(value, example, what: str):
+    """The value, if it is of the example's type and within reason."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(example, bool):
+        good = isinstance(value, bool)
+    elif isinstance(example, int):
+        good = number and isinstance(value, int) and abs(value) <= 10**9
+    elif isinstance(example, float):
+        good = number and -1e30 <= value <= 1e30
+        value = float(value) if good else value
+    elif isinstance(example, str):
+        good = isinstance(value, str)
+    else:
+        good = isinstance(value, list) and len(value) <= 100_000
+        value = tuple(_typed(v, 0.0, what) for v in value) if good else value
+    if not good:
+        raise FastGSError(f"{what} cannot be {_short(value)}.")
+    return value
+
+
+def _from_fields(cls, values, what: str):
+    """A dataclass from a table of values of its fields' types; absent ones keep their default."""
+    if not isinstance(values, dict):
+        raise FastGSError(f"its {what} values are no table of names and values.")
+    known = {f.name: f.default for f in fields(cls) if f.default is not MISSING}
+    return cls(**{k: _typed(values[k], example, f"its {what} {k}") for k, example in known.items() if k in values})
+
+
+def _basis(values) -> Basis:
+    name = values.get("name") if isinstance(values, dict) else None
+    if not isinstance(name, str) or name not in BASES:
+        raise FastGSError(f"the basis of time {_short(name)} is unknown; this version knows {', '.join(BASES)}.")
+    examples = {f.name: f.default for f in fields(BASES[name])}
+    basis = basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
+    if isinstance(basis, Keyframes) and any(b - a < 1e-9 for a, b in zip(basis.times, basis.times[1:], strict=False)):
+        raise FastGSError("its keyframes lie closer together than time can be told apart.")
+    return basis
+
+
+def _appearance(values) -> RGB | SH | Features:
+    name = values.get("name") if isinstance(values, dict) else None
+    if name == "rgb":
+        return RGB()
+    if name == "sh":
+        return SH(_typed(values.get("degree"), 0, "the degree of spherical harmonics"))
+    if name == "features":
+        return Features(activation=_typed(values.get("activation"), "", "the decoder's activation"))
+    raise FastGSError(f"the appearance {_short(name)} is unknown; this version knows rgb, sh and features.")
+
+
+def _provenance(values) -> dict[str, str]:
+    if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
+        raise FastGSError("its provenance is no table of texts.")
+    return values
+
+
+def whole_number(value, what: str) -> int:
+    """A JSON number that must be a count; raises FastGSError."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= 2**53 or math.floor(value) != value:
+        raise FastGSError(f"{what} cannot be {_short(value)}.")
+    return int(value)
+
+
+def restored(arrays: dict, kinds: dict) -> dict:
+    """The arrays of a layout that always has cubic motion, linear rotation and Radial, in the poorer kinds that `kinds`
+    records, where the numbers agree with them.  Returns keyword arguments for GaussianModel, kinds included."""
+    kinds = {"basis": Polynomial(3), "rotation_basis": Polynomial(1), "temporal_kind": Radial()} | kinds
+    for name, array in (("basis", "motion"), ("rotation_basis", "rotation_motion")):
+        kind, values = kinds[name], arrays[array]
+        if isinstance(kind, (Polynomial, Static)) and kind.terms < values.shape[1] and not values[:, kind.terms:].any():
+            arrays[array] = values[:, :kind.terms]
+        elif kind.terms != values.shape[1]:
+            kinds[name] = Polynomial(values.shape[1])
+    if isinstance(kinds["temporal_kind"], Always):
+        arrays["temporal"] = None
+    else:
+        kinds["temporal_kind"] = Radial()
+    return arrays | kinds

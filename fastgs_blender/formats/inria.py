@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The PLY of INRIA's 3D Gaussian splatting: static Gaussians with spherical harmonics.
+
+Columns, by name and in any order: x y z, f_dc_0..2, f_rest_* (all of red, then green, then blue), opacity (logit),
+scale_0..2 (ln), rot_0..3 (w x y z); nx ny nz and others are passed over.  `comment SplatRenderMode: mip` (Brush) and
+`comment antialiased 1` (Postshot) make the model antialiased; the blur stays 0.3, for the file does not say another.
+"""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..appearance import RGB, SH, SH_C0
+from ..errors import FastGSError
+from ..model import GaussianModel, Raster
+from ..temporal import Always
+from . import ply
+from .base import Format, generator
+from .description import comments, from_comments
+from .unsupported import GAUSSIAN, is_2dgs
+
+KEYS = ("raster", "clip", "axes", "colour_space", "provenance")
+"""What our comments add."""
+POSITION, SCALE, ROTATION = ("x", "y", "z"), ("scale_0", "scale_1", "scale_2"), ("rot_0", "rot_1", "rot_2", "rot_3")
+NORMAL = ("nx", "ny", "nz")
+"""Written as zeros, since other tools expect them."""
+DEGREES = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
+
+
+def colour_columns(degree: int) -> list[str]:
+    """The columns' names in the order of GaussianModel.features: by coefficient, then r, g, b."""
+    rest = (degree + 1) ** 2 - 1
+    return [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3)]
+
+
+class Inria(Format):
+    """See the module."""
+
+    name = "INRIA PLY"
+    extensions = (".ply",)
+
+    def sniff(self, head, path):
+        if not head.startswith(b"ply"):
+            return False
+        header = ply.read_header(path)
+        moves = any(name.startswith("motion_") for name in header.names)
+        return header.names.issuperset(GAUSSIAN) and not moves and not is_2dgs(header)
+
+    def load(self, path):
+        header = ply.read_header(path)
+        rest = sum(name.startswith("f_rest_") for name in header.names)
+        if rest not in DEGREES or not header.names.issuperset(colour_columns(DEGREES[rest])):
+            raise FastGSError(f"its {rest} columns f_rest_* fit no degree of spherical harmonics (0, 9, 24, 45 or 72 do).")
+        degree = DEGREES[rest]
+        columns = ply.read_vertices(path, header, {
+            "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colour_columns(degree)})
+        columns["opacity"] = columns["opacity"][:, 0]
+        kinds = {"raster": Raster(antialiased=_antialiased(header)), **from_comments(header.comments)}
+        return GaussianModel(**columns, appearance=SH(degree), **{k: v for k, v in kinds.items() if k in KEYS})
+
+    def suits(self, model):
+        still = model.basis.terms == 0 and model.rotation_basis.terms == 0
+        return still and isinstance(model.temporal_kind, Always) and isinstance(model.appearance, (RGB, SH))
+
+    def fit(self, model):
+        lost = comments(model, KEYS)[1]
+        if isinstance(model.appearance, RGB):
+            if len(model) and model.features.min() < 0:
+                lost.append("its negative colours become 0")
+            model = replace(model, features=(model.features.astype(np.float64) - 0.5) / SH_C0, appearance=SH(0))
+        return model, lost
+
+    def write(self, model, targets):
+        mode = ["SplatRenderMode: mip"] if model.raster.antialiased else []
+        columns = [
+            (POSITION, model.position), (NORMAL, np.broadcast_to(np.float32(0), (len(model), 3))),
+            *_in_file_order(model), (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation)]
+        ply.write(targets[-1], [f"Written by {generator()}", *mode, *comments(model, KEYS)[0]], columns)
+
+
+def _antialiased(header: ply.Header) -> bool:
+    said = {c.lower().replace(" ", "").replace(":", "") for c in header.comments}
+    return not said.isdisjoint(("splatrendermodemip", "antialiased1"))
+
+
+def _in_file_order(model: GaussianModel):
+    """The colour columns, channel after channel."""
+    yield ("f_dc_0", "f_dc_1", "f_dc_2"), model.features[:, :3]
+    rest = model.features[:, 3:].reshape(len(model), -1, 3)
+    for channel in range(3 if rest.shape[1] else 0):
+        names = [f"f_rest_{channel * rest.shape[1] + b}" for b in range(rest.shape[1])]
+        yield names, rest[:, :, channel]

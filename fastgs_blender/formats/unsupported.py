@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What to say about files that no format here reads: most are recognisable, and something can be done."""
+from __future__ import annotations
+
+from pathlib import Path
+
+from . import ply
+
+MAGIC = {
+    b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .sog, .npz or plain .zip), not a model; open the .ply or .safetensors "
+                   "that belongs to it",
+    b"\x1f\x8b": "it is a gzip file, probably .spz, which is not supported; convert it to INRIA .ply first",
+    b"NGSP": "it is an .spz file, which is not supported; convert it to INRIA .ply first",
+    b"glTF": "it is a glTF file, not a Gaussian model; in Blender use File > Import > glTF",
+    b"\x93NUMPY": "it is a numpy array, not a model",
+    b"\x80\x02": "it is a Python pickle, which may run any program and is never opened; export the model as .ply",
+    b"BLENDER": "it is a .blend file; open it in Blender",
+}
+GAUSSIAN = ("x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4)))
+"""The columns without which there is no Gaussian."""
+
+
+def explain(head: bytes, path: Path) -> str:
+    """One clause on why the file cannot be read, and what to do.  Raises FastGSError for a broken PLY header."""
+    if head.startswith(b"ply"):
+        return _explain_ply(ply.read_header(path))
+    for magic, text in MAGIC.items():
+        if head.startswith(magic):
+            return text
+    return "its content is none of the known formats (FAST-GS .safetensors, INRIA .ply, Spacetime Gaussians .ply, .splatv)"
+
+
+def _explain_ply(header: ply.Header) -> str:
+    names = header.names
+    if any(e.name == "chunk" for e in header.elements) or "packed_position" in names:
+        return "it is a compressed PLY (PlayCanvas, SuperSplat), which is not supported; export it as uncompressed .ply first"
+    if is_2dgs(header):
+        return "it holds flat 2DGS surfels, not 3D Gaussians; train it with a 3D method"
+    if any(name.startswith("motion_") for name in names) or {"t", "t_scale"} & names:
+        return ("it is a 4D model of a kind that is not supported (of 4D PLY files, those in the layout of Spacetime Gaussians are); "
+                "export it as Spacetime Gaussians .ply")
+    missing = [name for name in GAUSSIAN if name not in names]
+    kind = "a mesh" if any(e.name == "face" and e.count for e in header.elements) else "a plain point cloud"
+    what = f"it is {kind}, not a Gaussian model" if {"opacity", "f_dc_0", "rot_0"}.isdisjoint(names) else "it is incomplete"
+    return f"{what}: its vertices have no {', '.join(missing)}"
+
+
+def is_2dgs(header: ply.Header) -> bool:
+    """Whether a PLY file holds surfels of 2D Gaussian splatting."""
+    scales = {"scale_0", "scale_1"} <= header.names and "scale_2" not in header.names
+    return scales or any(c.lower().replace(" ", "") == "splatrendermode:2dgs" for c in header.comments)
