@@ -108,9 +108,8 @@ def cubic_motion(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         position[part], motion[part] = fit[:, 0], fit[:, 1:]
         error += np.sum((fitted - true) ** 2)
     rms = sqrt(error / max(1, len(model) * samples))
-    lost = [f"its motion ({basis.name}, {basis.terms} terms) becomes a cubic over each Gaussian's lifetime, "
-            f"RMS error {rms:.3g} scene units"]
-    return replace(model, position=position, motion=motion, basis=Polynomial(3)), lost
+    lost = f"its motion ({basis.name}, {basis.terms} terms) becomes a cubic over each lifetime, RMS error {rms:.3g} scene units"
+    return replace(model, position=position, motion=motion, basis=Polynomial(3)), [lost]
 
 
 def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:

@@ -104,7 +104,8 @@ def _decode(texels: np.ndarray) -> dict[str, np.ndarray]:
         return {
             "position": texels[:, :3].copy().view("<f4"), "rotation": half[:, 6:10], "scale": np.log(half[:, 10:13]),
             "opacity": np.log(opacity / (1 - opacity)), "features": byte[:, :3] / np.float32(255),
-            "motion": half[:, 16:25].reshape(-1, 3, 3), "rotation_motion": half[:, None, 26:30], "mu_tau": half[:, 30], "temporal": -2 * np.log(np.abs(half[:, 31:32])),
+            "motion": half[:, 16:25].reshape(-1, 3, 3), "rotation_motion": half[:, None, 26:30], "mu_tau": half[:, 30],
+            "temporal": -2 * np.log(np.abs(half[:, 31:32])),
         }
 
 
