@@ -2,13 +2,21 @@
 """Rendered frames as files: PNG in display colours, multi-layer EXR in scene-linear floats."""
 from __future__ import annotations
 
+import contextlib
+import time
+from pathlib import Path
+
 import numpy as np
 
 from . import colour
-from .aside import written_aside
+from .errors import FastGSError
+from .formats.outputs import replacing
 
 FAR = np.float32(1e10)
 """Depth where there is nothing, as Blender's own engines write it: filters turn an infinity into NaN."""
+
+STALE = 600.0
+"""Seconds after which a file left aside belongs to nobody: writing a frame takes far less."""
 
 
 def write_png(path, image: dict, colour_space: str):
@@ -18,7 +26,7 @@ def write_png(path, image: dict, colour_space: str):
     rgb = colour.display(image["rgb"], image["alpha"], colour_space)
     rgba = np.concatenate([rgb, image["alpha"][..., None]], -1)
     pixels = np.floor(np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
-    with written_aside(path) as part, part.open("wb") as file:
+    with _written_aside(path) as part, part.open("wb") as file:
         Image.fromarray(pixels).save(file, format="PNG", compress_level=4)
 
 
@@ -33,7 +41,7 @@ def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dic
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}
     file = OpenEXR.File(header, _channels(image, colour_space, image if passes is None else passes))
-    with written_aside(path) as part:
+    with _written_aside(path) as part:
         try:
             file.write(str(part))
         except RuntimeError as error:
@@ -58,3 +66,22 @@ def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
 def _layer(name: str) -> str:
     """median_depth -> MedianDepth"""
     return "".join(word.capitalize() for word in name.split("_"))
+
+
+@contextlib.contextmanager
+def _written_aside(path):
+    """Gives the file to write, which becomes `path` at the end; raises FastGSError where the system cannot write."""
+    try:
+        with replacing([Path(path)]) as (part,):
+            yield part
+    except (FastGSError, OSError) as error:
+        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
+        raise FastGSError(f"{path} could not be written: {reason}; free space on its disk or choose another folder.") from error
+
+
+def remove_stale(folder):
+    """Remove the half-written files that killed runs have left aside in a folder."""
+    for part in Path(folder).glob(".fastgs-*.tmp"):
+        with contextlib.suppress(OSError):
+            if time.time() - part.stat().st_mtime > STALE:
+                part.unlink()

@@ -42,7 +42,7 @@ def run(args):
         return
     print(f"{result['gaussians']} Gaussians, {size[0]} x {size[1]} pixels, {result['threads']} threads, backend {result['backend']}")
     if "visible" in result:
-        print(f"{result['visible']} visible, {result['tile_entries']} tile entries")
+        print(f"{result['visible']} visible")
     print(f"first frame {result['first_frame_ms']:.0f} ms\n")
     whole = result["milliseconds"]["whole frame"]
     for stage, value in result["milliseconds"].items():
@@ -126,8 +126,7 @@ def _stages(model, camera, repeat):
     channels = raster.padded(layout.channels)
     geometry, depth = np.empty((len(model), 5)), np.empty(len(model), np.float32)
     shade = np.empty((len(model), raster.CHANNEL + channels), np.float32)
-    times = {"slice and project": [], "sort": [], "tiles": [], "rasterise": []}
-    grid = (0, 0, -(-camera.width // raster.TILE), -(-camera.height // raster.TILE))
+    times = {"slice and project": [], "sort": [], "tiles and rasterise": []}
     for _ in range(repeat):
         clock = [time.perf_counter()]
         rows = cpu.project_part(part, camera, layout, geometry, shade, depth)
@@ -135,14 +134,8 @@ def _stages(model, camera, repeat):
         clock.append(time.perf_counter())
         order = sort.order_by(depth[index], index)
         clock.append(time.perf_counter())
-        segments, counts = cpu.count_tiles(order, geometry, shade, grid)
-        cpu.fill_tiles(order, geometry, shade, grid, segments, counts, 0, grid[3])
-        clock.append(time.perf_counter())
         cpu.rasterise(order, geometry, shade, channels, camera, median=False)
         clock.append(time.perf_counter())
-        spans = np.diff(clock)
-        spans[-1] -= spans[-2]  # rasterise() lists the tiles as well
-        for values, span in zip(times.values(), spans, strict=True):
+        for values, span in zip(times.values(), np.diff(clock), strict=True):
             values.append(1000 * span)
-    return {name: statistics.median(values) for name, values in times.items()}, {
-        "visible": len(order), "tile_entries": int(counts.sum())}
+    return {name: statistics.median(values) for name, values in times.items()}, {"visible": len(order)}

@@ -43,7 +43,6 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats, images
-    from ..aside import remove_stale
     from ..cameras import load_cameras
     from ..frames import parse_frames
 
@@ -63,7 +62,7 @@ def run(args):
     out = Path(args.out)
     _make_folder(out)
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
-    remove_stale(out, {file.name for file in files})
+    images.remove_stale(out)
     todo = [i for i, file in enumerate(files) if args.overwrite or not file.exists()]
     kept = len(files) - len(todo)
     if kept:

@@ -2,6 +2,7 @@
 """Frames as files: the right colours in both formats, and never half a file."""
 from __future__ import annotations
 
+import errno
 import os
 import time
 
@@ -12,7 +13,6 @@ from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender import colour, images
-from fastgs_blender.aside import remove_stale, written_aside
 
 
 @pytest.fixture
@@ -90,22 +90,20 @@ def test_over_a_background(picture):
     np.testing.assert_allclose(result[1], straight[1])
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_beside_it(tmp_path):
-    path = tmp_path / "frame.png"
+@pytest.mark.parametrize("write", [images.write_png, images.write_exr])
+def test_a_failed_write_leaves_the_old_file_and_nothing_beside_it(picture, tmp_path, monkeypatch, write):
+    path = tmp_path / "frame"
     path.write_bytes(b"old")
 
-    class Interrupt(BaseException):
-        pass
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def fail_half_way():
-        with written_aside(path) as part:
-            part.write_bytes(b"half")
-            raise Interrupt
-
-    with pytest.raises(Interrupt):
-        fail_half_way()
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(fg.FastGSError, match="No space left on device") as error:
+        write(path, picture[0], "srgb")
+    assert str(error.value).startswith(str(path))
     assert path.read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["frame.png"]
+    assert os.listdir(tmp_path) == ["frame"]
 
 
 @pytest.mark.parametrize("write", [images.write_png, images.write_exr])
@@ -116,12 +114,12 @@ def test_a_folder_that_is_gone_is_one_sentence(picture, tmp_path, write):
     assert str(path) in str(error.value)
 
 
-def test_parts_of_killed_runs_are_removed_but_not_those_in_use(tmp_path):
-    names = (".a.png.1.part", ".a.png.2.part", ".b.png.1.part", "a.png")
+def test_what_killed_runs_left_aside_is_removed_but_not_what_is_in_use(tmp_path):
+    names = (".fastgs-1.tmp", ".fastgs-2.tmp", "a.png")
     for name in names:
         (tmp_path / name).touch()
     long_ago = time.time() - 3600
     for name in (names[0], names[2]):
         os.utime(tmp_path / name, (long_ago, long_ago))
-    remove_stale(tmp_path, {"a.png"})
-    assert sorted(os.listdir(tmp_path)) == [".a.png.2.part", ".b.png.1.part", "a.png"]
+    images.remove_stale(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == [".fastgs-2.tmp", "a.png"]
