@@ -16,7 +16,7 @@ from ..motion import Basis, Polynomial, Static
 from ..slicing import sigmoid, unit_quaternions
 from ..temporal import Radial, Window
 
-CHUNK = 1 << 22
+CHUNK = 1 << 20
 """Numbers held at once while fitting."""
 
 
@@ -52,14 +52,14 @@ def polynomial(basis: Basis, constant, coefficients, mu_tau, centre, low, high, 
         part = slice(start, start + step)
         t = middle[part, None] + half[part, None] * u
         weights = basis.weights(t - mu_tau[part, None].astype(np.float64) if basis.centred else t)
-        true = constant[part, None] + np.einsum("nsk,nkd->nsd", weights, coefficients[part].astype(np.float64))
-        local = np.einsum("ks,nsd->nkd", solve, true)
+        true = constant[part, None] + weights @ coefficients[part].astype(np.float64)
+        local = solve @ true
         shift = (middle - centre)[part]
         fit = np.zeros_like(local)
         for j in range(degree + 1):
             for k in range(j + 1):
                 fit[:, k] += local[:, j] * (comb(j, k) * (-shift) ** (j - k) / half[part] ** j)[:, None]
-        yield part, fit, true, np.einsum("sk,nkd->nsd", powers, local)
+        yield part, fit, true, powers @ local
 
 
 def _samples(basis: Basis) -> int:
