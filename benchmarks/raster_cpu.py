@@ -40,9 +40,10 @@ def scene(n: int, width: int, height: int, appearance: str = "rgb") -> tuple[fg.
     rng = np.random.default_rng(0)
     focal = 0.9 * width
     depth = rng.uniform(3, 9, n)
-    position = np.stack([rng.uniform(-0.55, 0.55, n) * width * depth / focal, rng.uniform(-0.55, 0.55, n) * height * depth / focal, depth], 1)
-    kinds = {"rgb": (fg.RGB(), 3), "sh": (fg.SH(3), 48),
-             "features": (fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.3, (3, 6)), "clamp"), 9)}
+    x, y = rng.uniform(-0.55, 0.55, (2, n)) * depth / focal
+    position = np.stack([x * width, y * height, depth], 1)
+    decoder = fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.3, (3, 6)), "clamp")
+    kinds = {"rgb": (fg.RGB(), 3), "sh": (fg.SH(3), 48), "features": (decoder, 9)}
     look, columns = kinds[appearance]
     pixels = 5.2 * (300_000 / n) ** 0.5
     model = fg.GaussianModel(

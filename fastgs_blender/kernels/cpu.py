@@ -32,11 +32,12 @@ def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progre
     depth = np.empty(total, np.float32)
     visible, done = [], 0
     for part in parts:
-        span = slice(done, done + len(part.model))
-        counts = project_part(part, camera, layout, geometry[span], shade[span], depth[span],
-                              lambda f, done=done, n=len(part.model): progress(0.3 * (done + f * n) / total))
-        visible += [np.arange(done + start, done + start + count, dtype=np.int32) for start, count in counts]
-        done = span.stop
+        count = len(part.model)
+        span = slice(done, done + count)
+        runs = project_part(part, camera, layout, geometry[span], shade[span], depth[span],
+                            lambda f, done=done, count=count: progress(0.3 * (done + f * count) / total))
+        visible += [np.arange(done + first, done + first + number, dtype=np.int32) for first, number in runs]
+        done += count
     index = np.concatenate(visible)
     order = order_by(depth[index], index)
     buffers = rasterise(order, geometry, shade, channels, camera, median, lambda f: progress(0.35 + 0.6 * f))

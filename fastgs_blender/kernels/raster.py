@@ -38,41 +38,52 @@ def padded(channels: int) -> int:
     return next((size for size in SIZES if size >= channels), channels)
 
 
+@intrinsic(prefer_literal=True)
+def blend8(context, state, pixel, u, du, row, shade, splat, channels, median):
+    """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
+
+    channels and median (0 or 1) are constants of the kernel: code is made for them.
+    """
+    if not isinstance(channels, types.IntegerLiteral) or not isinstance(median, types.IntegerLiteral):
+        return None
+    count, with_median = channels.literal_value, median.literal_value
+    number = types.float32
+    signature = types.void(state, types.intp, number, number, number, shade, types.intp, channels, median)
+
+    def build(context, b, signature, args):
+        state, shade = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
+        pixel, row = args[1], simd.broadcast(b, args[4])
+        first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + count))
+
+        def column(i):
+            return simd.broadcast(b, shade.scalar(first, i))
+
+        u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
+        exponent = row - u * u
+        alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
+        before = state.floats(pixel, 0)
+        weight = before * alpha
+        after = before - weight
+        live = after > T_STOP
+        weight = weight.where(live, 0.0)
+        state.store(pixel, 0, after.where(live, before.negative_magnitude()))
+        for c in range(count):
+            plane = PIXELS * (1 + c)
+            state.store(pixel, plane, state.floats(pixel, plane) + weight * column(CHANNEL + c))
+        if with_median:
+            plane = PIXELS * (1 + count)
+            front = b.and_(weight > 0.0, before > 0.5)
+            state.store(pixel, plane, column(DEPTH).where(front, state.floats(pixel, plane)))
+        return context.get_dummy_value()
+
+    return signature, build
+
+
 @cache
 def rasteriser(channels: int, median: bool):
     """The kernel for a number of channels, with or without the median depth."""
+    median = int(median)
     planes = 1 + channels + median
-
-    @intrinsic
-    def blend8(context, state, pixel, u, du, row, shade, splat):
-        """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2."""
-        signature = types.void(state, types.intp, types.float32, types.float32, types.float32, shade, types.intp)
-
-        def build(context, b, signature, args):
-            state, shade = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
-            pixel, row = args[1], simd.broadcast(b, args[4])
-            first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + channels))
-            column = lambda i: simd.broadcast(b, shade.scalar(first, i))  # noqa: E731
-
-            u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
-            exponent = row - u * u
-            alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
-            before = state.floats(pixel, 0)
-            weight = before * alpha
-            after = before - weight
-            live = after > T_STOP
-            weight = weight.where(live, 0.0)
-            state.store(pixel, 0, after.where(live, before.negative_magnitude()))
-            for c in range(channels):
-                plane = PIXELS * (1 + c)
-                state.store(pixel, plane, state.floats(pixel, plane) + weight * column(CHANNEL + c))
-            if median:
-                plane = PIXELS * (1 + channels)
-                front = b.and_(weight > 0.0, before > 0.5)
-                state.store(pixel, plane, column(DEPTH).where(front, state.floats(pixel, plane)))
-            return context.get_dummy_value()
-
-        return signature, build
 
     def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, depth):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
@@ -112,7 +123,7 @@ def rasteriser(channels: int, median: bool):
                     u = u0 + b * float32(y)
                     for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
                         x = half * simd.LANES
-                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i)
+                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i, channels, median)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]

@@ -122,13 +122,13 @@ class Memory:
 def prefetch(context, array, index):
     """Ask for row `index` of a C-contiguous array to be brought into the cache; never faults."""
     def build(context, b, signature, args):
-        array_type = signature.args[0]
-        made = make_array(array_type)(context, b, args[0])
+        made = make_array(signature.args[0])(context, b, args[0])
         stride = b.extract_value(made.strides, 0)
         bytes_ = b.bitcast(made.data, ir.IntType(8).as_pointer())
         address = b.gep(bytes_, [b.mul(args[1], stride)])
         number = ir.IntType(32)
-        function = b.module.declare_intrinsic("llvm.prefetch", [address.type], ir.FunctionType(ir.VoidType(), [address.type, number, number, number]))
+        signature = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
+        function = b.module.declare_intrinsic("llvm.prefetch", [address.type], signature)
         b.call(function, [address, ir.Constant(number, 0), ir.Constant(number, 3), ir.Constant(number, 1)])
         return context.get_dummy_value()
     return types.void(array, types.intp), build

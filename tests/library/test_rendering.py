@@ -108,9 +108,8 @@ def test_two_python_threads_render_at_once(rng):
     wrong = []
 
     def work(i):
-        for _ in range(5):
-            if fg.render(models[i % 2], camera, 0.3, backend="cpu")["rgb"].tobytes() != wanted[i % 2]:
-                wrong.append(i)
+        pictures = [fg.render(models[i % 2], camera, 0.3, backend="cpu")["rgb"].tobytes() for _ in range(5)]
+        wrong.extend(i for picture in pictures if picture != wanted[i % 2])
 
     workers = [threading.Thread(target=work, args=(i,)) for i in range(4)]
     for worker in workers:
@@ -213,13 +212,13 @@ def test_progress_rises_and_can_cancel(rng, backend):
     fg.render(model, camera, 0.3, backend=backend, progress=seen.append)
     assert seen == sorted(seen) and seen[-1] == 1.0
 
-    class Stop(Exception):
+    class StopNowError(Exception):
         pass
 
     def stop(fraction):
-        raise Stop
+        raise StopNowError
 
-    with pytest.raises(Stop):
+    with pytest.raises(StopNowError):
         fg.render(model, camera, 0.3, backend=backend, progress=stop)
 
 
@@ -231,7 +230,7 @@ def test_read_only_models_render(rng):
     assert np.array_equal(fg.render(model, camera, 0.3, backend="cpu")["rgb"], wanted)
 
 
-@pytest.mark.parametrize("call, words", [
+@pytest.mark.parametrize(("call", "words"), [
     (lambda m, c: fg.render(m, c, passes=("colour",)), "pass 'colour'"),
     (lambda m, c: fg.render(m, c, backend="cuda9"), "backend 'cuda9'"),
     (lambda m, c: fg.render([(m, np.eye(3), 0)], c), "4 x 4"),

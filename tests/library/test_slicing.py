@@ -59,9 +59,11 @@ def test_bases_survive_json(name):
     assert basis_from_dict(basis_to_dict(BASES[name])) == BASES[name]
 
 
-@pytest.mark.parametrize("values", [{"name": "wavelet"}, {"name": "fourier", "order": -1}, {"name": "fourier", "order": "many"}, {},
-                                    {"name": "fourier", "orders": 5}, {"name": "keyframes", "times": [0, 0]}, {"name": "fourier", "scale": float("nan")},
-                                    {"name": "keyframes", "times": [0, 1], "interpolation": "magic"}, {"name": "cosine", "order": 10**12}])
+@pytest.mark.parametrize("values", [
+    {}, {"name": "wavelet"}, {"name": "fourier", "order": -1}, {"name": "fourier", "order": "many"}, {"name": "fourier", "orders": 5},
+    {"name": "fourier", "scale": float("nan")}, {"name": "cosine", "order": 10**12}, {"name": "keyframes", "times": [0, 0]},
+    {"name": "keyframes", "times": [0, 1], "interpolation": "magic"},
+])
 def test_bad_bases_are_refused(values):
     with pytest.raises(fg.FastGSError):
         basis_from_dict(values)
