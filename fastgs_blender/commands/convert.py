@@ -31,14 +31,12 @@ def run(args):
 
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)
-    if not args.overwrite:
-        taken = next((target for target in targets if target.exists()), None)
-        if taken:
-            raise FastGSError(f"{taken} is there already; give another name, or --overwrite to replace it.")
+    _refuse_existing(targets, args)
     model = formats.load(args.input)
     losses = []
     for target, frame in zip(targets, frames or [None], strict=True):
         result = model if frame is None else freeze(model, model.clip.t_of_frame(float(frame)))
+        _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", LossWarning)
             formats.save(result, target)
@@ -50,6 +48,12 @@ def run(args):
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(model), "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
+
+
+def _refuse_existing(files, args):
+    taken = [file for file in files if file.exists()]
+    if taken and not args.overwrite:
+        raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")
 
 
 def _targets(output, frames) -> list[Path]:

@@ -73,6 +73,15 @@ def save(model: GaussianModel, path: str | os.PathLike) -> None:
         warnings.warn(LossWarning(f"{path} cannot hold everything as {writer.name}: {'; '.join(lost)}."), stacklevel=2)
 
 
+def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:
+    """All files that save() would write: path, and a decoder beside it where the format keeps one there."""
+    path = Path(os.fsdecode(path))
+    try:
+        return _writer(model, path).files(model, path)
+    except FastGSError as error:
+        raise _named("cannot write", path, error) from error
+
+
 def _existing(path) -> Path:
     path = Path(os.fsdecode(path))
     try:

@@ -159,6 +159,20 @@ def test_convert_overwrites_only_when_told(run, file, tmp_path):
     assert len(fg.load(target)) == 30
 
 
+def test_convert_does_not_replace_a_decoder_either(run, rng, make_model, tmp_path):
+    source = tmp_path / "with_decoder.safetensors"
+    fg.save(make_model(rng, 5, basis="cubic", rotation_basis="line", temporal="radial", appearance="sigmoid"), source)
+    assert run("convert", source, tmp_path / "a.ply")[0] == 0
+    decoder = (tmp_path / "a.pt").read_bytes()
+    (tmp_path / "a.ply").unlink()
+    code, _, err = run("convert", source, tmp_path / "a.ply")
+    assert code == 2
+    assert "a.pt" in err
+    assert not (tmp_path / "a.ply").exists()
+    assert (tmp_path / "a.pt").read_bytes() == decoder
+    assert run("convert", source, tmp_path / "a.ply", "--overwrite")[0] == 0
+
+
 def test_convert_a_frame(run, file, model, tmp_path):
     assert run("convert", file, tmp_path / "frame.ply", "--at", "12.5")[0] == 0
     frozen, now = fg.load(tmp_path / "frame.ply"), fg.slice_model(model, 12.5 / 50)
