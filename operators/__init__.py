@@ -3,6 +3,7 @@
 import bpy
 
 from . import import_model
+from .bake import FASTGS_OT_bake
 from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
 from .reload import FASTGS_OT_reload
@@ -12,6 +13,7 @@ CLASSES = (
     FASTGS_FH_import,
     FASTGS_OT_reload,
     FASTGS_OT_fit_scene,
+    FASTGS_OT_bake,
 )
 
 

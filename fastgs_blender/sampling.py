@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points spread evenly over a triangle mesh: none in clumps, no holes, and no chance involved."""
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+OVERSAMPLING = 2
+"""Candidates for each point that is kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """N points on T triangles.
+
+    triangle [N]     which triangle
+    weights  [N, 3]  barycentric coordinates, float64
+    spacing          distance between neighbours were they a square grid: sqrt(area / N)
+    """
+
+    triangle: np.ndarray
+    weights: np.ndarray
+    spacing: float
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+
+def triangle_normals(corners: np.ndarray) -> np.ndarray:
+    """Cross products of the first two edges: twice the area long.  corners [..., 3 corners, 3] -> [..., 3]."""
+    return np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+
+
+def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: np.ndarray | None = None) -> SurfaceSamples:
+    """Exactly `count` points on the surface.
+
+    points [V, 3], triangles [T, 3] indices; area [T]: what each triangle counts for, default its own area (give the
+    largest area that it ever has, and a surface is dense enough when it is stretched).
+
+    Twice as many candidates are laid out in strata along a space-filling curve, low-discrepancy within each triangle;
+    then those with the nearest neighbours are left out, many at a time (weighted sample elimination: Yuksel 2015, "Sample
+    Elimination for Generating Poisson Disk Sample Sets").
+    """
+    corners = np.asarray(points, np.float64)[triangles]
+    normals = triangle_normals(corners)
+    true_area = 0.5 * np.linalg.norm(normals, axis=1)
+    area = true_area if area is None else np.asarray(area, np.float64)
+    candidates, weights = _stratified(corners.mean(1), area, OVERSAMPLING * count)
+    position = np.einsum("nk,nkd->nd", weights, corners[candidates])
+    # Distances count in the metric in which `area` is the surface's area.
+    stretch = np.sqrt(np.divide(area, true_area, out=np.ones_like(area), where=true_area > 0))
+    keep = _eliminate(position, normals[candidates], stretch[candidates], count, float(area.sum()))
+    return SurfaceSamples(candidates[keep], weights[keep], float(np.sqrt(area.sum() / count)))
+
+
+def _stratified(centres, area, count):
+    order = np.argsort(_morton(centres), kind="stable")
+    total = np.cumsum(area[order])
+    strata = (np.arange(count) + 0.5) / count * total[-1]
+    triangle = order[np.minimum(np.searchsorted(total, strata), len(order) - 1)]
+    # Roberts' R2 sequence: neighbours in the sequence share a triangle and fill it evenly.
+    i = np.arange(count)
+    u, v = np.sqrt((i + 0.5) * 0.7548776662466927 % 1), (i + 0.5) * 0.5698402909980532 % 1
+    return triangle, np.stack([1 - u, u * (1 - v), u * v], 1)
+
+
+def _morton(points) -> np.ndarray:
+    """Place of each point on a space-filling curve."""
+    low, extent = points.min(0), max(np.ptp(points, axis=0).max(), 1e-30)
+    cell = ((points - low) / extent * 1023).astype(np.int64)
+    code = np.zeros(len(points), np.int64)
+    for bit, axis in itertools.product(range(10), range(3)):
+        code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code
+
+
+def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
+    """Indices of the `count` points that are left when the most crowded go first."""
+    m = len(position)
+    if count >= m:
+        return np.arange(m)
+    radius = 2 * np.sqrt(area / (2 * np.sqrt(3) * count))
+    i, j, crowding = neighbours(position, normal, stretch, radius)
+    alive = np.ones(m, bool)
+    order = np.arange(m) * 1e-12  # so that no two are equally crowded
+    while (surplus := alive.sum() - count) > 0:
+        crowd = np.bincount(i, crowding, m) + np.bincount(j, crowding, m) + order
+        worst = np.zeros(m)
+        np.maximum.at(worst, i, crowd[j])
+        np.maximum.at(worst, j, crowd[i])
+        # All that are more crowded than their neighbours and than the average can go at once: they do not affect each other.
+        out = np.flatnonzero(alive & (crowd >= worst) & (crowd >= np.median(crowd[alive])))
+        if len(out) > surplus:
+            out = out[np.argsort(-crowd[out], kind="stable")[:surplus]]
+        alive[out] = False
+        left = alive[i] & alive[j]
+        i, j, crowding = i[left], j[left], crowding[left]
+    return np.flatnonzero(alive)
+
+
+def neighbours(position, normal, stretch, radius):
+    """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1."""
+    cell = np.floor((position - position.min(0)) / radius).astype(np.int64) + 1
+    size = cell.max(0) + 2
+    key = cell @ np.array([1, size[0], size[0] * size[1]])
+    order = np.argsort(key, kind="stable")
+    sorted_key, found = key[order], []
+    place = np.arange(len(order))
+    for dx, dy, dz in itertools.product((-1, 0, 1), repeat=3):
+        offset = dx + size[0] * (dy + size[1] * dz)
+        if offset < 0:
+            continue  # that pair is found from the other side
+        first = place + 1 if offset == 0 else np.searchsorted(sorted_key, sorted_key + offset, "left")
+        number = np.searchsorted(sorted_key, sorted_key + offset, "right") - first
+        i = np.repeat(place, number)
+        j = np.arange(len(i)) - np.repeat(np.cumsum(number) - number - first, number)
+        i, j = order[i], order[j]
+        distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
+        near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
+        found.append((i[near], j[near], (1 - distance[near] / radius) ** 8))
+    return tuple(np.concatenate(x) for x in zip(*found, strict=True))

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tangent frames of moving triangles: how a flat Gaussian on a surface lies, turns and must be sized."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .sampling import triangle_normals
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """U triangles at S times.
+
+    rotation [S, U, 4]  unit quaternions w x y z of the frame whose x follows a fixed direction of the material (that in which
+                        it is stretched most) and whose z is the normal; without jumps of sign in time
+    stretch  [U, 2]     by how much the material is stretched at most along the frame's x and y, 1 in the pose of reference
+    """
+
+    rotation: np.ndarray
+    stretch: np.ndarray
+
+
+def tangents(corners: np.ndarray, pose: int) -> Tangents:
+    """Frames of triangles with corners [S, U, 3 corners, 3]; `pose` is the index of the time of reference.
+
+    Where a triangle has no area it keeps the frame that it has at the nearest other time before, else after.
+    """
+    corners = np.asarray(corners, np.float64)
+    edges = corners[:, :, 1:] - corners[:, :, :1]
+    normal = triangle_normals(corners)
+    double_area = np.linalg.norm(normal, axis=-1)
+    direction, flat = _most_stretched(edges, pose)
+    x = np.einsum("uk,sukd->sud", direction, edges)
+    length = np.linalg.norm(x, axis=-1)
+    valid = (double_area > 1e-12 * double_area.max(initial=0.0)) & (length > 0)
+    area_ratio = double_area / np.where(flat, 1.0, double_area[pose])
+    stretch = np.stack([length, np.divide(area_ratio, length, out=np.zeros_like(length), where=length > 0)], -1).max(0)
+    x = x / np.where(valid, length, 1)[..., None]
+    z = normal / np.where(valid, double_area, 1)[..., None]
+    axes = np.stack([x, np.cross(z, x), z], -1)
+    q = _fill(quaternions(axes), valid)
+    return Tangents(_continuous(q), np.where(flat[:, None], 1.0, stretch))
+
+
+def _most_stretched(edges, pose):
+    """The unit direction, as [U, 2] factors of the two edges, that is stretched most, and which triangles are flat in the pose."""
+    a, b = edges[pose, :, 0], edges[pose, :, 1]
+    length = np.linalg.norm(a, axis=-1)
+    along = a / np.where(length > 0, length, 1)[:, None]
+    bx = np.einsum("ud,ud->u", b, along)
+    by = np.linalg.norm(b - bx[:, None] * along, axis=-1)
+    flat = (length <= 0) | (by <= 1e-9 * length)
+    # The inverse of [[length, bx], [0, by]], which takes plane coordinates of the pose to factors of the edges.
+    inverse = np.zeros((len(a), 2, 2))
+    inverse[:, 0, 0] = 1 / np.where(flat, 1, length)
+    inverse[:, 1, 1] = 1 / np.where(flat, 1, by)
+    inverse[:, 0, 1] = -bx * inverse[:, 0, 0] * inverse[:, 1, 1]
+    deformed = np.einsum("ukm,sukd->sumd", inverse, edges)
+    c = np.einsum("sumd,sund->sumn", deformed, deformed)  # right Cauchy-Green tensor
+    half, difference = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
+    largest = half + np.hypot(difference, c[..., 0, 1])
+    when = largest.argmax(0)
+    u = np.arange(len(a))
+    angle = 0.5 * np.arctan2(c[when, u, 0, 1], difference[when, u])
+    factors = np.einsum("ukm,um->uk", inverse, np.stack([np.cos(angle), np.sin(angle)], -1))
+    return np.where(flat[:, None], [1.0, 0.0], factors), flat
+
+
+def quaternions(axes: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4] w x y z of rotation matrices [..., 3, 3] whose columns are the axes.
+
+    Of the four equivalent formulas each matrix gets the one with the largest divisor (Shepperd 1978).
+    """
+    m = axes
+    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
+    trace = d.sum(-1, keepdims=True)
+    squares = np.concatenate([1 + trace, 1 - trace + 2 * d], -1)  # 4 w^2, 4 x^2, 4 y^2, 4 z^2
+    s, p = m - np.swapaxes(m, -1, -2), m + np.swapaxes(m, -1, -2)
+    wx, wy, wz = s[..., 2, 1], s[..., 0, 2], s[..., 1, 0]
+    xy, xz, yz = p[..., 0, 1], p[..., 0, 2], p[..., 1, 2]
+    w2, x2, y2, z2 = np.moveaxis(squares, -1, 0)
+    rows = np.stack([np.stack(r, -1) for r in ((w2, wx, wy, wz), (wx, x2, xy, xz), (wy, xy, y2, yz), (wz, xz, yz, z2))], -2)
+    q = np.take_along_axis(rows, squares.argmax(-1)[..., None, None], -2)[..., 0, :]
+    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-30)
+
+
+def _fill(q, valid):
+    """Quaternions [S, U, 4]; where not valid [S, U] those of the nearest valid time before, else after, else none at all."""
+    if valid.all():
+        return q
+    times = np.arange(len(q))[:, None]
+    before = np.maximum.accumulate(np.where(valid, times, -1), 0)
+    first = np.where(valid.any(0), valid.argmax(0), -1)
+    source = np.where(before >= 0, before, first)
+    filled = np.take_along_axis(q, np.maximum(source, 0)[..., None], 0)
+    return np.where(source[..., None] >= 0, filled, [1.0, 0, 0, 0])
+
+
+def _continuous(q):
+    """The same rotations [S, U, 4], of q and -q always the one nearer to the time before; w >= 0 at first."""
+    flip = np.where(np.einsum("sud,sud->su", q[1:], q[:-1]) < 0, -1.0, 1.0)
+    sign = np.concatenate([np.where(q[:1, :, 0] < 0, -1.0, 1.0), flip]).cumprod(0)
+    return q * sign[..., None]

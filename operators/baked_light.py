@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light and shadow for baked Gaussians: Cycles measures the diffuse light that falls on each of them.
+
+A small triangle stands for each Gaussian, just above the surface, in a temporary scene with the user's objects; Cycles
+bakes their light into the triangles' corners.  So light does not depend on how finely the objects are meshed, and
+textures keep their detail.  The user's scene is not touched.
+"""
+from __future__ import annotations
+
+import contextlib
+
+import bpy
+import numpy as np
+
+from ..engine.objects import is_splat
+from ..fastgs_blender.colour import linear_to_srgb, srgb_to_linear
+from ..fastgs_blender.errors import FastGSError
+from ..fastgs_blender.sampling import SurfaceSamples, neighbours
+from .surface import Recorder
+
+NAME = "FAST-GS light"
+LIFT = 0.05
+"""Distance of the triangles from the surface, by the distance of neighbouring Gaussians, and their size."""
+REACH = 2.5
+"""Radius within which light is averaged, by the distance of neighbours: it takes away Cycles' noise."""
+
+
+def apply(context, recorder: Recorder, colours: np.ndarray, samples: SurfaceSamples, light_samples: int) -> np.ndarray:
+    """Colours [N, 4] (sRGB and opacity) under the light of the scene as it stands at this moment.
+
+    Of a surface with a border both sides are measured and the lighter one counts.  Raises FastGSError where Cycles is absent.
+    """
+    corners = recorder.positions[0].astype(np.float64)[recorder.triangles()[samples.triangle]]
+    points = np.einsum("nkd,nk->nd", corners, samples.weights)
+    normals = recorder.normals(samples)
+    both = np.flatnonzero(recorder.open()[samples.triangle])
+    seen = _measure(context, np.r_[points, points[both]], np.r_[normals, -normals[both]], samples.spacing, light_samples)
+    light = _smooth(seen[:len(points)], points, normals, samples.spacing)
+    if len(both):
+        light[both] = np.maximum(light[both], _smooth(seen[len(points):], points[both], normals[both], samples.spacing))
+    lit = linear_to_srgb(np.clip(srgb_to_linear(colours[:, :3]) * light, 0, 1))
+    return np.c_[lit, colours[:, 3]]
+
+
+def _smooth(light, points, normals, spacing):
+    i, j, weight = neighbours(points, normals, np.ones(len(points)), REACH * spacing)
+    weight = np.sqrt(weight) * np.clip(np.einsum("nd,nd->n", normals[i], normals[j]), 0, 1) ** 8
+    total, out = np.ones(len(points)), light.copy()
+    for a, b in ((i, j), (j, i)):
+        total += np.bincount(a, weight, len(points))
+        for channel in range(3):
+            out[:, channel] += np.bincount(a, weight * light[b, channel], len(points))
+    return out / total[:, None]
+
+
+def _measure(context, points, normals, spacing, light_samples) -> np.ndarray:
+    """Linear light [M, 3] on white paper at points [M, 3] that face along normals [M, 3]."""
+    with contextlib.ExitStack() as stack:
+        mesh = bpy.data.meshes.new(NAME)
+        stack.callback(bpy.data.meshes.remove, mesh)
+        material = bpy.data.materials.new(NAME)
+        stack.callback(bpy.data.materials.remove, material)
+        scene = bpy.data.scenes.new(NAME)
+        stack.callback(bpy.data.scenes.remove, scene)
+        _fill(mesh, points, normals, LIFT * spacing)
+        mesh.materials.append(material)
+        obj = bpy.data.objects.new(NAME, mesh)  # goes with its mesh
+        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+            setattr(obj, f"visible_{ray}", False)
+        _furnish(scene, context.scene, light_samples)
+        scene.collection.objects.link(obj)
+        layer = scene.view_layers[0]
+        obj.select_set(True, view_layer=layer)
+        layer.objects.active = obj
+        with context.temp_override(scene=scene, view_layer=layer, active_object=obj, object=obj, selected_objects=[obj]):
+            try:
+                bpy.ops.object.bake(type='DIFFUSE', pass_filter={'DIRECT', 'INDIRECT'}, target='VERTEX_COLORS', use_clear=True, margin=0)
+            except RuntimeError as error:
+                raise FastGSError(f"Cycles could not bake the light ({error}); bake without lighting.") from error
+        values = np.empty(12 * len(points), np.float32)
+        mesh.color_attributes[NAME].data.foreach_get("color", values)
+    return values.reshape(-1, 3, 4)[..., :3].mean(1, dtype=np.float64)
+
+
+def _fill(mesh, points, normals, size):
+    """One small triangle for each point, lifted off the surface."""
+    count = len(points)
+    x = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.9, [0, 0, 1.0], [1.0, 0, 0]))
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    y = np.cross(normals, x)
+    angles = np.arange(3) * 2 * np.pi / 3
+    vertices = (points + size * normals)[:, None] + size * (np.cos(angles)[:, None] * x[:, None] + np.sin(angles)[:, None] * y[:, None])
+    mesh.vertices.add(3 * count)
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    mesh.loops.add(3 * count)
+    mesh.loops.foreach_set("vertex_index", np.arange(3 * count, dtype=np.int32))
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh.update()
+    mesh.color_attributes.active_color = mesh.color_attributes.new(NAME, 'FLOAT_COLOR', 'CORNER')
+
+
+def _furnish(scene, original, light_samples):
+    """The original's light: its objects (without splats, whose proxies cast no shadow), its world, its frame."""
+    try:
+        scene.render.engine = 'CYCLES'
+    except TypeError as error:
+        raise FastGSError("the light cannot be baked because Cycles is not enabled; enable its add-on, or bake without lighting.") from error
+    for obj in original.objects:
+        if not is_splat(obj) and not obj.hide_render and any(not c.hide_render for c in obj.users_collection):
+            scene.collection.objects.link(obj)
+    scene.world = original.world
+    scene.frame_set(original.frame_current, subframe=original.frame_subframe)
+    scene.cycles.device = 'CPU'
+    scene.cycles.samples = max(light_samples // 3, 1)  # a triangle has three corners
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_denoising = False
