@@ -6,9 +6,9 @@ Nothing is imported before register(), so that pytest and other tools may import
 
 
 def _packages():
-    from . import engine, operators
+    from . import engine, operators, ui
 
-    return engine, operators
+    return engine, operators, ui
 
 
 def register():

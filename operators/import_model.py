@@ -2,6 +2,7 @@
 """File > Import > 4D Gaussians, and the same by dropping files into the 3D view."""
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import bpy
@@ -64,6 +65,16 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             return [str(Path(bpy.path.abspath(self.directory or str(Path(self.filepath).parent)), file.name)) for file in self.files]
         return [self.filepath] if self.filepath else []
 
+    def create(self, context, path: str) -> bpy.types.Object:
+        """Import one file; what cannot be taken over from it is reported."""
+        with warnings.catch_warnings(record=True) as remarks:
+            warnings.simplefilter("always")
+            obj = splat_object.create(
+                context, path, limit=self.proxy_points, orient=self.orientation == 'AUTO', relative=self.relative_path)
+        for remark in remarks:
+            self.report({'WARNING'}, str(remark.message))
+        return obj
+
     def execute(self, context):
         paths = self.paths()
         if not paths:
@@ -74,8 +85,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         made = []
         for path in paths:
             try:
-                made.append(splat_object.create(
-                    context, path, limit=self.proxy_points, orient=self.orientation == 'AUTO', relative=self.relative_path))
+                made.append(self.create(context, path))
             except FastGSError as error:
                 self.report({'ERROR'}, str(error))
         if not made:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..engine.colour import rec709_to_working
 from ..fastgs_blender.model import GaussianModel
 from .proxy_points import LIMIT, choose
 
@@ -36,7 +37,7 @@ def fill(mesh: bpy.types.Mesh, model: GaussianModel, limit: int = LIMIT) -> None
     mesh.vertices.add(count)
     mesh.vertices.foreach_set("co", points.position.ravel())
     colour = mesh.color_attributes.new(COLOUR, 'FLOAT_COLOR', 'POINT')
-    colour.data.foreach_set("color", np.c_[points.colour, np.ones(count, np.float32)].ravel())
+    colour.data.foreach_set("color", np.c_[points.colour @ rec709_to_working().T, np.ones(count, np.float32)].ravel())
     mesh.color_attributes.active_color = colour
     mesh.color_attributes.render_color_index = mesh.color_attributes.find(COLOUR)
     mesh.attributes.new(RADIUS, 'FLOAT', 'POINT').data.foreach_set("value", points.radius)

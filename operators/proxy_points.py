@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..engine.colour import srgb_to_linear
 from ..fastgs_blender.appearance import SH, SH_C0, Features, decode
 from ..fastgs_blender.model import GaussianModel
 from ..fastgs_blender.slicing import Slice, sigmoid, slice_model
@@ -30,7 +31,7 @@ class Points:
     """M points in the model's space, float32.
 
     position  [M, 3]
-    colour    [M, 3]  linear light, 0 or more
+    colour    [M, 3]  linear Rec.709, 0 or more
     radius    [M]     about half the distance to the next point
     t         the model time that most of them are taken from
     """
@@ -151,4 +152,4 @@ def _colour(s: Slice, model: GaussianModel) -> np.ndarray:
     else:
         rgb = s.features
     rgb = np.clip(rgb, 0, 100)
-    return rgb if model.colour_space == "linear" else np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)

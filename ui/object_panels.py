@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The splat object's panels, in the object's properties and in the sidebar of the 3D view."""
+from __future__ import annotations
+
+import bpy
+
+from ..engine import objects
+from . import facts
+
+
+def is_ours(obj) -> bool:
+    """Whether an object shows splats, or did until its path was cleared."""
+    return obj is not None and bool(obj.fastgs.filepath or obj.fastgs.file_hash)
+
+
+def draw_rows(layout, rows):
+    """Pairs of text in two columns, lined up with properties."""
+    col = layout.column(align=True)
+    for what, value in rows:
+        split = col.split(factor=0.4)
+        sub = split.row()
+        sub.alignment = 'RIGHT'
+        sub.label(text=what)
+        split.label(text=value)
+
+
+def draw_model(layout, context):
+    """The file, what is wrong with it, and what is in it."""
+    obj = context.object
+    error = objects.error_of(obj)
+    row = layout.row(align=True)
+    sub = row.row(align=True)
+    sub.alert = error is not None
+    sub.prop(obj.fastgs, "filepath", text="")
+    row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
+    if error:
+        box = layout.box()
+        col = box.column(align=True)
+        col.alert = True
+        for i, line in enumerate(facts.lines(error, context.region.width)):
+            col.label(text=line, icon='BLANK1' if i else 'ERROR')
+        box.operator("fastgs.reload", icon='FILE_REFRESH')
+    if not obj.fastgs.filepath:
+        layout.label(text="No file is chosen", icon='INFO')
+    elif facts.known(obj):
+        draw_rows(layout, facts.object_facts(obj))
+    elif not error:
+        layout.label(text="Not read yet", icon='INFO')
+    if context.engine != 'FASTGS':
+        props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
+        props.data_path = "scene.render.engine"
+        props.value = 'FASTGS'
+
+
+def draw_time(layout, context):
+    """When the clip plays, and how."""
+    obj = context.object
+    settings = obj.fastgs
+    layout.use_property_split = True
+    col = layout.column()
+    col.prop(settings, "start_frame")
+    col.prop(settings, "speed")
+    col.prop(settings, "offset")
+    col = layout.column()
+    col.prop(settings, "before")
+    col.prop(settings, "after")
+    if facts.known(obj):
+        draw_rows(layout, [("Shown Now", facts.shown_now(obj, context.scene))])
+        layout.operator("fastgs.fit_scene", icon='TIME')
+
+
+class _Splat:
+    @classmethod
+    def poll(cls, context):
+        return is_ours(context.object)
+
+
+class _Properties(_Splat):
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "object"
+
+
+class _Sidebar(_Splat):
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+
+
+class FASTGS_PT_object(_Properties, bpy.types.Panel):
+    bl_label = "4D Gaussians"
+
+    def draw(self, context):
+        draw_model(self.layout, context)
+
+
+class FASTGS_PT_object_time(_Properties, bpy.types.Panel):
+    bl_label = "Time"
+    bl_parent_id = "FASTGS_PT_object"
+
+    def draw(self, context):
+        draw_time(self.layout, context)
+
+
+class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
+    bl_label = "4D Gaussians"
+
+    @classmethod
+    def poll(cls, context):
+        return True
+
+    def draw(self, context):
+        layout = self.layout
+        if is_ours(context.object):
+            draw_model(layout, context)
+        else:
+            layout.operator("import_scene.fastgs", icon='IMPORT')
+
+
+class FASTGS_PT_sidebar_time(_Sidebar, bpy.types.Panel):
+    bl_label = "Time"
+    bl_parent_id = "FASTGS_PT_sidebar"
+
+    def draw(self, context):
+        draw_time(self.layout, context)
+
+
+CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time)
