@@ -33,6 +33,10 @@ def _pool(count):
     return ThreadPoolExecutor(count, thread_name_prefix="fastgs")
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
+
+
 def run(work, pieces, progress=None) -> list:
     """[work(*piece) for piece in pieces], side by side.
 
