@@ -66,11 +66,10 @@ def project(part: Part, camera: Camera, layout: Layout) -> Splats:
     model, raster = part.model, part.model.raster
     s = slice_model(model, part.t)
     linear, origin = part.model_to_camera[:3, :3], part.model_to_camera[:3, 3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        view = s.position @ linear.T + origin
-        z = view[:, 2]
-        factor = linear @ rotation_matrices(s.rotation) * s.scale[:, None, :]
-        seen = (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
+    view = s.position @ linear.T + origin
+    z = view[:, 2]
+    factor = linear @ rotation_matrices(s.rotation) * s.scale[:, None, :]
+    seen = (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]
 
@@ -147,7 +146,8 @@ def rasterise(splats: Splats, camera: Camera) -> Buffers:
 
 def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress) -> Buffers:
     """All models as one cloud, composited into the layout's channels."""
-    clouds = [project(part, camera, layout) for part in parts]
+    with np.errstate(all="ignore"):  # what overflows is not drawn
+        clouds = [project(part, camera, layout) for part in parts]
     progress(0.1)
     return rasterise(Splats(**{name: np.concatenate([vars(c)[name] for c in clouds]) for name in vars(clouds[0])}), camera)
 
