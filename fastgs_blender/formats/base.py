@@ -13,6 +13,8 @@ from ..temporal import Radial, Window
 
 LIMIT = 1e18
 """Larger numbers than this are no scene: their squares leave float32."""
+LIMITS = {"scale": float(np.log(LIMIT)), "mu_tau": 1e6}
+"""Where the bound is another: logarithms, and times, which high powers are taken of."""
 STEEP = 80.0
 """Logarithms of temporal widths are kept within +-STEEP: beyond it nothing changes but that exp() overflows."""
 OPAQUE = 30.0
@@ -75,7 +77,7 @@ def usable(model: GaussianModel, path: Path) -> GaussianModel:
     _tame(model)
     bad: dict[str, np.ndarray] = {}
     for name, array in model.arrays.items():
-        mask = _unusable_rows(array, np.log(LIMIT) if name == "scale" else LIMIT)
+        mask = _unusable_rows(array, LIMITS.get(name, LIMIT))
         if mask is not None:
             bad[name] = mask
     if not bad:
@@ -113,7 +115,7 @@ def _clipped(array, low, high, only=None):
 
 
 def _unusable_rows(array: np.ndarray, limit: float) -> np.ndarray | None:
-    """Mask [N] of rows with a value that is not within +-limit; None if there is none.
+    """Mask [N] of rows with a value above limit, below -LIMIT or NaN; None if there is none.
 
     A few rows at a time, so that a memory-mapped file is read once and never held in memory.
     """

@@ -15,6 +15,8 @@ from ..model import AXES, Clip, GaussianModel, Raster
 from ..motion import BASES, Basis, Keyframes, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..temporal import Always, Radial, temporal_by_name
 
+MAX_DEGREE = 32
+"""Of polynomials: higher powers leave the range of numbers."""
 MAX_PROVENANCE = 1 << 16
 """Characters of JSON; foreign formats do without a longer one."""
 
@@ -128,6 +130,8 @@ def _basis(values) -> Basis:
         raise FastGSError(f"the basis of time {_short(name)} is unknown; this version knows {', '.join(BASES)}.")
     examples = {f.name: f.default for f in fields(BASES[name])}
     basis = basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
+    if isinstance(basis, Polynomial) and basis.degree > MAX_DEGREE:
+        raise FastGSError(f"its polynomial of degree {basis.degree} cannot be computed; {MAX_DEGREE} is the highest.")
     if isinstance(basis, Keyframes) and any(b - a < 1e-9 for a, b in zip(basis.times, basis.times[1:], strict=False)):
         raise FastGSError("its keyframes lie closer together than time can be told apart.")
     return basis

@@ -269,8 +269,8 @@ def _ascii_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.
     """First None, when all is checked; then arrays [rows, columns] float64."""
     before, after = _split(header)
     vertex, width = header.vertex, len(header.vertex.properties)
-    if 2 * vertex.count * width > length - header.size + 1:
-        raise _cut_short(header)
+    if 2 * sum(e.count * len(e.properties) for e in header.elements) > length - header.size + 1:
+        raise _cut_short(header)  # every number is a digit and a space at least
     yield None
     tokens = _Tokens(stream)
     for element in before:
