@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import traceback
+import warnings
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import FastGSError
+from .commands.shared import note
+from .errors import FastGSError, LossWarning
 
 FAILED, STOPPED = 2, 130
 
@@ -38,7 +41,8 @@ def main(argv=None) -> int:
     """Run one command; returns the exit code: 0, 2 for an error told in one sentence, 130 when stopped."""
     args = parser().parse_args(argv)
     try:
-        return args.run(args) or 0
+        with _losses_as_remarks():
+            return args.run(args) or 0
     except KeyboardInterrupt as stop:
         return _tell(str(stop) or "stopped.", STOPPED, args.debug)
     except BrokenPipeError:  # the reader of our output has gone, for example `| head`
@@ -51,6 +55,23 @@ def main(argv=None) -> int:
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         return _tell(f"{name}{error.strerror or error}.", FAILED, args.debug)
+
+
+@contextlib.contextmanager
+def _losses_as_remarks():
+    """What a file could not give or hold is told as a remark, not as a warning about our program."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LossWarning)
+        usual = warnings.showwarning
+
+        def show(message, category, *rest):
+            if issubclass(category, LossWarning):
+                note(f"lost: {message}")
+            else:
+                usual(message, category, *rest)
+
+        warnings.showwarning = show
+        yield
 
 
 def _tell(sentence, code, debug):

@@ -7,6 +7,7 @@ writes one file a frame, and OUT then says where the number goes: out_####.ply o
 """
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from pathlib import Path
@@ -32,15 +33,14 @@ def run(args):
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)
     _refuse_existing(targets, args)
-    model = formats.load(args.input)
     losses = []
+    with _collected(losses):
+        model = formats.load(args.input)
     for target, frame in zip(targets, frames or [None], strict=True):
         result = model if frame is None else freeze(model, model.clip.t_of_frame(float(frame)))
         _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", LossWarning)
+        with _collected(losses, str(target), args.output):
             formats.save(result, target)
-        losses += [str(w.message) for w in caught if issubclass(w.category, LossWarning) and str(w.message) not in losses]
         if not args.json:
             size = human_bytes(target.stat().st_size)
             print(f"{target}: {len(result)} Gaussians, {size}")
@@ -48,6 +48,20 @@ def run(args):
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(model), "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
+
+
+@contextlib.contextmanager
+def _collected(losses: list[str], name: str = "", stands_for: str = ""):
+    """Adds what is lost in the block to a list, each thing once: a hundred frames lose the same, under one name."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", LossWarning)
+        yield
+    for w in caught:
+        text = str(w.message).replace(name, stands_for)
+        if not issubclass(w.category, LossWarning):
+            warnings.showwarning(w.message, w.category, w.filename, w.lineno)
+        elif text not in losses:
+            losses.append(text)
 
 
 def _refuse_existing(files, args):

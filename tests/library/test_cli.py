@@ -148,6 +148,18 @@ def test_convert_tells_what_is_lost(run, file, tmp_path):
     assert result["outputs"] == [str(tmp_path / "lossy2.splatv")]
 
 
+def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
+    model.position[3] = np.nan
+    path = tmp_path / "diverged.safetensors"
+    fg.save(model, path)
+    code, out, err = run("info", "--json", path)
+    assert (code, json.loads(out)["gaussians"]) == (0, 29)
+    assert err.startswith("fastgs: lost: ")
+    assert "1 of 30" in err
+    assert len(err.strip().splitlines()) == 1
+    assert "1 of 30" in json.loads(run("convert", "--json", path, tmp_path / "b.safetensors")[1])["losses"][0]
+
+
 def test_convert_overwrites_only_when_told(run, file, tmp_path):
     target = tmp_path / "out.safetensors"
     target.write_bytes(b"precious")
@@ -193,6 +205,8 @@ def test_convert_frames(run, file, tmp_path, pattern, names):
     assert sorted(p.name for p in folder.iterdir()) == names
     assert [Path(p).name for p in json.loads(out)["outputs"]] == names
     assert not np.array_equal(fg.load(folder / names[0]).position[:5], fg.load(folder / names[1]).position[:5])
+    assert all(pattern in loss for loss in json.loads(out)["losses"])
+    assert len(json.loads(out)["losses"]) <= 1
     # one of the files is there already: nothing at all is written
     (folder / names[0]).unlink()
     assert run("convert", file, folder / pattern, "--at", "0:4:2")[0] == 2
