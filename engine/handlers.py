@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What happens when a render job begins and when another file is opened."""
+"""What happens when a render job begins and when files are opened, saved and appended from."""
 import bpy
 from bpy.app.handlers import persistent
 
-from . import notices, objects
+from . import notices, objects, paths
 
 
 @persistent
@@ -19,7 +19,12 @@ def _forget_models(*_):
 HANDLERS = (
     (bpy.app.handlers.render_init, _begin_job),
     (bpy.app.handlers.load_pre, _forget_models),
+    (bpy.app.handlers.save_pre, paths.before_save),
+    (bpy.app.handlers.save_post, paths.after_save),
+    (bpy.app.handlers.save_post_fail, paths.after_save),
 )
+if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
+    HANDLERS += ((bpy.app.handlers.blend_import_post, paths.after_import),)
 
 
 def register():

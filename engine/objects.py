@@ -51,7 +51,10 @@ def abspath(obj: bpy.types.Object) -> str:
     path = obj.fastgs.filepath
     if not path:
         return ""
-    return _key(bpy.path.abspath(path, library=obj.original.library))
+    origin = obj.original
+    if origin.override_library:
+        origin = origin.override_library.reference
+    return _key(bpy.path.abspath(path, library=origin.library))
 
 
 def load_model(path: str) -> fg.GaussianModel:

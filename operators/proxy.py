@@ -89,7 +89,8 @@ def _material() -> bpy.types.Material:
     if material is not None:
         return material
     material = bpy.data.materials.new(NAME)
-    material.use_nodes = True
+    if material.node_tree is None:  # Blender 5.0 and later make one by themselves
+        material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     colour, emission, out = (nodes.new(kind) for kind in (
