@@ -4,6 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
+_OWN = {'LIBRARY_OVERRIDABLE'}
 
 OUTSIDE = (
     ('HIDE', "Hide", "Show nothing", 0),
@@ -28,16 +29,16 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="Frame Rate", description="Frames per second of the capture", min=0.0)
 
     start_frame: FloatProperty(
-        name="Start Frame", description="Scene frame on which the clip begins", default=1.0)
+        name="Start Frame", description="Scene frame on which the clip begins", default=1.0, override=_OWN)
     speed: FloatProperty(
         name="Speed", description="Playback speed; negative plays from the last frame backwards",
-        default=1.0, soft_min=-4.0, soft_max=4.0)
+        default=1.0, soft_min=-4.0, soft_max=4.0, override=_OWN)
     offset: FloatProperty(
-        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0)
+        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0, override=_OWN)
     before: EnumProperty(
-        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD')
+        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', override=_OWN)
     after: EnumProperty(
-        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD')
+        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
 
 
 class FASTGS_PG_scene(bpy.types.PropertyGroup):
@@ -79,7 +80,7 @@ def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     for owner, group in POINTERS:
-        owner.fastgs = PointerProperty(type=group)
+        owner.fastgs = PointerProperty(type=group, override=_OWN)
 
 
 def unregister():
