@@ -7,6 +7,7 @@
     image = fg.render(model, camera, t=0.25)["rgb"]
 """
 from .appearance import RGB, SH, Features
+from .baking import BakeReport, bake
 from .camera import Camera
 from .errors import FastGSError, LossWarning
 from .formats import load, save
@@ -18,6 +19,6 @@ from .temporal import Always, Radial, Window
 
 __version__ = "0.1.0"
 __all__ = [
-    "RGB", "SH", "Always", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
-    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "freeze", "load", "render", "save", "slice_model",
+    "RGB", "SH", "Always", "BakeReport", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
+    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "bake", "freeze", "load", "render", "save", "slice_model",
 ]
