@@ -9,11 +9,7 @@ from __future__ import annotations
 import numpy as np
 from mathutils import Color
 
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """The sRGB curve (IEC 61966-2-1), continued above 1 and point-symmetric below 0."""
-    a = np.abs(x)
-    return np.copysign(np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4), x)
+from ..fastgs_blender.colour import srgb_to_linear, straight
 
 
 def rec709_to_working() -> np.ndarray:
@@ -28,13 +24,12 @@ def scene_linear(rgb: np.ndarray, weight: np.ndarray, display_referred: bool, wo
     display_referred  whether rgb is sRGB-encoded; otherwise it is linear Rec.709
     working           what rec709_to_working() says
     """
-    weight = weight[..., None]
-    straight = np.divide(rgb, weight, out=np.zeros_like(rgb), where=weight > 0)
+    colour = straight(rgb, weight)
     if display_referred:
-        straight = srgb_to_linear(straight)
+        colour = srgb_to_linear(colour)
     if not np.allclose(working, np.eye(3), atol=1e-5):
-        straight = straight @ working.T
-    return (straight * weight).astype(np.float32)
+        colour = colour @ working.T
+    return (colour * weight[..., None]).astype(np.float32)
 
 
 def film(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:

@@ -10,15 +10,17 @@ import numpy as np
 
 
 def srgb_to_linear(srgb: np.ndarray) -> np.ndarray:
-    """Scene-linear values of sRGB ones; beyond 0..1 the curve goes on."""
+    """Scene-linear values of sRGB ones; the curve goes on above 1 and is point-symmetric below 0."""
     x = np.asarray(srgb)
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(x.dtype, copy=False)
+    a = np.abs(x)
+    return np.copysign(np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4), x).astype(x.dtype, copy=False)
 
 
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """The inverse of srgb_to_linear."""
     x = np.asarray(linear)
-    return np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 0) ** (1 / 2.4) - 0.055).astype(x.dtype, copy=False)
+    a = np.abs(x)
+    return np.copysign(np.where(a <= 0.0031308, a * 12.92, 1.055 * a ** (1 / 2.4) - 0.055), x).astype(x.dtype, copy=False)
 
 
 def straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
