@@ -19,9 +19,11 @@ def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
     """Give the scene the frame rate of the object's capture, and a range in which its clip plays once."""
     settings = obj.fastgs
     scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
+    speed = settings.speed or 1.0
+    frames = (settings.frame_count - settings.offset) if speed > 0 else (settings.frame_count + settings.offset)
     start = max(round(settings.start_frame), 0)
     scene.frame_start = start
-    scene.frame_end = start + max(ceil((settings.frame_count - settings.offset) / abs(settings.speed or 1.0)), 1) - 1
+    scene.frame_end = start + max(ceil(frames / abs(speed)), 1) - 1
 
 
 class FASTGS_OT_fit_scene(bpy.types.Operator):

@@ -87,7 +87,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             try:
                 made.append(self.create(context, path))
             except FastGSError as error:
-                self.report({'ERROR'}, str(error))
+                self.report({'ERROR'}, splat_object.sentence(error))
         if not made:
             return {'CANCELLED'}
         for obj in made:

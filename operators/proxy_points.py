@@ -23,6 +23,7 @@ MOMENTS = 9
 PROBES = 50_000
 CANDIDATES = 200_000
 CELLS = 64
+TURNS = 3
 REACH = 1.5
 
 
@@ -57,15 +58,15 @@ def choose(model: GaussianModel, limit: int = LIMIT) -> Points:
     moments = [(_within(s, box), share) for s, share in moments]
     best = int(np.argmax([s.opacity.sum() * share for s, share in moments]))
     s = _within(_sample(model, times[best], CANDIDATES)[0], box)
-    order, spacing = _fair_order(s, box, max(limit - 6, 1))
+    corners = min(6, limit // 10)
+    order, spacing = _fair_order(s, box, limit - corners)
     parts = [_take(s, order)]
-    if limit > 6:
-        parts += _outermost([s for s, _ in moments], box, parts[0])
-    size = np.concatenate([np.sqrt(_area(p)) for p in parts])
+    parts += _outermost([s for s, _ in moments], box, parts[0])[:corners]
+    size = 1.5 * np.concatenate([np.sqrt(_area(p)) for p in parts])
     return Points(
         position=np.concatenate([p.position for p in parts]).astype(np.float32),
         colour=np.concatenate([_colour(p, model) for p in parts]).astype(np.float32),
-        radius=np.clip(size, 0.35 * spacing, max(0.7 * spacing, 1.5 * np.median(size))).astype(np.float32),
+        radius=np.clip(size, 0.5 * spacing, max(spacing, np.median(size))).astype(np.float32),
         t=times[best],
     )
 
@@ -129,10 +130,16 @@ def _outermost(slices: list[Slice], box, chosen: Slice) -> list[Slice]:
 def _fair_order(s: Slice, box, limit: int) -> tuple[np.ndarray, float]:
     """Indices of at most `limit` Gaussians, and the distance between neighbours.
 
-    Each cell of a grid gives its most important one first, then each its second, and so on.
+    Each cell of a grid gives its most important one first, then each its second, and so on.  The grid is the finest of which
+    every filled cell has its turn, so that no place is left out for being less important than others.
     """
-    cell = max((box[1] - box[0]).max(), 1e-6) / CELLS
-    key = ((s.position - box[0]) / cell).astype(np.int64) @ [1, CELLS + 1, (CELLS + 1) ** 2]
+    finest = max((box[1] - box[0]).max(), 1e-6) / CELLS
+    place = ((s.position - box[0]) / finest).astype(np.int64)
+    for halvings in range(CELLS.bit_length()):
+        key = (place >> halvings) @ [1, CELLS + 1, (CELLS + 1) ** 2]
+        if len(np.unique(key)) * TURNS <= limit:
+            break
+    cell = finest * 2**halvings
     importance = s.opacity * _area(s)
     by_cell = np.lexsort((-importance, key))
     sorted_key = key[by_cell]

@@ -6,7 +6,7 @@ import bpy
 
 from ..engine import objects
 from ..fastgs_blender.errors import FastGSError
-from .splat_object import refresh
+from .splat_object import refresh, sentence
 
 
 def _targets(context) -> list[bpy.types.Object]:
@@ -34,7 +34,7 @@ class FASTGS_OT_reload(bpy.types.Operator):
             try:
                 refresh(obj)
             except FastGSError as error:
-                errors.append(str(error))
+                errors.append(sentence(error))
         for error in dict.fromkeys(errors):
             self.report({'ERROR'}, error)
         return {'FINISHED'} if len(errors) < len(targets) else {'CANCELLED'}

@@ -12,6 +12,12 @@ from ..fastgs_blender.model import GaussianModel
 from . import proxy
 
 
+def sentence(error: Exception) -> str:
+    """An error's message as a report shows it."""
+    text = str(error)
+    return text[:1].upper() + text[1:]
+
+
 def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, relative: bool = False) -> bpy.types.Object:
     """A new object that shows the file, selected and active, at the world's origin; its clip starts with the scene.
 

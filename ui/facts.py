@@ -57,7 +57,6 @@ def size(count: int) -> str:
     return f"{count / 1024**step:.{1 if step else 0}f} {('B', 'KiB', 'MiB', 'GiB')[step]}"
 
 
-def lines(text: str, width: float) -> list[str]:
-    """A sentence cut into lines for a region of that many pixels: Blender's labels do not wrap."""
-    scale = bpy.context.preferences.system.ui_scale
-    return textwrap.wrap(text, max(int((width / scale - 60) / 6.5), 20))
+def lines(text: str, width: float, scale: float) -> list[str]:
+    """A sentence cut into lines for a region of that many pixels, at an interface scale: Blender's labels do not wrap."""
+    return textwrap.wrap(text[:1].upper() + text[1:], max(int((width / scale - 60) / 6.5), 20))

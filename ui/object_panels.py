@@ -37,7 +37,7 @@ def draw_model(layout, context):
         box = layout.box()
         col = box.column(align=True)
         col.alert = True
-        for i, line in enumerate(facts.lines(error, context.region.width)):
+        for i, line in enumerate(facts.lines(error, context.region.width, context.preferences.system.ui_scale or 1.0)):
             col.label(text=line, icon='BLANK1' if i else 'ERROR')
         box.operator("fastgs.reload", icon='FILE_REFRESH')
     if not obj.fastgs.filepath:

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels: what they say, when they show, and that all they draw exists.
+
+Blender gives out no layout in background, so a recorder stands in for it; it refuses what Blender would refuse.
+"""
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+ICONS = set(bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items.keys())
+
+
+class Layout:
+    """Records (kind, text, alert) of everything drawn; containers share one record."""
+
+    def __init__(self, record=None, alert=False):
+        self.record = [] if record is None else record
+        self.alert = alert
+        self.use_property_split = self.use_property_decorate = True
+        self.alignment = 'EXPAND'
+
+    def _inside(self, **options):
+        assert set(options) <= {"align", "factor", "heading"}
+        return Layout(self.record, self.alert)
+
+    row = column = box = split = _inside
+
+    def _note(self, kind, text, icon):
+        assert icon in ICONS, icon
+        self.record.append((kind, text, self.alert))
+
+    def label(self, text="", icon='NONE'):
+        self._note("label", text, icon)
+
+    def prop(self, data, name, text=None, icon='NONE'):
+        assert name in data.bl_rna.properties, name
+        self._note("prop", name, icon)
+
+    def operator(self, name, text="", icon='NONE'):
+        module, function = name.split(".")
+        assert function in dir(getattr(bpy.ops, module)), name
+        self._note("operator", name, icon)
+        return SimpleNamespace()
+
+
+def drawn(cls, **context):
+    """What a panel or an operator's options draw in a context."""
+    defaults = dict(object=bpy.context.object, scene=bpy.context.scene, view_layer=bpy.context.view_layer,
+                    region=SimpleNamespace(width=300), preferences=bpy.context.preferences, engine=bpy.context.scene.render.engine)
+    layout = Layout()
+    cls.draw(SimpleNamespace(layout=layout), SimpleNamespace(**(defaults | context)))
+    return layout.record
+
+
+def texts(record, kind="label"):
+    return [text for what, text, _ in record if what == kind]
+
+
+@pytest.fixture
+def panels(module):
+    return {cls.__name__: cls for cls in module("ui").CLASSES}
+
+
+@pytest.fixture
+def obj(fg, make_model, model_file):
+    """An imported object: 1234 Gaussians, 48 frames at 29.97 frames a second."""
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(1234, clip=fg.Clip(48, 29.97))))
+    return bpy.context.object
+
+
+def test_every_panel_draws(panels, obj):
+    for name, cls in panels.items():
+        assert drawn(cls), name
+
+
+def test_both_places_show_the_same(panels, obj):
+    for here, there in (("object", "sidebar"), ("object_time", "sidebar_time")):
+        assert drawn(panels[f"FASTGS_PT_{here}"]) == drawn(panels[f"FASTGS_PT_{there}"])
+
+
+def test_facts(panels, obj):
+    record = drawn(panels["FASTGS_PT_object"])
+    assert "1,234" in texts(record)
+    assert "48 at 29.97 fps (1.60 s)" in texts(record)
+    assert any(text.endswith("KiB") for text in texts(record))
+    assert not any(alert for _, _, alert in record)
+
+
+def test_missing_file_is_red_and_can_be_reloaded(panels, obj):
+    obj.fastgs.filepath = "/nowhere/lost.ply"
+    for name in ("FASTGS_PT_object", "FASTGS_PT_sidebar"):
+        record = drawn(panels[name])
+        assert ("prop", "filepath", True) in record
+        red = " ".join(text for kind, text, alert in record if alert and kind == "label")
+        assert "/nowhere/lost.ply" in red and "no such file" in red
+        assert max(len(text) for text in texts(record)) <= 40
+        assert texts(record, "operator").count("fastgs.reload") == 2
+
+
+def test_broken_file_is_red_once_it_was_tried(panels, obj, tmp_path):
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 5\n")
+    obj.fastgs.filepath = str(broken)
+    with pytest.raises(RuntimeError):
+        bpy.ops.fastgs.reload()
+    record = drawn(panels["FASTGS_PT_object"])
+    assert "broken.ply" in "".join(text for kind, text, alert in record if alert and kind == "label")
+
+
+def test_button_for_the_engine_only_where_another_is_used(panels, obj, scene):
+    assert "wm.context_set_enum" not in texts(drawn(panels["FASTGS_PT_object"], engine='FASTGS'), "operator")
+    assert "wm.context_set_enum" in texts(drawn(panels["FASTGS_PT_object"], engine='CYCLES'), "operator")
+
+
+def test_polls(panels, obj, scene):
+    def polls(name, **context):
+        return panels[name].poll(SimpleNamespace(**(dict(object=obj, engine='CYCLES') | context)))
+
+    empty = bpy.data.objects.new("Empty", None)
+    for name in ("object", "object_time", "sidebar_time"):
+        assert polls(f"FASTGS_PT_{name}")
+        assert not polls(f"FASTGS_PT_{name}", object=None) and not polls(f"FASTGS_PT_{name}", object=empty)
+    assert polls("FASTGS_PT_sidebar", object=None)
+    for name in ("render", "film", "passes"):
+        assert polls(f"FASTGS_PT_{name}", engine='FASTGS') and not polls(f"FASTGS_PT_{name}")
+    obj.fastgs.filepath = ""
+    assert polls("FASTGS_PT_object"), "where else could the path be put back?"
+
+
+def test_objects_made_without_the_importer(panels, splat_object, scene):
+    made = splat_object("/nowhere/x.ply")
+    for name in ("FASTGS_PT_object", "FASTGS_PT_object_time"):
+        assert drawn(panels[name], object=made)
+    obj = bpy.data.objects.new("Empty", None)
+    assert texts(drawn(panels["FASTGS_PT_sidebar"], object=obj), "operator") == ["import_scene.fastgs"]
+
+
+def test_frame_that_is_shown(module, obj, scene):
+    shown = module("ui.facts").shown_now
+    scene.render.fps, scene.render.fps_base = 30, 30 / 29.97
+    obj.fastgs.start_frame, obj.fastgs.before = 1, 'HIDE'
+    scene.frame_set(11, subframe=0.25)
+    assert shown(obj, scene) == "Frame 10.25 of 0 to 47"
+    scene.frame_set(1)
+    assert shown(obj, scene) == "Frame 0 of 0 to 47"
+    scene.frame_set(-5)
+    assert shown(obj, scene) == "Nothing"
+    scene.frame_set(48)
+    assert shown(obj, scene) == "Frame 47 of 0 to 47"
+
+
+def test_numbers_in_words(module):
+    facts = module("ui.facts")
+    assert [facts.size(n) for n in (0, 1023, 1024, 1536, 5 * 2**20, 3 * 2**30, 2**43)] == [
+        "0 B", "1023 B", "1.0 KiB", "1.5 KiB", "5.0 MiB", "3.0 GiB", "8192.0 GiB"]
+    assert [facts.number(x) for x in (0, 10, 29.97, 23.976, 2.5, 100)] == ["0", "10", "29.97", "23.98", "2.5", "100"]
+
+
+def test_scene_summary(module, obj, scene, make_model, model_file):
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(66), "second.safetensors"))
+    rows = dict(module("ui.facts").scene_facts(scene))
+    assert (rows["Splat Objects"], rows["Gaussians"]) == ("2", "1,300")
+
+
+def test_import_options_draw(module):
+    operator = module("operators").FASTGS_OT_import
+    names = []
+    layout = SimpleNamespace(prop=lambda data, name, text=None: names.append(name))
+    layout.column = lambda heading="": layout
+    operator.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert set(names) <= set(bpy.ops.import_scene.fastgs.get_rna_type().properties.keys())
+    assert {"relative_path", "orientation", "proxy_points", "set_scene_range", "use_engine"} == set(names)
