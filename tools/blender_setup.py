@@ -24,7 +24,7 @@ def enable_addon():
     folder = user / "extensions" / "user_default"
     folder.mkdir(parents=True)
     (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
-    import bpy  # noqa: F401  it puts addon_utils on the path
+    import bpy  # noqa: F401, I001  first, because it puts addon_utils on the path
     import addon_utils
 
     if addon_utils.enable(ADDON, default_set=True) is None:
