@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.kernels.threads import set_threads
-from . import camera, colour, frame, notices, objects, passes, worker, world
+from . import camera, colour, frame, notices, objects, passes, settings, worker, world
 
 
 def render(engine, depsgraph):
@@ -30,7 +30,7 @@ def render(engine, depsgraph):
 
 def _render_layer(engine, depsgraph):
     scene, layer = depsgraph.scene, depsgraph.view_layer
-    set_threads(scene.render.threads if scene.render.threads_mode == 'FIXED' else 0)
+    set_threads(scene.render.threads if scene.render.threads_mode == 'FIXED' else settings.threads)
     picture = camera.frame_of(scene.render)
     shown = frame.contents(depsgraph)
     background, remark = world.background(scene, layer)

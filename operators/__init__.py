@@ -2,7 +2,7 @@
 """What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture."""
 import bpy
 
-from . import import_model
+from . import import_model, maintenance
 from .bake import FASTGS_OT_bake
 from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
@@ -14,6 +14,7 @@ CLASSES = (
     FASTGS_OT_reload,
     FASTGS_OT_fit_scene,
     FASTGS_OT_bake,
+    *maintenance.CLASSES,
 )
 
 

@@ -9,6 +9,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..engine import compiling
 from ..fastgs_blender.errors import FastGSError
 from . import splat_object
 from .fit_scene import fit_scene
@@ -96,6 +97,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             fit_scene(context.scene, made[0])
         if self.use_engine:
             context.scene.render.engine = 'FASTGS'
+        compiling.start_on_first_use()
         total = sum(obj.fastgs.gaussian_count for obj in made)
         self.report({'INFO'}, f"Imported {total:,} Gaussians from {len(made)} file{'s' if len(made) > 1 else ''}")
         return {'FINISHED'}
