@@ -57,8 +57,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
         col = layout.column(heading="Scene")
-        col.prop(self, "set_scene_range", text="Range and Frame Rate")
-        col.prop(self, "use_engine")
+        col.prop(self, "set_scene_range", text="Frame Range")
+        col.prop(self, "use_engine", text="Render Engine")
 
     def paths(self) -> list[str]:
         """The chosen files."""
@@ -114,8 +114,3 @@ class FASTGS_FH_import(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context):
         return context.area is not None and context.area.type in {'VIEW_3D', 'OUTLINER'}
-
-
-def draw_menu(self, context):
-    """The entry in File > Import."""
-    self.layout.operator(FASTGS_OT_import.bl_idname, text="4D Gaussians (.safetensors/.ply/.splatv)")
