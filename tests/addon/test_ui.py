@@ -59,7 +59,7 @@ def texts(record, kind="label"):
 
 @pytest.fixture
 def panels(module):
-    return {cls.__name__: cls for cls in module("ui").CLASSES}
+    return {cls.__name__: cls for cls in module("ui").CLASSES if issubclass(cls, bpy.types.Panel)}
 
 
 @pytest.fixture
