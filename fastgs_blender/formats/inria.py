@@ -87,7 +87,6 @@ def _antialiased(header: ply.Header) -> bool:
 def _in_file_order(model: GaussianModel):
     """The colour columns, channel after channel."""
     yield ("f_dc_0", "f_dc_1", "f_dc_2"), model.features[:, :3]
-    rest = model.features[:, 3:].reshape(len(model), -1, 3)
-    for channel in range(3 if rest.shape[1] else 0):
-        names = [f"f_rest_{channel * rest.shape[1] + b}" for b in range(rest.shape[1])]
-        yield names, rest[:, :, channel]
+    rest = model.appearance.width // 3 - 1
+    for channel in range(3 if rest else 0):
+        yield [f"f_rest_{channel * rest + b}" for b in range(rest)], model.features[:, 3 + channel::3]

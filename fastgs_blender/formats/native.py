@@ -44,7 +44,7 @@ class Native(Format):
 
     def load(self, path):
         begin, tensors = _header(path)
-        metadata = tensors.pop("__metadata__", {})
+        metadata = tensors.pop("__metadata__", None) or {}
         if KEY not in metadata:
             raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
         kinds = _kinds(metadata[KEY])
@@ -58,6 +58,8 @@ class Native(Format):
         data = _map(path)
         arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes.items() if name not in spans}
         for name, (start, end) in spans.items():
+            if begin + end > len(data):
+                raise FastGSError(f"the file is cut short within its array {name!r}; copy or export it again.")
             array = data[begin + start:begin + end].view("<f4").reshape(shapes[name])
             arrays[name] = np.require(array, requirements="A")  # other writers may not align
         if isinstance(look, Features):

@@ -121,8 +121,9 @@ def _encode(model: GaussianModel) -> tuple[np.ndarray, bool]:
         half[:, 31] = width
         positive = half[:, [10, 11, 12, 31]]
         half[:, 6:10] = model.rotation
-        half[:, 16:16 + 3 * model.basis.terms] = model.motion.reshape(n, -1)
-        half[:, 26:26 + 4 * model.rotation_basis.terms] = model.rotation_motion.reshape(n, -1)
+        motion, omega = 3 * model.basis.terms, 4 * model.rotation_basis.terms
+        half[:, 16:16 + motion] = model.motion.reshape(n, motion)
+        half[:, 26:26 + omega] = model.rotation_motion.reshape(n, omega)
         half[:, 30] = model.mu_tau
         clipped = bool((np.abs(half) > HALF_MAX).any() or (positive < 0.5 * HALF_MIN).any())
         half[:, [10, 11, 12, 31]] = np.maximum(positive, HALF_MIN)
