@@ -28,6 +28,11 @@ class Image:
         self.needed = self.fresh = False
         self._values = self._texture = None
 
+    @property
+    def there(self) -> bool:
+        """Whether there is a picture."""
+        return self._values is not None
+
     def done(self, values: np.ndarray) -> None:
         """From the thread: a new picture."""
         self._values, self.fresh = values, True

@@ -7,7 +7,7 @@ import gpu
 import numpy as np
 
 from .. import camera as final_camera
-from .. import colour, frame, world
+from .. import colour, frame, proxies, world
 from . import shaders
 from .atlas import Atlas
 from .eye import eye, frame_in
@@ -66,7 +66,12 @@ def _draw(context, depsgraph, look, region, rendered, hidden=False):
         depth = scene_depth(region.width, region.height, depths)
     playing = context.screen is not None and context.screen.is_animation_playing
     view.draw(shown, camera, look, settings.viewport_density, playing, depth)
-    if (view.waiting or view.coarse or view.stale) and not bpy.app.timers.is_registered(_tick):
+    if view.waiting or view.coarse or view.stale or (shown.shown and not proxies.hidden()):
+        _start()
+
+
+def _start():
+    if not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=TICK)
 
 
@@ -117,10 +122,12 @@ def stop() -> None:
     _worker.stop()
     clear()
     shaders.clear()
+    proxies.hide(False)
 
 
-def redraw() -> None:
-    """Draw all 3D viewports again."""
+def redraw(*_) -> None:
+    """Draw all 3D viewports again, after a setting of theirs has changed."""
+    _start()
     for region in _regions():
         region.tag_redraw()
 
@@ -170,6 +177,7 @@ def _forget_closed():
 def _tick():
     """While something is under way: draw the viewports for which it has arrived."""
     busy = False
+    proxies.hide(any(view.shows for view in _views.values()) and bpy.context.scene.fastgs.show_splats)
     for region in _regions():
         for rendered in (False, True):
             view = _views.get((region.as_pointer(), rendered))

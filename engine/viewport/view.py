@@ -38,8 +38,8 @@ class Look:
 class View:
     """State of one region.
 
-    stale     whether a newer order, or a finer picture, waits to be drawn
     trouble   why splats cannot be drawn by the GPU, or are missing: a sentence, or None
+    waiting   whether the thread works for it
     """
 
     def __init__(self, atlas: Atlas, worker: Worker):
@@ -55,12 +55,18 @@ class View:
 
     @property
     def stale(self) -> bool:
+        """Whether a newer order, or the CPU's picture, waits to be drawn."""
         return self.fallback.fresh or (self._answer is not None and (self._order is None or self._order[0] is not self._answer))
 
     @property
     def coarse(self) -> bool:
         """Whether fewer splats are drawn than there are, because the view moves."""
         return self._density < 1.0
+
+    @property
+    def shows(self) -> bool:
+        """Whether splats have been drawn."""
+        return self._order is not None or (self.fallback.needed and self.fallback.there)
 
     @property
     def resting(self) -> bool:
