@@ -64,7 +64,7 @@ class Atlas:
             texels = np.zeros((rows_of(int(start[-1])) * WIDTH, 4), np.float32)
             for model, plan, first in zip(wanted, plans, start):
                 count = len(model) * getattr(plan, kind)
-                write(model, texels[first:first + count].reshape(len(model), -1, 4))
+                write(model, texels[first:first + count].reshape(len(model), getattr(plan, kind), 4))
             setattr(self, kind, upload(texels.reshape(-1, WIDTH, 4), half=kind == "colour"))
             self.nbytes += len(texels) * (8 if kind == "colour" else 16)
         self.models = wanted

@@ -63,6 +63,8 @@ def geometry(model: GaussianModel, out: np.ndarray) -> None:
     """Write the geometry texels [N, plan.geometry, 4].  What holds a number that is none gets no opacity."""
     p = plan(model)
     n = len(model)
+    if not n:
+        return
     out[:] = 0
     out[:, 0, :3], out[:, 0, 3] = model.position, model.opacity
     out[:, 1] = model.rotation
@@ -87,6 +89,8 @@ def colour(model: GaussianModel, out: np.ndarray) -> None:
     """Write the colour texels [N, plan.colour, 4]."""
     p = plan(model)
     n = len(model)
+    if not n:
+        return
     out[:] = 0
     features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
     if p.look == HARMONICS:
