@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -77,7 +78,8 @@ class Native(Format):
             # one key: the library writes several in random order, and the same model must give the same bytes
             save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
         except SafetensorError as error:
-            raise OSError(f"{error}") from error
+            number = re.search(r"os error (\d+)", str(error))
+            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
 
 
 def release(path: Path) -> None:
