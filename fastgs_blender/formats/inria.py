@@ -56,8 +56,8 @@ class Inria(Format):
         columns = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colour_columns(degree)})
         columns["opacity"] = columns["opacity"][:, 0]
-        kinds = {"raster": Raster(antialiased=_antialiased(header)), **from_comments(header.comments)}
-        return GaussianModel(**columns, appearance=SH(degree), **{k: v for k, v in kinds.items() if k in KEYS})
+        kinds = {"raster": Raster(antialiased=_antialiased(header))} | from_comments(header.comments, KEYS)
+        return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
     def suits(self, model):
         still = model.basis.terms == 0 and model.rotation_basis.terms == 0

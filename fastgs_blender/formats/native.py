@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +41,7 @@ class Native(Format):
     extensions = (".safetensors",)
 
     def sniff(self, head, path):
-        return len(head) >= 9 and head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= path.stat().st_size - 8
+        return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER
 
     def load(self, path):
         begin, tensors = _header(path)
@@ -77,7 +78,8 @@ class Native(Format):
             # one key: the library writes several in random order, and the same model must give the same bytes
             save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
         except SafetensorError as error:
-            raise OSError(f"{error}") from error
+            number = re.search(r"os error (\d+)", str(error))
+            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
 
 
 def release(path: Path) -> None:
@@ -97,9 +99,7 @@ def _header(path: Path) -> tuple[int, dict]:
     """Where the data begins, and the header's table, which the library has found sound."""
     with open(path, "rb") as stream:
         size = int.from_bytes(stream.read(8), "little")
-        if size > MAX_HEADER:
-            raise FastGSError("its header has more than 16 MB; the file is damaged.")
-        text = stream.read(size)
+        text = stream.read(min(size, MAX_HEADER))
     try:
         with safe_open(path, "numpy"):
             pass

@@ -54,8 +54,9 @@ class Splatv(Format):
                 raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
             stream.seek(begin)
             texels = np.frombuffer(stream.read(count), "<u4").reshape(-1, 16)
-        kinds = {"clip": Clip(FRAMES)} | understand(chunk.get("fastgs", {}))
-        return GaussianModel(**restored(_decode(texels[texels.any(1)]), {k: v for k, v in kinds.items() if k != "appearance"}))
+        recorded = understand(chunk.get("fastgs", {}))
+        recorded.pop("appearance", None)
+        return GaussianModel(**restored(_decode(texels[texels.any(1)]), {"clip": Clip(FRAMES)} | recorded))
 
     def fit(self, model):
         lost = []

@@ -51,7 +51,7 @@ class SpacetimeGaussians(Format):
         missing = [name for name in NEEDED if name not in header.names]
         if missing:
             raise FastGSError(f"its columns {', '.join(missing)} are missing; export it from Spacetime Gaussians again.")
-        kinds = from_comments(header.comments)
+        kinds = from_comments(header.comments, KEYS)
         recorded = kinds.pop("appearance", None)
         settings = {} if "clip" in kinds else _settings(path)
         basis, powers, constant = _motion_columns(header, kinds.pop("basis", None))

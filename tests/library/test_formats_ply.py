@@ -71,6 +71,15 @@ def test_many_blocks(rng, load_bytes, kind):
     check_inria(load_bytes(ply_files.ply(table, kind)), table)
 
 
+def test_comments_of_others_are_passed_over(rng, load_bytes):
+    table = ply_files.columns(rng, INRIA)
+    said = ["fastgs", "fastgs trained for {", "fastgs basis {", "FastGS axes RFU", "fastgs-axes 1"]
+    assert load_bytes(ply_files.ply(table, comments=said)).axes == "RDF"
+    assert load_bytes(ply_files.ply(table, comments=['fastgs axes "RFU"'])).axes == "RFU"
+    with pytest.raises(fg.FastGSError, match="JSON"):
+        load_bytes(ply_files.ply(table, comments=["fastgs axes RFU"]))
+
+
 def test_a_prefix_is_not_a_name(rng, load_bytes):
     table = ply_files.columns(rng, ["f_dc_00", "rot_01", "xx", "scale", *INRIA])
     check_inria(load_bytes(ply_files.ply(table)), table)

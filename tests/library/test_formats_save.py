@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -127,13 +126,19 @@ def test_a_failure_changes_nothing(model, tmp_path, monkeypatch, extension, fail
     assert listing(tmp_path) == before
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is Linux's")
-def test_a_really_full_disk(model, tmp_path, monkeypatch):
-    monkeypatch.setattr(outputs.Path, "with_name", lambda self, name: Path("/dev/full"))
-    monkeypatch.setattr(outputs.Path, "touch", lambda self, exist_ok: None)
-    monkeypatch.setattr(outputs.Path, "unlink", lambda self, missing_ok: None)
-    with pytest.raises(fg.FastGSError, match="No space left"):
-        fg.save(model, tmp_path / "m.ply")
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("extension", EXTENSIONS)
+def test_a_disk_that_takes_no_more(rng, make_model, tmp_path, extension):
+    resource = pytest.importorskip("resource")  # a limit for files stands for the end of the disk
+    fg.save(make_model(rng), tmp_path / f"m{extension}")
+    before, limits = listing(tmp_path), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(fg.FastGSError, match="too large; check.*space"):
+            fg.save(make_model(rng, 2000), tmp_path / f"m{extension}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert listing(tmp_path) == before
 
 
 def test_a_folder_that_may_not_be_written(model, tmp_path, monkeypatch):

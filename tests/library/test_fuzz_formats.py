@@ -18,7 +18,7 @@ from random_models import random_model
 import fastgs_blender as fg
 
 pytestmark = pytest.mark.filterwarnings("error", "ignore::fastgs_blender.LossWarning")
-EXAMPLES = settings(max_examples=120)
+EXAMPLES = settings(max_examples=60)
 SPICE = [b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\x80\x7f", b"\0\0\xc0\x7f", b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\0\x7c\0\x7e",
          b"nan", b"1e400", b"-1", b"99999999999", b"\n", b" ", b"end_header\n", b"property list uchar int x\n", b"{", b"[" * 2000, b'"',
          b"comment fastgs basis "]
@@ -192,7 +192,7 @@ def damage(draw, table):
 
 
 @pytest.mark.parametrize("name", [n for n in KINDS if n.endswith("safetensors")])
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_damaged_descriptions(valid, tmp_path, name, data):
     content = valid[name]
@@ -208,7 +208,7 @@ def test_damaged_descriptions(valid, tmp_path, name, data):
     survives(tmp_path / "m", len(text).to_bytes(8, "little") + text + content[8 + size:], b"")
 
 
-@settings(max_examples=200)
+@settings(max_examples=120)
 @given(data=st.data())
 def test_damaged_splatv_headers(valid, tmp_path, data):
     content = valid["lite.splatv"]
@@ -217,7 +217,7 @@ def test_damaged_splatv_headers(valid, tmp_path, data):
     survives(tmp_path / "m", struct.pack("<II", 0x674B, len(text)) + text + content[8 + size:], b"")
 
 
-@settings(max_examples=200)
+@settings(max_examples=120)
 @given(data=st.data())
 def test_damaged_comments(valid, tmp_path, data):
     name = data.draw(st.sampled_from(["lite.ply", "full.ply", "cosine.ply", "rgb.ply"]))
@@ -229,7 +229,7 @@ def test_damaged_comments(valid, tmp_path, data):
     survives(tmp_path / "m", b"\n".join(lines), valid["full.pt"])
 
 
-@settings(max_examples=200)
+@settings(max_examples=120)
 @given(head=st.sampled_from([b"", b"ply\n", b"ply\nformat ascii 1.0\nelement vertex 2\n", b"\x4b\x67\0\0", b"\x20\0\0\0\0\0\0\0{"]),
        rest=st.binary(max_size=300))
 def test_noise(tmp_path, head, rest):
@@ -244,7 +244,7 @@ def test_no_memory_on_the_word_of_a_file(valid, tmp_path):
         digits = [i for i in range(stop) if 48 <= content[i] <= 57]
         tracemalloc.start()
         try:
-            for at in digits:
+            for at in digits[::2]:
                 survives(tmp_path / "m", content[:at] + b"999999999" + content[at + 1:], valid["full.pt"])
             assert tracemalloc.get_traced_memory()[1] < 16 << 20, name
         finally:
