@@ -5,6 +5,8 @@ With numba on all threads; without it in NumPy, with the same result.
 """
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from .camera import Camera
@@ -16,18 +18,19 @@ CHUNK = 16_384
 """Gaussians in one piece of work."""
 
 
-def order(parts: list[Part], camera: Camera, limit: float = 1.0, ranks=None) -> np.ndarray:
+def order(parts: list[Part], camera: Camera, limit: float = 1.0, ranks=None, numba: bool = True) -> np.ndarray:
     """Indices [V] int32 of the Gaussians that a camera shows, the nearest first, counted through all parts as one cloud.
 
     Left out is what cannot touch a pixel: by temporal opacity, before the near plane, off the picture.
+    numba          whether to use it, where it is installed
     limit, ranks   ranks(model) gives [N] float32; Gaussians whose rank is not under the limit are left out as well (1: none is)
     """
-    try:
-        from .kernels.parallel_sort import order_by
-    except ImportError:
-        order_by, find = _order_by, _visible_numpy
-    else:
-        find = _visible
+    order_by, find = _order_by, _visible_numpy
+    if numba:
+        with suppress(ImportError):
+            from .kernels.parallel_sort import order_by
+
+            find = _visible
     keys, index, done = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], 0
     for part in parts:
         if len(part.model):

@@ -327,6 +327,8 @@ void main()
     rgb = decoded(rgb, texelFetch(t_second, pixel, 0).rgb / weight, texelFetch(t_third, pixel, 0).rgb / weight,
                   vec2(pixel) + vec2(0.5), kind.y);
 #endif
+    vec4 frame = row(36);
+    if (v_uv.x < frame.x || v_uv.y < frame.y || v_uv.x >= frame.z || v_uv.y >= frame.w) { rgb *= size.w; }
     if (kind.x > 0.5) { rgb = vec3(to_linear(rgb.x), to_linear(rgb.y), to_linear(rgb.z)); }
     rgb = vec3(dot(row(33).xyz, rgb), dot(row(34).xyz, rgb), dot(row(35).xyz, rgb)) * weight;
   }

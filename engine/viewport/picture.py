@@ -24,6 +24,7 @@ from .textures import upload, upload_list
 ORDER_WIDTH = 4096
 """Entries in a row of the texture with the order; glsl.py knows it too."""
 FORMAT = 'RGBA16F'
+WHOLE = (0.0, 0.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Picture:
             self._no_depth = upload(np.ones((1, 1, 1), np.float32))
         seen = self._no_depth if depth is None else upload(depth.values[..., None])
         with _drawing('ALPHA_PREMULT'):
-            for number, (textures, framebuffer) in enumerate(self._targets):
+            for number, (_, framebuffer) in enumerate(self._targets):
                 table[0, 3, 3] = number
                 with framebuffer.bind():
                     framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
@@ -113,14 +114,16 @@ class Picture:
         if depth is None:
             self._drawn = same
 
-    def resolve(self, working: np.ndarray, background=None, border=(0.0, 0.0, 1.0, 1.0), opacity: float = 1.0) -> None:
+    def resolve(self, working: np.ndarray, background=None, border=WHOLE, opacity: float = 1.0, frame=WHOLE,
+                outside: float = 1.0) -> None:
         """Draw the picture over the whole of the active framebuffer: premultiplied, linear.
 
         working     [3, 3] from linear Rec.709 to the target's primaries
         background  colour under the splats, or None
         border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
+        frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
         """
-        look = working, background, border, opacity
+        look = working, background, border, opacity, frame, outside
         if len(self.groups) == 1:
             self._resolve(self.groups[0], self._targets[0][0], *look)
             return
@@ -140,23 +143,24 @@ class Picture:
                 self._resolve(group, textures, np.eye(3), own=True, raw=True)
         return {space: textures for space, (textures, _) in sums.items()}
 
-    def _resolve(self, group, textures, working, background=None, border=(0.0, 0.0, 1.0, 1.0), opacity=1.0, first=True,
-                 own=False, summed=False, raw=False):
-        values = np.zeros((1, 36, 4), np.float32)
+    def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
+                 first=True, own=False, summed=False, raw=False):
+        values = np.zeros((1, 37, 4), np.float32)
         row = values[0]
         appearance = group.part and group.part.model.appearance
         activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
         row[0] = group.colour_space == "srgb" and not raw, activation, summed, raw
         row[1] = (0, 0, 0, 0) if background is None else (*background, 1)
         row[2] = border
-        row[3, :2] = first, opacity
-        row[4, :3] = self.camera.width, self.camera.height, self.camera.orthographic
+        row[3] = first, opacity, 0, 0
+        row[4] = self.camera.width, self.camera.height, self.camera.orthographic, outside
         row[5] = self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
         if appearance:
             row[6:9] = group.part.camera_to_model[:3]
             row[9:27] = appearance.w1.reshape(18, 4)
             row[27:33, :3] = appearance.w2.T
         row[33:36, :3] = working
+        row[36] = frame
         shader, batch = shaders.resolve(group.part is not None, own)
         with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
             inputs = {"t_resolve": upload(values), **textures}

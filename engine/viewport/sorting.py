@@ -11,7 +11,9 @@ import numpy as np
 from ... import fastgs_blender as fg
 from ...fastgs_blender import visibility
 from ...fastgs_blender.scene import Part
+from .. import compiling, objects
 from ..frame import Contents
+from .atlas import Atlas
 
 MOST = 1 << 24
 """Gaussians that a float can count."""
@@ -30,10 +32,8 @@ class Sorted:
     order: np.ndarray
 
 
-def sort(contents: Contents, camera: fg.Camera, limit: float) -> Sorted:
-    """The order of a scene's splats for a camera; reads files that are not in memory yet."""
-    from .. import objects
-
+def sort(contents: Contents, camera: fg.Camera, limit: float, atlas: Atlas) -> Sorted:
+    """The order of a scene's splats for a camera; reads files that are not in memory yet, and packs them for the atlas."""
     models = {}
 
     def load(path):
@@ -41,9 +41,11 @@ def sort(contents: Contents, camera: fg.Camera, limit: float) -> Sorted:
         return models[path]
 
     parts, failed = contents.parts(load)
+    atlas.pack({id(model): model for model, _, _ in parts}.values())
     clouds = [Part(model, placement, t, camera.world_to_camera) for model, placement, t in parts]
     total = sum(len(model) for model, _, _ in parts)
-    order = visibility.order(clouds, camera, min(limit, MOST / max(total, 1)), rank)
+    order = visibility.order(clouds, camera, min(limit, MOST / max(total, 1)), rank,
+                             numba=not compiling.is_running())
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
     return Sorted(parts, models, failed, order.astype(np.float32))

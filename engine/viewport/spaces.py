@@ -6,12 +6,11 @@ import bpy
 import gpu
 import numpy as np
 
-from .. import camera as final_camera
-from .. import colour, frame, proxies, world
+from .. import colour, compiling, frame, proxies, world
 from . import shaders
 from .atlas import Atlas
 from .eye import eye, frame_in
-from .picture import SceneDepth
+from .picture import WHOLE, SceneDepth
 from .textures import flat
 from .view import Look, View
 from .worker import Worker
@@ -40,7 +39,7 @@ def post_view() -> None:
         return
     depsgraph = context.evaluated_depsgraph_get()
     xray = space.shading.type == 'SOLID' and space.shading.show_xray
-    look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0)
+    look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
     _draw(context, depsgraph, look, context.region, rendered=False, hidden=not xray)
 
 
@@ -57,7 +56,8 @@ def _draw(context, depsgraph, look, region, rendered, hidden=False):
         if not shown.shown and not rendered:
             return
         _forget_closed()
-        view = _views[region.as_pointer(), rendered] = View(atlas, _worker)
+        compiling.start_on_first_use()
+        view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
     settings, matrices = context.scene.fastgs, context.region_data
     divider = int(settings.viewport_pixels)
     camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider)
@@ -139,25 +139,46 @@ def _visible(obj, space) -> bool:
     return obj.visible_in_viewport_get(space)
 
 
+def _shown_models():
+    return [model for view in _views.values() for model in view.models]
+
+
 def _border(context, depsgraph):
     """The part of the region to render: left, bottom, right, top, 0..1."""
-    space, scene = context.space_data, depsgraph.scene
-    if context.region_data.view_perspective == 'CAMERA' and scene.camera:
-        render = scene.render
-        if not render.use_border:
-            return 0.0, 0.0, 1.0, 1.0
-        camera = scene.camera.evaluated_get(depsgraph)
-        if camera.type != 'CAMERA':
-            return 0.0, 0.0, 1.0, 1.0
-        picture = final_camera.frame_of(render)
-        projection = camera.calc_matrix_camera(depsgraph, x=picture.width, y=picture.height, scale_x=render.pixel_aspect_x,
-                                               scale_y=render.pixel_aspect_y)
-        left, bottom, right, top = frame_in(context.region_data.window_matrix, projection)
+    space, render = context.space_data, depsgraph.scene.render
+    if context.region_data.view_perspective == 'CAMERA':
+        frame_ = _camera_frame(context, depsgraph)
+        if frame_ is None or not render.use_border:
+            return WHOLE
+        left, bottom, right, top = frame_
         return (left + render.border_min_x * (right - left), bottom + render.border_min_y * (top - bottom),
                 left + render.border_max_x * (right - left), bottom + render.border_max_y * (top - bottom))
     if space.use_render_border:
         return space.render_border_min_x, space.render_border_min_y, space.render_border_max_x, space.render_border_max_y
-    return 0.0, 0.0, 1.0, 1.0
+    return WHOLE
+
+
+def _passepartout(context, depsgraph) -> dict:
+    """How Blender darkens what lies outside the camera's picture."""
+    space = context.space_data
+    if context.region_data.view_perspective == 'CAMERA' and space.overlay.show_overlays:
+        frame_ = _camera_frame(context, depsgraph)
+        camera = space.camera if space.use_local_camera else depsgraph.scene.camera
+        if frame_ is not None and camera.data.show_passepartout:
+            return {"frame": frame_, "outside": 1 - camera.data.passepartout_alpha}
+    return {}
+
+
+def _camera_frame(context, depsgraph):
+    """Where the camera's picture lies in a region that looks through it; None where that is no camera."""
+    space, render = context.space_data, depsgraph.scene.render
+    camera = space.camera if space.use_local_camera else depsgraph.scene.camera
+    if camera is None or camera.type != 'CAMERA':
+        return None
+    width, height = render.resolution_x, render.resolution_y
+    projection = camera.evaluated_get(depsgraph).calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
+    return frame_in(context.region_data.window_matrix, projection)
 
 
 def _regions():

@@ -33,17 +33,20 @@ class Look:
     background: tuple | None = None
     border: tuple = (0.0, 0.0, 1.0, 1.0)
     opacity: float = 1.0
+    frame: tuple = (0.0, 0.0, 1.0, 1.0)
+    outside: float = 1.0
 
 
 class View:
     """State of one region.
 
+    others    gives the models that other views show
     trouble   why splats cannot be drawn by the GPU, or are missing: a sentence, or None
     waiting   whether the thread works for it
     """
 
-    def __init__(self, atlas: Atlas, worker: Worker):
-        self.atlas, self.worker = atlas, worker
+    def __init__(self, atlas: Atlas, worker: Worker, others=list):
+        self.atlas, self.worker, self.others = atlas, worker, others
         self.picture, self.fallback = Picture(), fallback.Image()
         self.trouble: str | None = None
         self.waiting = False
@@ -131,7 +134,7 @@ class View:
         if self.fallback.needed:
             work = lambda: fallback.render(contents, camera, look.working, look.background)  # noqa: E731
         else:
-            work = lambda: sorting.sort(contents, camera, density)  # noqa: E731
+            work = lambda: sorting.sort(contents, camera, density, self.atlas)  # noqa: E731
         if wait:
             self.done(work())
         else:
@@ -148,9 +151,9 @@ class View:
             parts = answer.parts  # what came or went since is drawn when it has been sorted
         clouds = [Part(model, placement, t, camera.world_to_camera) for model, placement, t in parts]
         if clouds:
-            self.atlas.hold([part.model for part in clouds])
+            self.atlas.hold([part.model for part in clouds], self.others())
         self.picture.draw(camera, clouds, self.atlas, self._order[1], depth)
-        self.picture.resolve(look.working, look.background, look.border, look.opacity)
+        self.picture.resolve(**vars(look))
 
     def _fall_back(self, why):
         self.trouble = f"{why}: the CPU draws the viewport, slowly."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from gpu_context import draw_offscreen, open_gpu
 
 SIZE = 160, 120
@@ -52,7 +51,7 @@ def moving(fg):
             position=rng.uniform(-1, 1, (n, 3)), rotation=rng.normal(size=(n, 4)), scale=np.log(0.1) + rng.normal(0, 0.7, (n, 3)),
             opacity=rng.normal(1, 2, n), features=features,
             motion=rng.normal(0, 0.2, (n, basis.terms, 3)), rotation_motion=rng.normal(0, 0.3, (n, rotation.terms, 4)),
-            mu_tau=rng.uniform(0, 1, n), temporal=window[:, :temporal.width] if temporal.width == 4 else rng.normal(2, 1, (n, temporal.width)),
+            mu_tau=rng.uniform(0, 1, n), temporal=window if temporal.width == 4 else rng.normal(2, 1, (n, temporal.width)),
             basis=basis, rotation_basis=rotation, temporal_kind=temporal, appearance=appearance)
         return fg.GaussianModel(**(arrays | fields))
 
@@ -136,7 +135,8 @@ def test_objects_that_interpenetrate_are_one_cloud(module, fg, moving, camera, d
     looks = {"rgb": fg.RGB(), "sh": fg.SH(2), "features": decoder(fg, "sigmoid")}
     first, second, *spaces = PAIRS[pair]
     placement = np.array([[0.9, -0.4, 0, 0.2], [0.4, 0.9, 0, 0], [0, 0, 1.3, -0.1], [0, 0, 0, 1]])
-    models = [moving(looks[look], "paper", seed=seed, colour_space=space) for seed, (look, space) in enumerate(zip((first, second), spaces))]
+    models = [moving(looks[look], "paper", seed=seed, colour_space=space)
+              for seed, (look, space) in enumerate(zip((first, second), spaces))]
     parts = [(models[0], np.eye(4), 0.3), (models[1], placement, 0.8), (models[0], placement, 0.6)]
     _, want = agree(module, parts, camera(), drawn)
     alone = expected(module, parts[:1], camera())
@@ -156,6 +156,10 @@ def test_background_border_and_opacity(fg, moving, camera, drawn):
     np.testing.assert_allclose(over[..., :3], plain[..., :3] + (1 - plain[..., 3:]) * np.float32((0.1, 0.2, 0.3)), atol=1e-5)
     assert (over[..., 3] == 1).all()
     np.testing.assert_allclose(drawn(parts, eye, opacity=0.25), 0.25 * plain, atol=1e-5)
+    dark = drawn(parts, eye, frame=(0.0, 0.5, 1.0, 1.0), outside=0.25)
+    np.testing.assert_array_equal(dark[:60], plain[:60])
+    np.testing.assert_array_equal(dark[60:, :, 3], plain[60:, :, 3])
+    assert (dark[60:, :, :3].sum() < 0.25 * plain[60:, :, :3].sum())
     part = drawn(parts, eye, border=(0.25, 0.5, 0.5, 1.0))
     np.testing.assert_array_equal(part[:60, 40:80], plain[:60, 40:80])
     assert plain[60:].any() and not part[60:].any() and not part[:, :40].any() and not part[:, 80:].any()

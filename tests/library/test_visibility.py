@@ -6,13 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+from random_cameras import hostile_scales, random_camera
+from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender import visibility
 from fastgs_blender.kernels import parallel_sort
 from fastgs_blender.scene import Part
-from random_cameras import hostile_scales, random_camera
-from random_models import random_model
 
 
 def numpy_order(parts, camera, monkeypatch, **options):
