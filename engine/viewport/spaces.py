@@ -36,11 +36,20 @@ def post_view() -> None:
     context = bpy.context
     space, scene = context.space_data, context.scene
     if not shows_over(space, scene):
+        _put_aside(context.region, False)
         return
+    _put_aside(context.region, True)
     depsgraph = context.evaluated_depsgraph_get()
     xray = space.shading.type == 'SOLID' and space.shading.show_xray
     look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
     _draw(context, depsgraph, look, context.region, rendered=False, hidden=not xray)
+
+
+def _put_aside(region, rendered):
+    """Free what a region drew in the other of its two ways: it would only take memory."""
+    view = _views.pop((region.as_pointer(), rendered), None)
+    if view is not None:
+        view.free()
 
 
 def shows_over(space, scene) -> bool:
@@ -198,7 +207,9 @@ def _forget_closed():
 def _tick():
     """While something is under way: draw the viewports for which it has arrived."""
     busy = False
-    proxies.hide(any(view.shows for view in _views.values()) and bpy.context.scene.fastgs.show_splats)
+    if bpy.app.is_job_running('RENDER'):
+        return 0.5  # it reads the data that is written below
+    proxies.hide(any(view.shows for view in _views.values()) and all(scene.fastgs.show_splats for scene in bpy.data.scenes))
     for region in _regions():
         for rendered in (False, True):
             view = _views.get((region.as_pointer(), rendered))

@@ -13,6 +13,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.scene import Part
+from .. import objects
 from ..frame import Contents
 from . import fallback, sorting
 from .atlas import Atlas, TooLarge
@@ -107,7 +108,8 @@ class View:
             self._moved = time.monotonic()
         self._seen = seen
         self._density = density if playing or not self.resting else 1.0
-        self._ask(contents, camera, look, (_signature(contents), seen, self._density, self.fallback.needed), wait)
+        key = _signature(contents), seen, self._density, self.fallback.needed, objects.reloads()
+        self._ask(contents, camera, look, key, wait)
         if self.fallback.needed:
             self.fallback.draw(look)
         elif self._answer is not None:

@@ -153,6 +153,15 @@ def test_objects_come_and_go(make_model, model_file, contents, eye, draw, view, 
         assert psnr(got, expected(shown, eye())) > 45 if shown.shown else not got.any()
 
 
+def test_a_reloaded_file_is_drawn_anew(module, make_model, model_file, contents, eye, draw, expected):
+    path = model_file(make_model(50))
+    first = draw(contents(path), eye(), wait=True)
+    model_file(make_model(50, seed=3))
+    module("engine.objects").reload(path)
+    second = draw(contents(path), eye(), wait=True)
+    assert psnr(second, expected(contents(path), eye())) > 45 > psnr(second, first)
+
+
 def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, contents, eye, draw, view, expected):
     path = model_file(make_model(50))
     got = draw(contents(path, "/nowhere/x.ply"), eye(), wait=True)
