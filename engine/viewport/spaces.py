@@ -6,7 +6,7 @@ import bpy
 import gpu
 import numpy as np
 
-from .. import colour, compiling, frame, proxies, world
+from .. import colour, compiling, frame, objects, proxies, world
 from . import shaders
 from .atlas import Atlas
 from .eye import eye, frame_in
@@ -21,6 +21,7 @@ atlas = Atlas()
 _worker = Worker()
 _views: dict[tuple[int, bool], View] = {}
 _contents: dict[tuple, frame.Contents] = {}
+_any_splats: bool | None = None
 
 
 def view_draw(context, depsgraph) -> None:
@@ -92,6 +93,11 @@ def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
 
 def contents(space, depsgraph) -> frame.Contents:
     """What a viewport shows, kept until something changes."""
+    global _any_splats
+    if _any_splats is None:
+        _any_splats = any(objects.is_splat(obj) for obj in bpy.data.objects)
+    if not _any_splats:  # spare scenes without splats the walk over all their instances
+        return frame.Contents([], 0.0, 1.0)
     key = (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
            space.use_local_collections, space.show_object_viewport_mesh)
     found = _contents.get(key)
@@ -102,6 +108,8 @@ def contents(space, depsgraph) -> frame.Contents:
 
 def changed(*_) -> None:
     """Something in the scene is other than it was."""
+    global _any_splats
+    _any_splats = None
     _contents.clear()
 
 
@@ -120,8 +128,8 @@ def clear(*_) -> None:
     for view in _views.values():
         view.free()
     _views.clear()
-    _contents.clear()
     atlas.clear()
+    changed()
 
 
 def stop() -> None:
