@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-
 from gpu_context import draw_offscreen, open_gpu
 
 
@@ -172,7 +171,7 @@ def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, conte
 
 def test_the_cpu_draws_where_shaders_do_not_compile(module, make_model, model_file, contents, eye, draw, view, expected, monkeypatch):
     def broken(*kind):
-        raise Exception("Shader Compile Error")  # what Blender raises
+        raise Exception("Shader Compile Error")  # noqa: TRY002 (what Blender raises)
 
     monkeypatch.setattr(module("engine.viewport.shaders"), "splats", broken)
     path = model_file(make_model(100))
