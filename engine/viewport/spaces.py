@@ -2,6 +2,9 @@
 """The 3D viewports of the open windows: where splats are drawn, and when they are drawn again."""
 from __future__ import annotations
 
+import logging
+from functools import cache
+
 import bpy
 import gpu
 import numpy as np
@@ -9,11 +12,13 @@ import numpy as np
 from .. import colour, compiling, frame, objects, proxies, world
 from . import shaders
 from .atlas import Atlas
-from .eye import eye, frame_in
-from .picture import WHOLE, SceneDepth
+from .eye import WHOLE, eye, frame_in
+from .picture import SceneDepth
 from .textures import flat
 from .view import Look, View
 from .worker import Worker
+
+log = logging.getLogger(__name__)
 
 TICK = 1 / 60
 
@@ -70,7 +75,7 @@ def _draw(context, depsgraph, look, region, rendered, hidden=False):
         view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
     settings, matrices = context.scene.fastgs, context.region_data
     divider = int(settings.viewport_pixels)
-    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider)
+    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider, _picture(context, depsgraph))
     depth = None
     if hidden and shown.shown:
         depth = scene_depth(region.width, region.height, depths)
@@ -86,8 +91,12 @@ def _start():
 
 
 def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
-    """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats."""
-    values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
+    """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats, or it cannot be read."""
+    try:
+        values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
+    except Exception as error:  # a driver's
+        _say_once(f"The viewport's depth cannot be read ({error}): meshes do not hide splats in it.")
+        return None
     return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)
 
 
@@ -149,6 +158,11 @@ def redraw(*_) -> None:
         region.tag_redraw()
 
 
+@cache
+def _say_once(text):
+    log.warning(text)
+
+
 def _visible(obj, space) -> bool:
     obj = obj.original
     if obj.type == 'MESH' and not space.show_object_viewport_mesh:
@@ -158,6 +172,13 @@ def _visible(obj, space) -> bool:
 
 def _shown_models():
     return [model for view in _views.values() for model in view.models]
+
+
+def _picture(context, depsgraph):
+    """What of the region the final render shows: left, bottom, right, top, 0..1."""
+    if context.region_data.view_perspective == 'CAMERA':
+        return _camera_frame(context, depsgraph) or WHOLE
+    return WHOLE
 
 
 def _border(context, depsgraph):
