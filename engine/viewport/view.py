@@ -43,14 +43,12 @@ class View:
 
     others    gives the models that other views show
     trouble   why splats cannot be drawn by the GPU, or are missing: a sentence, or None
-    waiting   whether the thread works for it
     """
 
     def __init__(self, atlas: Atlas, worker: Worker, others=list):
         self.atlas, self.worker, self.others = atlas, worker, others
         self.picture, self.fallback = Picture(), fallback.Image()
         self.trouble: str | None = None
-        self.waiting = False
         self._answer: sorting.Sorted | None = None
         self._order: tuple[sorting.Sorted, Order] | None = None
         self._asked = self._seen = None
@@ -61,6 +59,11 @@ class View:
     def stale(self) -> bool:
         """Whether a newer order, or the CPU's picture, waits to be drawn."""
         return self.fallback.fresh or (self._answer is not None and (self._order is None or self._order[0] is not self._answer))
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the thread works for it."""
+        return self.worker.busy(self)
 
     @property
     def coarse(self) -> bool:
@@ -88,12 +91,10 @@ class View:
             self._answer = answer
         else:
             self.fallback.done(answer)
-        self.waiting = False
 
     def failed(self, error: Exception) -> None:
         """From the thread: it could not be done."""
         self.trouble = f"the viewport could not be drawn ({type(error).__name__}: {error}); the log holds the details."
-        self.waiting = False
 
     def draw(self, contents: Contents, camera: fg.Camera, look: Look, density: float = 1.0, playing: bool = False,
              depth: SceneDepth | None = None, wait: bool = False) -> None:
@@ -140,7 +141,6 @@ class View:
         if wait:
             self.done(work())
         else:
-            self.waiting = True
             self.worker.ask(self, work)
 
     def _draw(self, contents, camera, look, depth):

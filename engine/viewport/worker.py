@@ -14,8 +14,8 @@ class Worker:
     def __init__(self):
         self._ready = threading.Condition()
         self._pending: dict = {}
+        self._current = None
         self._thread: threading.Thread | None = None
-        self._stopping = False
 
     def ask(self, owner, work) -> None:
         """Let owner.done(work()) happen on the thread, unless the owner asks for something else before."""
@@ -23,10 +23,14 @@ class Worker:
             self._pending.pop(owner, None)
             self._pending[owner] = work
             if self._thread is None:
-                self._stopping = False
                 self._thread = threading.Thread(target=self._run, name="fastgs-viewport", daemon=True)
                 self._thread.start()
             self._ready.notify()
+
+    def busy(self, owner) -> bool:
+        """Whether anything that an owner asked for is still to be done."""
+        with self._ready:
+            return owner in self._pending or self._current is owner
 
     def forget(self, owner) -> None:
         """Drop what an owner asked for."""
@@ -36,24 +40,27 @@ class Worker:
     def stop(self) -> None:
         """End the thread, and wait for it."""
         with self._ready:
-            self._stopping = True
             self._pending.clear()
-            thread, self._thread = self._thread, None
+            thread, self._thread, self._current = self._thread, None, None
             self._ready.notify_all()
         if thread is not None:
-            thread.join()
+            thread.join(10)  # it may compile; whatever it then says, nobody listens
 
     def _run(self):
+        own = threading.current_thread()
         while True:
             with self._ready:
-                while not self._pending and not self._stopping:
+                while not self._pending and self._thread is own:
                     self._ready.wait()
-                if self._stopping:
+                if self._thread is not own:
                     return
-                owner = next(iter(self._pending))
+                owner = self._current = next(iter(self._pending))
                 work = self._pending.pop(owner)
             try:
                 owner.done(work())
             except Exception as error:  # a viewport must survive whatever a file holds
                 log.exception("the viewport's thread")
                 owner.failed(error)
+            with self._ready:
+                if self._thread is own:
+                    self._current = None

@@ -226,10 +226,14 @@ def test_the_latest_wish_wins(worker):
     worker.ask(owner, lambda: "second")
     worker.ask(owner, lambda: "third")
     worker.ask(other, lambda: 1 / 0)
+    assert worker.busy(owner) and worker.busy(other)
     gate.set()
     end = time.monotonic() + 10
     while not (other.errors and len(owner.answers) == 2) and time.monotonic() < end:
         time.sleep(0.005)
+    while worker.busy(other) and time.monotonic() < end:
+        time.sleep(0.005)
+    assert not worker.busy(owner) and not worker.busy(other)
     assert owner.answers == ["first", "third"] and isinstance(other.errors[0], ZeroDivisionError)
     worker.stop()
     worker.ask(owner, lambda: "after a stop")
