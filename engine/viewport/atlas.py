@@ -25,13 +25,15 @@ class Place:
 
 
 class Atlas:
-    """The textures of a set of models; made anew where a model is missing, because textures cannot be written in part."""
+    """The textures of a set of models, of which each has its version; made anew where a model is missing, because textures cannot be written in part."""
 
     def __init__(self):
+        self.version = 0
         self.clear()
 
     def clear(self):
         """Free the textures."""
+        self.version += 1
         self.models: list[GaussianModel] = []
         self.geometry = self.colour = None
         self._places: dict[int, Place] = {}

@@ -88,7 +88,7 @@ class Picture:
         groups, member = grouped(parts)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]
         table = parameters.table(camera, parts, atlas, order.count, member, depth and depth.depths, shape)
-        same = (order, atlas.geometry, table.tobytes())
+        same = (order, atlas.version, table.tobytes())
         if depth is None and same == self._drawn:
             return
         self._drawn = None

@@ -254,6 +254,18 @@ def test_models_that_nobody_shows_leave_the_gpu(module, fg, make_model, scene):
     assert atlas.nbytes == 0 and not atlas.has([one]) and atlas.geometry is None
 
 
+def test_replaced_textures_are_freed(module, make_model, model_file, contents, eye, draw, view):
+    """Not even the picture that was drawn from them holds them."""
+    import gc
+    import sys
+
+    draw(contents(model_file(make_model(50))), eye(), wait=True)
+    texture = view.atlas.geometry
+    view.atlas.hold([make_model(20)])
+    gc.collect()
+    assert sys.getrefcount(texture) == 2
+
+
 def test_a_model_too_large_for_textures_is_refused(module, fg, make_model, scene, monkeypatch):
     atlas = module("engine.viewport.atlas")
     monkeypatch.setattr(atlas, "ROWS", 0)
