@@ -61,6 +61,17 @@ def add(engine, layer):
             engine.add_pass(p.name, len(p.letters), p.letters, layer=layer.name)
 
 
+def switched(group, context):
+    """Update of a property on ViewLayer.fastgs: the compositor's sockets follow.
+
+    It stands here because Blender 4.2 never lets go of such a function: one whose module holds bpy keeps the bpy wheel from
+    closing down, which then crashes at exit.
+    """
+    # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one
+    for layer in group.id_data.view_layers:
+        layer.update_render_passes()
+
+
 def wants_depth(layer) -> bool:
     """Whether the depth has to be computed."""
     return layer.use_pass_z

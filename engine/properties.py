@@ -3,6 +3,8 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from . import passes
+
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
 _OWN = {'LIBRARY_OVERRIDABLE'}
 
@@ -73,18 +75,12 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         ), default='1', update=_redraw)
 
 
-def _update_passes(self, context):
-    # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one
-    for layer in self.id_data.view_layers:
-        layer.update_render_passes()
-
-
 class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
     """Passes of one view layer that Blender has no switch for."""
 
     use_pass_alpha: BoolProperty(
         name="Splat Alpha", description="Deliver the opacity of the splats, which the world does not fill up", default=False,
-        update=_update_passes)
+        update=passes.switched)
 
 
 CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer)

@@ -118,6 +118,7 @@ def render_film(bpy, scene, out, size):
     bpy.app.handlers.render_post.append(progress(scene))
     with quiet():
         bpy.ops.render.render(animation=True)
+    sys.stderr.write("\n")
     return path
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine adds to Blender: itself, properties, and its place in Blender's own panels."""
+import subprocess
+import sys
+
 import bpy
 import pytest
 
@@ -38,3 +41,9 @@ def test_times_settings_can_be_keyframed(scene, splat_object):
 ])
 def test_blenders_panels(scene, panel, shown):
     assert ('FASTGS' in getattr(bpy.types, panel).COMPAT_ENGINES) == shown
+
+
+def test_a_script_with_the_engine_ends_in_peace(addon):
+    """Nothing is unregistered by hand: in some versions of the bpy module a registered engine crashes or hangs the exit."""
+    code = f"import bpy, addon_utils; assert addon_utils.enable({addon.__name__!r}); bpy.context.scene.render.engine = 'FASTGS'"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True)
