@@ -110,7 +110,8 @@ class View:
         self._seen = seen
         self._density = density if playing or not self.resting else 1.0
         key = _signature(contents), seen, self._density, self.fallback.needed, objects.reloads()
-        self._ask(contents, camera, look, key, wait)
+        if wait:
+            self._ask(contents, camera, look, key, wait)
         if self.fallback.needed:
             self.fallback.draw(look)
         elif self._answer is not None:
@@ -121,6 +122,8 @@ class View:
             except Exception as error:  # what a driver says about a shader comes as a bare Exception
                 log.exception("the viewport's GPU path")
                 self._fall_back(f"the GPU path is not available ({type(error).__name__})")
+        if not wait:  # only now, so that the thread does not take Python's lock from what is drawn
+            self._ask(contents, camera, look, key, wait)
 
     def free(self) -> None:
         """Free what is on the GPU."""
