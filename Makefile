@@ -56,6 +56,7 @@ test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
 
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
+	@$(PY) benchmarks/viewport.py
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py
