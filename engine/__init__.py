@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's side of rendering: the render engine, the objects that it shows and their properties."""
-from . import handlers, panels, properties, render_engine
+from . import compiling, handlers, panels, properties, render_engine, settings
 
-_MODULES = (properties, render_engine, panels, handlers)
+_MODULES = (settings, properties, render_engine, panels, handlers, compiling)
 
 
 def register():

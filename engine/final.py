@@ -2,26 +2,27 @@
 """A final frame: F12, animations and the command line."""
 from __future__ import annotations
 
+from concurrent.futures import CancelledError
 from dataclasses import replace
 
 import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.kernels.threads import set_threads
-from . import camera, colour, frame, notices, objects, passes, worker, world
+from . import camera, colour, frame, notices, objects, passes, settings, worker, world
 
 
 def render(engine, depsgraph):
     """Render one view layer; whatever goes wrong ends as one sentence in a report, never as a silent black frame."""
     try:
         _render_layer(engine, depsgraph)
-    except worker.Cancelled:
+    except CancelledError:
         pass
     except fg.FastGSError as error:
         notices.fail(engine, str(error))
     except MemoryError:
         notices.fail(engine, "there is not enough memory for this frame; lower the resolution or show fewer objects.")
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 the boundary: Blender would call what passes it a finished render
         notices.log.exception("unexpected error on frame %s", depsgraph.scene.frame_current)
         notices.fail(engine, f"FAST-GS could not render frame {depsgraph.scene.frame_current} ({type(error).__name__}: {error}); "
                              "the log holds the details.")
@@ -29,7 +30,7 @@ def render(engine, depsgraph):
 
 def _render_layer(engine, depsgraph):
     scene, layer = depsgraph.scene, depsgraph.view_layer
-    set_threads(scene.render.threads if scene.render.threads_mode == 'FIXED' else 0)
+    set_threads(scene.render.threads if scene.render.threads_mode == 'FIXED' else settings.threads)
     picture = camera.frame_of(scene.render)
     shown = frame.contents(depsgraph)
     background, remark = world.background(scene, layer)
@@ -46,7 +47,7 @@ def _render_layer(engine, depsgraph):
     if passes.wants_depth(layer):
         depth = "median_depth" if scene.fastgs.depth == 'MEDIAN' else "depth"
     passes.add(engine, layer)
-    views = [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]
+    views = _views(scene.render)
     for index, view in enumerate(views):
         eye = _camera(engine, depsgraph, picture, view)
         status(f"Rendering {view}".strip())
@@ -92,6 +93,14 @@ def _painted(parts, space: str, value: float):
         return replace(model, appearance=fg.RGB(), features=np.full((len(model), 3), value, np.float32))
 
     return [(paint(model), placement, t) for model, placement, t in parts]
+
+
+def _views(render) -> list[str]:
+    """The names of the pictures that a frame consists of: those of the eyes, or one without a name."""
+    if not render.use_multiview:
+        return [""]
+    stereo = render.views_format == 'STEREO_3D'
+    return [view.name for view in render.views if view.use and (not stereo or view.name in ("left", "right"))]
 
 
 def _camera(engine, depsgraph, picture, view):

@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from . import notices, objects, paths
+from . import compiling, notices, objects, paths
 
 
 @persistent
@@ -16,9 +16,16 @@ def _forget_models(*_):
     objects.clear()
 
 
+@persistent
+def _compile_for_splats(*_):
+    if any(objects.is_splat(obj) for obj in bpy.data.objects):
+        compiling.start_on_first_use()
+
+
 HANDLERS = (
     (bpy.app.handlers.render_init, _begin_job),
     (bpy.app.handlers.load_pre, _forget_models),
+    (bpy.app.handlers.load_post, _compile_for_splats),
     (bpy.app.handlers.save_pre, paths.before_save),
     (bpy.app.handlers.save_post, paths.after_save),
     (bpy.app.handlers.save_post_fail, paths.after_save),

@@ -10,6 +10,9 @@ import numpy as np
 FAR = 1e10
 """Depth where there is nothing, as Cycles and EEVEE write it."""
 
+ALPHA = "Splat Alpha"
+"""Not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
@@ -40,7 +43,7 @@ class Pass:
 PASSES = (
     Pass("Combined", "RGBA", 'COLOR', lambda layer: layer.use_pass_combined, True, lambda p: p.combined),
     Pass("Depth", "Z", 'VALUE', lambda layer: layer.use_pass_z, True, lambda p: np.where(np.isfinite(p.depth), p.depth, FAR)),
-    Pass("Alpha", "A", 'VALUE', lambda layer: layer.fastgs.use_pass_alpha, False, lambda p: p.alpha),
+    Pass(ALPHA, "A", 'VALUE', lambda layer: layer.fastgs.use_pass_alpha, False, lambda p: p.alpha),
 )
 
 

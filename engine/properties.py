@@ -64,7 +64,7 @@ class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
     """Passes of one view layer that Blender has no switch for."""
 
     use_pass_alpha: BoolProperty(
-        name="Alpha", description="Deliver the opacity of the splats, without the world", default=False,
+        name="Splat Alpha", description="Deliver the opacity of the splats, which the world does not fill up", default=False,
         update=_update_passes)
 
 

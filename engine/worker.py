@@ -3,46 +3,37 @@
 from __future__ import annotations
 
 import threading
-
-
-class Cancelled(Exception):
-    """The user stopped the render."""
+from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
 
 
 def run(work, stopped, report, interval: float = 0.1):
     """work(progress) in a thread of its own, watched from this one.
 
-    work      gets a function progress(fraction), which raises Cancelled after a stop; it must not touch Blender's data
-    stopped   asked every `interval` seconds; True ends the call with Cancelled, even while work reads a file or compiles;
-              work then ends by itself at its next progress()
+    work      gets a function progress(fraction), which raises CancelledError after a stop; it must not touch Blender's data
+    stopped   asked every `interval` seconds; True ends the call with CancelledError, even while work reads a file or
+              compiles; work then ends by itself at its next progress()
     report    called with the last fraction when it has changed
     Returns what work returns and raises what it raises.
     """
-    state = {"fraction": 0.0}
+    latest, told = 0.0, None
     cancel = threading.Event()
 
     def progress(fraction):
+        nonlocal latest
         if cancel.is_set():
-            raise Cancelled
-        state["fraction"] = fraction
+            raise CancelledError
+        latest = fraction
 
-    def body():
-        try:
-            state["result"] = work(progress)
-        except BaseException as error:
-            state["error"] = error
-
-    thread = threading.Thread(target=body, name="fastgs-render")
-    thread.start()
-    told = None
-    while thread.is_alive():
-        thread.join(interval)
-        if stopped():
-            cancel.set()
-            raise Cancelled
-        if state["fraction"] != told:
-            told = state["fraction"]
-            report(told)
-    if "error" in state:
-        raise state["error"]
-    return state["result"]
+    executor = ThreadPoolExecutor(1, thread_name_prefix="fastgs-render")
+    try:
+        future = executor.submit(work, progress)
+        while not wait([future], interval).done:
+            if stopped():
+                cancel.set()
+                raise CancelledError
+            if latest != told:
+                told = latest
+                report(told)
+        return future.result()
+    finally:
+        executor.shutdown(wait=False)

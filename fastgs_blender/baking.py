@@ -18,13 +18,8 @@ from .motion import Basis, Static
 from .sampling import SurfaceSamples
 from .trajectories import MovingSurface, fit_paths, fit_turning
 
-WIDTH = 0.8
-"""Standard deviation in the surface by the distance of neighbours.  Less leaves the gaps of an even sampling open (an opaque
-sheet has at least 94 % alpha everywhere at 0.8, 84 % at 0.7); more blurs texture and outline."""
 THICKNESS = 0.1
 """Standard deviation across the surface by the smaller one within it."""
-NARROWEST, WIDEST = 0.3, 3.0
-"""A Gaussian's width by the usual one, however the surface is stretched."""
 GREY = (0.906, 0.906, 0.906)
 """sRGB of Blender's default, linear 0.8."""
 OPAQUE = 0.99
@@ -87,8 +82,9 @@ class BakeReport:
 
 def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: np.ndarray | None = None,
          frame_count: int | None = None, fps: float = 24.0, start_frame: int = 0, count: int = 100_000, tolerance: float = 0.005,
-         max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None, samples: SurfaceSamples | None = None,
-         provenance: dict[str, str] | None = None, progress: Callable[[float], None] | None = None) -> tuple[GaussianModel, BakeReport]:
+         max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None, patch: np.ndarray | None = None,
+         samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
+         progress: Callable[[float], None] | None = None) -> tuple[GaussianModel, BakeReport]:
     """4D Gaussians on an animated triangle mesh.
 
     positions    [S, V, 3]  the vertices in world space at S times
@@ -106,6 +102,8 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     basis        "auto", "cosine", "fourier" (with a linear term), "paper" (Fourier of period 1), "keyframes"
     part         [T] a number for the object that each triangle belongs to, where several are baked together: each is held to
                  the tolerance of its own size
+    patch        [T] a number for the area of one colour that each triangle belongs to: Gaussians keep to their side of its border,
+                 as they do at sharp edges
     samples      where on the surface, if that is known already: surface_samples(positions, triangles, count)
     provenance   further facts to record in the model
     progress     called with 0..1 between pieces of work; what it raises cancels the bake and passes through
@@ -114,7 +112,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     (UserWarning) where the tolerance is not reached.
     """
     progress = progress or (lambda fraction: None)
-    surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part)
+    surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
     if not tolerance > 0:
         raise FastGSError(f"the tolerance must be positive, not {tolerance}.")
     samples = _spread(surface, count) if samples is None else samples
@@ -129,13 +127,12 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     t = frames / frame_count
     paths = fit_paths(surface, samples, t, basis, tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
     turning = fit_turning(surface, samples, t, not isinstance(paths.basis, Static), max_order, lambda x: progress(0.65 + 0.35 * x))
-    width = WIDTH * samples.spacing * np.clip(turning.spread, NARROWEST, WIDEST)
-    sigma = np.c_[width, THICKNESS * width.min(1)]
+    sigma = np.c_[turning.width, THICKNESS * turning.width.min(1)]
     alpha = OPAQUE * np.clip(rgba[:, 3], 0, 1)
     model = GaussianModel(
         position=paths.constant, motion=paths.coefficients, basis=paths.basis,
-        rotation=turning.constant[turning.triangle], rotation_motion=turning.coefficients[turning.triangle],
-        rotation_basis=turning.basis, scale=np.log(sigma)[turning.triangle], opacity=np.log(alpha / (1 - alpha)),
+        rotation=turning.constant[turning.row], rotation_motion=turning.coefficients[turning.row],
+        rotation_basis=turning.basis, scale=np.log(sigma)[turning.row], opacity=np.log(alpha / (1 - alpha)),
         features=rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
         provenance={"source": "baked mesh", **(provenance or {})},
     )
@@ -150,7 +147,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
 
 def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 100_000) -> SurfaceSamples:
     """The places on an animated surface (as for bake()) that get a Gaussian: evenly spread, dense enough where it is stretched."""
-    return _spread(_checked(positions, triangles, None, None, None)[0], count)
+    return _spread(_checked(positions, triangles)[0], count)
 
 
 def _spread(surface, count):
@@ -159,7 +156,7 @@ def _spread(surface, count):
     return surface.spread(count)
 
 
-def _checked(positions, triangles, frames, frame_count, part):
+def _checked(positions, triangles, frames=None, frame_count=None, part=None, patch=None):
     """The surface, its frame numbers [S] and the clip's length; FastGSError where they do not fit together."""
     positions, triangles = np.asarray(positions, np.float32), np.asarray(triangles)
     if positions.ndim != 3 or positions.shape[2] != 3 or not len(positions):
@@ -177,13 +174,18 @@ def _checked(positions, triangles, frames, frame_count, part):
         raise FastGSError("frames must be increasing numbers, one for each time at which positions are given.")
     if frame_count is None:
         frame_count = max(int(np.floor(frames[-1])), 0) + 1
-    parts = np.zeros(len(triangles), np.int64) if part is None else np.unique(np.asarray(part), return_inverse=True)[1]
-    if parts.shape != (len(triangles),):
-        raise FastGSError(f"part must give one number for each of the {len(triangles)} triangles.")
-    surface = MovingSurface(positions, triangles.astype(np.int64), parts)
+    surface = MovingSurface(positions, triangles.astype(np.int64), _numbers("part", part, triangles), _numbers("patch", patch, triangles))
     if not surface.areas.any():
         raise FastGSError("the faces have no area in any frame: there is no surface to bake.")
     return surface, frames, frame_count
+
+
+def _numbers(name, values, triangles):
+    if values is None:
+        return np.zeros(len(triangles), np.int64)
+    if np.shape(values) != (len(triangles),):
+        raise FastGSError(f"{name} must give one number for each of the {len(triangles)} triangles.")
+    return np.unique(np.asarray(values), return_inverse=True)[1]
 
 
 def _colours(colours, samples: SurfaceSamples, triangle_count: int) -> np.ndarray:

@@ -101,23 +101,33 @@ def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
 
 
 def neighbours(position, normal, stretch, radius):
-    """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1."""
-    cell = np.floor((position - position.min(0)) / radius).astype(np.int64) + 1
-    size = cell.max(0) + 2
-    key = cell @ np.array([1, size[0], size[0] * size[1]])
-    order = np.argsort(key, kind="stable")
-    sorted_key, found = key[order], []
-    place = np.arange(len(order))
-    for dx, dy, dz in itertools.product((-1, 0, 1), repeat=3):
-        offset = dx + size[0] * (dy + size[1] * dz)
-        if offset < 0:
-            continue  # that pair is found from the other side
-        first = place + 1 if offset == 0 else np.searchsorted(sorted_key, sorted_key + offset, "left")
-        number = np.searchsorted(sorted_key, sorted_key + offset, "right") - first
-        i = np.repeat(place, number)
-        j = np.arange(len(i)) - np.repeat(np.cumsum(number) - number - first, number)
-        i, j = order[i], order[j]
-        distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
-        near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
-        found.append((i[near], j[near], (1 - distance[near] / radius) ** 8))
+    """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1.
+
+    position, normal [M, 3]; stretch [M], by which distances count more.
+    """
+    i, j = near_pairs(position, position, radius)
+    once = i < j
+    i, j = i[once], j[once]
+    distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
+    near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
+    return i[near], j[near], (1 - distance[near] / radius) ** 8
+
+
+def near_pairs(a: np.ndarray, b: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """All i, j for which a[i] and b[j] ([M, 3], [L, 3]) are nearer than radius."""
+    low = np.minimum(a.min(0), b.min(0))
+    cell_a, cell_b = (np.floor((x - low) / radius).astype(np.int64) + 1 for x in (a, b))
+    size = np.maximum(cell_a.max(0), cell_b.max(0)) + 2
+    step = np.array([1, size[0], size[0] * size[1]])
+    key_a, key_b = cell_a @ step, cell_b @ step
+    order = np.argsort(key_b, kind="stable")
+    sorted_b, found = key_b[order], []
+    for offset in itertools.product((-1, 0, 1), repeat=3):
+        first = np.searchsorted(sorted_b, key_a + offset @ step, "left")
+        number = np.searchsorted(sorted_b, key_a + offset @ step, "right") - first
+        i = np.repeat(np.arange(len(a)), number)
+        j = order[np.arange(len(i)) - np.repeat(np.cumsum(number) - number - first, number)]
+        difference = a[i] - b[j]
+        near = np.einsum("nd,nd->n", difference, difference) < radius * radius
+        found.append((i[near], j[near]))
     return tuple(np.concatenate(x) for x in zip(*found, strict=True))

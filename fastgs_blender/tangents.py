@@ -13,8 +13,8 @@ from .sampling import triangle_normals
 class Tangents:
     """U triangles at S times.
 
-    rotation [S, U, 4]  unit quaternions w x y z of the frame whose x follows a fixed direction of the material (that in which
-                        it is stretched most) and whose z is the normal; without jumps of sign in time
+    rotation [S, U, 4]  unit quaternions w x y z of the frame whose x follows a fixed direction of the material and whose z is
+                        the normal; without jumps of sign in time
     stretch  [U, 2]     by how much the material is stretched at most along the frame's x and y, 1 in the pose of reference
     """
 
@@ -22,16 +22,23 @@ class Tangents:
     stretch: np.ndarray
 
 
-def tangents(corners: np.ndarray, pose: int) -> Tangents:
+def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) -> Tangents:
     """Frames of triangles with corners [S, U, 3 corners, 3]; `pose` is the index of the time of reference.
 
+    along [U, 3]: the direction in that pose which x shall follow; where it is 0, that in which the material is stretched most.
     Where a triangle has no area it keeps the frame that it has at the nearest other time before, else after.
     """
     corners = np.asarray(corners, np.float64)
     edges = corners[:, :, 1:] - corners[:, :, :1]
     normal = triangle_normals(corners)
     double_area = np.linalg.norm(normal, axis=-1)
-    direction, flat = _most_stretched(edges, pose)
+    plane, inverse, flat = _plane(edges[pose])
+    turned = _most_stretched(edges, inverse)
+    if along is not None:
+        wanted = np.einsum("uad,ud->ua", plane, along)
+        length = np.linalg.norm(wanted, axis=1, keepdims=True)
+        turned = np.where(length > 0, wanted / np.where(length > 0, length, 1), turned)
+    direction = np.where(flat[:, None], [1.0, 0.0], np.einsum("ukm,um->uk", inverse, turned))
     x = np.einsum("uk,sukd->sud", direction, edges)
     length = np.linalg.norm(x, axis=-1)
     valid = (double_area > 1e-12 * double_area.max(initial=0.0)) & (length > 0)
@@ -44,28 +51,32 @@ def tangents(corners: np.ndarray, pose: int) -> Tangents:
     return Tangents(_continuous(q), np.where(flat[:, None], 1.0, stretch))
 
 
-def _most_stretched(edges, pose):
-    """The unit direction, as [U, 2] factors of the two edges, that is stretched most, and which triangles are flat in the pose."""
-    a, b = edges[pose, :, 0], edges[pose, :, 1]
+def _plane(edges):
+    """Of triangles with edges [U, 2, 3]: axes [U, 2, 3] of their planes, the matrix [U, 2, 2] from coordinates along these to
+    factors of the two edges, and which triangles have no area."""
+    a, b = edges[:, 0], edges[:, 1]
     length = np.linalg.norm(a, axis=-1)
-    along = a / np.where(length > 0, length, 1)[:, None]
-    bx = np.einsum("ud,ud->u", b, along)
-    by = np.linalg.norm(b - bx[:, None] * along, axis=-1)
+    x = a / np.where(length > 0, length, 1)[:, None]
+    bx = np.einsum("ud,ud->u", b, x)
+    rest = b - bx[:, None] * x
+    by = np.linalg.norm(rest, axis=-1)
     flat = (length <= 0) | (by <= 1e-9 * length)
-    # The inverse of [[length, bx], [0, by]], which takes plane coordinates of the pose to factors of the edges.
-    inverse = np.zeros((len(a), 2, 2))
+    inverse = np.zeros((len(a), 2, 2))  # of [[length, bx], [0, by]]
     inverse[:, 0, 0] = 1 / np.where(flat, 1, length)
     inverse[:, 1, 1] = 1 / np.where(flat, 1, by)
     inverse[:, 0, 1] = -bx * inverse[:, 0, 0] * inverse[:, 1, 1]
+    return np.stack([x, rest / np.where(flat, 1, by)[:, None]], 1), inverse, flat
+
+
+def _most_stretched(edges, inverse):
+    """The unit direction [U, 2] in the plane of reference that is stretched most at any time."""
     deformed = np.einsum("ukm,sukd->sumd", inverse, edges)
     c = np.einsum("sumd,sund->sumn", deformed, deformed)  # right Cauchy-Green tensor
     half, difference = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
-    largest = half + np.hypot(difference, c[..., 0, 1])
-    when = largest.argmax(0)
-    u = np.arange(len(a))
+    when = (half + np.hypot(difference, c[..., 0, 1])).argmax(0)
+    u = np.arange(len(inverse))
     angle = 0.5 * np.arctan2(c[when, u, 0, 1], difference[when, u])
-    factors = np.einsum("ukm,um->uk", inverse, np.stack([np.cos(angle), np.sin(angle)], -1))
-    return np.where(flat[:, None], [1.0, 0.0], factors), flat
+    return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def quaternions(axes: np.ndarray) -> np.ndarray:

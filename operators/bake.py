@@ -35,6 +35,7 @@ class Settings:
     samples_per_frame: int = 2
     lighting: str = 'NONE'
     light_samples: int = 64
+    light_frames: int = 8
 
 
 def frame_times(first: int, last: int, per_frame: int) -> list[float]:
@@ -64,19 +65,27 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
         samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, 0.4, 0.5)
         colours, notes = sample_colours(recorder.pieces, samples)
         if settings.lighting == 'CYCLES':
-            yield 0.5
-            go_to(scene, times[0])
-            colours = baked_light.apply(context, recorder, colours, samples, settings.light_samples)
+            colours = yield from _scaled(
+                baked_light.apply(context, recorder, times, colours, samples, settings.light_samples, settings.light_frames), 0.5, 0.6)
     render = scene.render
     model, report = yield from _run(
         lambda progress: bake(
             positions, triangles, lambda triangle, weights: colours, frames=np.array(times) - settings.frame_start,
             frame_count=settings.frame_end - settings.frame_start + 1, fps=render.fps / render.fps_base,
             start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
-            basis=settings.basis, part=recorder.parts(), samples=samples, progress=progress,
+            basis=settings.basis, part=recorder.parts(), patch=recorder.patches(), samples=samples, progress=progress,
             provenance={"objects": ", ".join(obj.name for obj in objects)[:1000]}),
         in_background, 0.6, 1.0)
     return model, report, notes
+
+
+def _scaled(steps, begin, end):
+    """The steps of a part of the work, as shares of the whole; returns its result."""
+    while True:
+        try:
+            yield begin + (end - begin) * next(steps)
+        except StopIteration as stop:
+            return stop.value
 
 
 def _run(work, in_background, begin, end):
@@ -152,11 +161,14 @@ class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
         description="Light to paint onto the Gaussians",
         items=(
             ('NONE', "None", "The plain colours of the materials", 0),
-            ('CYCLES', "Cycles", "The scene's light and shadows as they fall on the first frame, seen by Cycles as diffuse light", 1),
+            ('CYCLES', "Cycles", "The scene's diffuse light and shadows, the mean over the clip, computed by Cycles", 1),
         ),
         default='NONE')
     light_samples: IntProperty(
         name="Light Samples", description="Cycles samples per Gaussian for baked lighting", default=64, min=1, soft_max=4096)
+    light_frames: IntProperty(
+        name="Light Frames", description="On how many frames of the clip the light is looked at; they share the samples",
+        default=8, min=1, soft_max=64)
     import_result: BoolProperty(
         name="Import", description="Add the baked model to the scene", default=True)
     overwrite: BoolProperty(
@@ -196,7 +208,9 @@ class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
         col.prop(self, "max_order")
         layout.prop(self, "lighting")
         if self.lighting == 'CYCLES':
-            layout.prop(self, "light_samples")
+            col = layout.column(align=True)
+            col.prop(self, "light_samples")
+            col.prop(self, "light_frames")
         layout.prop(self, "import_result")
 
     def execute(self, context):
@@ -208,7 +222,7 @@ class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
             return self._fail(error)
         objects = [obj for obj in context.selected_objects if bakeable(obj)]
         settings = Settings(self.frame_start, self.frame_end, self.count, self.tolerance / 100, self.max_order, self.basis.lower(),
-                            self.samples_per_frame, self.lighting, self.light_samples)
+                            self.samples_per_frame, self.lighting, self.light_samples, self.light_frames)
         self._began = time.monotonic()
         self._steps = bake_steps(context, objects, settings, interactive)
         context.window_manager.progress_begin(0, 100)

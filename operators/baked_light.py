@@ -15,8 +15,8 @@ import numpy as np
 from ..engine.objects import is_splat
 from ..fastgs_blender.colour import linear_to_srgb, srgb_to_linear
 from ..fastgs_blender.errors import FastGSError
-from ..fastgs_blender.sampling import SurfaceSamples, neighbours
-from .surface import Recorder
+from ..fastgs_blender.sampling import SurfaceSamples, neighbours, triangle_normals
+from .surface import Recorder, go_to
 
 NAME = "FAST-GS light"
 LIFT = 0.05
@@ -25,21 +25,48 @@ REACH = 2.5
 """Radius within which light is averaged, by the distance of neighbours: it takes away Cycles' noise."""
 
 
-def apply(context, recorder: Recorder, colours: np.ndarray, samples: SurfaceSamples, light_samples: int) -> np.ndarray:
-    """Colours [N, 4] (sRGB and opacity) under the light of the scene as it stands at this moment.
+def apply(context, recorder: Recorder, times: list[float], colours: np.ndarray, samples: SurfaceSamples, light_samples: int,
+          light_frames: int):
+    """A generator that yields the share done and returns colours [N, 4] (sRGB and opacity) under the scene's light.
 
-    Of a surface with a border both sides are measured and the lighter one counts.  Raises FastGSError where Cycles is absent.
+    A colour cannot change in time, so that it gets the mean light of `light_frames` of the recorded times, which share the
+    samples.  Of a surface with a border both sides are measured and the lighter one counts.  Raises FastGSError where Cycles
+    is absent.
     """
-    corners = recorder.positions[0].astype(np.float64)[recorder.triangles()[samples.triangle]]
-    points = np.einsum("nkd,nk->nd", corners, samples.weights)
-    normals = recorder.normals(samples)
+    triangles = recorder.triangles()[samples.triangle]
+    local = _to_local(_corners(recorder, 0, triangles), recorder.normals(samples))
     both = np.flatnonzero(recorder.open()[samples.triangle])
-    seen = _measure(context, np.r_[points, points[both]], np.r_[normals, -normals[both]], samples.spacing, light_samples)
-    light = _smooth(seen[:len(points)], points, normals, samples.spacing)
-    if len(both):
-        light[both] = np.maximum(light[both], _smooth(seen[len(points):], points[both], normals[both], samples.spacing))
-    lit = linear_to_srgb(np.clip(srgb_to_linear(colours[:, :3]) * light, 0, 1))
-    return np.c_[lit, colours[:, 3]]
+    chosen = np.unique(np.linspace(0, len(times) - 1, light_frames + 2).round()[1:-1].astype(int))
+    light = np.zeros((len(samples), 3))
+    for number, index in enumerate(chosen):
+        yield number / len(chosen)
+        go_to(context.scene, times[index])
+        corners = _corners(recorder, index, triangles)
+        points = np.einsum("nkd,nk->nd", corners, samples.weights)
+        normals = np.einsum("nak,na->nk", _frames(corners), local)
+        seen = _measure(context, np.r_[points, points[both]], np.r_[normals, -normals[both]], samples.spacing,
+                        light_samples / len(chosen))
+        seen[both] = np.maximum(seen[both], seen[len(points):])
+        light += seen[:len(points)] / len(chosen)
+    light = _smooth(light, points, normals, samples.spacing)
+    return np.c_[linear_to_srgb(np.clip(srgb_to_linear(colours[:, :3]) * light, 0, 1)), colours[:, 3]]
+
+
+def _corners(recorder, index, triangles):
+    return recorder.positions[index][triangles].astype(np.float64)
+
+
+def _frames(corners) -> np.ndarray:
+    """Axes [N, 3, 3] of triangles: along an edge, across it, the normal."""
+    z = triangle_normals(corners)
+    x = corners[:, 1] - corners[:, 0]
+    x, z = (v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-30) for v in (x, z))
+    return np.stack([x, np.cross(z, x), z], 1)
+
+
+def _to_local(corners, normals) -> np.ndarray:
+    """Shading normals in the axes of their triangles, in which they stay while these move."""
+    return np.einsum("nak,nk->na", _frames(corners), normals)
 
 
 def _smooth(light, points, normals, spacing):
@@ -105,13 +132,13 @@ def _furnish(scene, original, light_samples):
     try:
         scene.render.engine = 'CYCLES'
     except TypeError as error:
-        raise FastGSError("the light cannot be baked because Cycles is not enabled; enable its add-on, or bake without lighting.") from error
+        raise FastGSError("the light cannot be baked: Cycles is not enabled; enable its add-on, or bake without lighting.") from error
     for obj in original.objects:
         if not is_splat(obj) and not obj.hide_render and any(not c.hide_render for c in obj.users_collection):
             scene.collection.objects.link(obj)
     scene.world = original.world
     scene.frame_set(original.frame_current, subframe=original.frame_subframe)
     scene.cycles.device = 'CPU'
-    scene.cycles.samples = max(light_samples // 3, 1)  # a triangle has three corners
+    scene.cycles.samples = max(round(light_samples / 3), 1)  # a triangle has three corners
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False

@@ -9,6 +9,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..engine import compiling
 from ..fastgs_blender.errors import FastGSError
 from . import splat_object
 from .fit_scene import fit_scene
@@ -56,8 +57,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
         col = layout.column(heading="Scene")
-        col.prop(self, "set_scene_range", text="Range and Frame Rate")
-        col.prop(self, "use_engine")
+        col.prop(self, "set_scene_range", text="Frame Range")
+        col.prop(self, "use_engine", text="Render Engine")
 
     def paths(self) -> list[str]:
         """The chosen files."""
@@ -96,6 +97,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             fit_scene(context.scene, made[0])
         if self.use_engine:
             context.scene.render.engine = 'FASTGS'
+        compiling.start_on_first_use()
         total = sum(obj.fastgs.gaussian_count for obj in made)
         self.report({'INFO'}, f"Imported {total:,} Gaussians from {len(made)} file{'s' if len(made) > 1 else ''}")
         return {'FINISHED'}
@@ -112,8 +114,3 @@ class FASTGS_FH_import(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context):
         return context.area is not None and context.area.type in {'VIEW_3D', 'OUTLINER'}
-
-
-def draw_menu(self, context):
-    """The entry in File > Import."""
-    self.layout.operator(FASTGS_OT_import.bl_idname, text="4D Gaussians (.safetensors/.ply/.splatv)")

@@ -67,7 +67,8 @@ def _group() -> bpy.types.NodeTree:
     for x, (key, kind) in enumerate((
             ("in", 'NodeGroupInput'), ("radius", 'GeometryNodeInputNamedAttribute'), ("ball", 'GeometryNodeMeshUVSphere'),
             ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'),
-            ("join", 'GeometryNodeJoinGeometry'), ("material", 'GeometryNodeSetMaterial'), ("out", 'NodeGroupOutput'))):
+            ("smooth", 'GeometryNodeSetShadeSmooth'), ("join", 'GeometryNodeJoinGeometry'),
+            ("material", 'GeometryNodeSetMaterial'), ("out", 'NodeGroupOutput'))):
         node[key] = group.nodes.new(kind)
         node[key].location = 200 * x, 0
     node["radius"].data_type = 'FLOAT'
@@ -77,7 +78,7 @@ def _group() -> bpy.types.NodeTree:
     node["material"].inputs["Material"].default_value = _material()
     for source, output, target, socket in (
             ("in", 0, "instance", "Points"), ("ball", "Mesh", "instance", "Instance"), ("radius", "Attribute", "instance", "Scale"),
-            ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
+            ("instance", 0, "realize", 0), ("realize", 0, "smooth", "Geometry"), ("smooth", 0, "join", 0),
             # the points themselves come along: only they know which colour attribute is the active one
             ("in", 0, "join", 0), ("join", 0, "material", "Geometry"), ("material", 0, "out", 0)):
         group.links.new(node[source].outputs[output], node[target].inputs[socket])

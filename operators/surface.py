@@ -78,7 +78,7 @@ class Recorder:
                 raise FastGSError(f"the selected objects have no surface on frame {frame:g}; select objects that have faces.")
         missing = set(self._keys) ^ set(found)
         if missing:
-            raise FastGSError(f'"{sorted(missing)[0][0]}" has not the same parts on frame {frame:g} as on frame {self._first:g}: a surface '
+            raise FastGSError(f'"{min(missing)[0]}" has not the same parts on frame {frame:g} as on frame {self._first:g}: a surface '
                               "that appears or vanishes cannot be followed; bake a range of frames in which it does not.")
         self.positions.append(np.concatenate([found[key] for key in self._keys]))
 
@@ -130,6 +130,11 @@ class Recorder:
         roots = [_root(bpy.data.objects[p.owner]).name for p in self.pieces]
         number = np.unique(roots, return_inverse=True)[1]
         return np.repeat(number, [len(p.triangles) for p in self.pieces])
+
+    def patches(self) -> np.ndarray:
+        """For each triangle the number of its object and material."""
+        offsets = np.cumsum([0] + [p.material.max(initial=0) + 1 for p in self.pieces])
+        return np.concatenate([p.material + offset for p, offset in zip(self.pieces, offsets, strict=False)])
 
 
 def bakeable(obj: bpy.types.Object) -> bool:

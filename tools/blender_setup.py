@@ -9,6 +9,8 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
+from fastgs_blender.kernels.cache import base_folder
+
 ROOT = Path(__file__).resolve().parents[1]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
@@ -21,10 +23,11 @@ def enable_addon():
     user = Path(tempfile.mkdtemp(prefix="fastgs-"))
     atexit.register(shutil.rmtree, user, ignore_errors=True)
     os.environ["BLENDER_USER_RESOURCES"] = str(user)
+    os.environ.setdefault("FASTGS_CACHE_DIR", str(base_folder()))  # kernels outlast the user folder
     folder = user / "extensions" / "user_default"
     folder.mkdir(parents=True)
     (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
-    import bpy  # noqa: F401  it puts addon_utils on the path
+    import bpy  # noqa: F401, I001  first, because it puts addon_utils on the path
     import addon_utils
 
     if addon_utils.enable(ADDON, default_set=True) is None:

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels."""
+"""Panels and preferences."""
 import bpy
 
-from . import object_panels, render_panels
+from ..engine import settings
+from . import object_panels, preferences, render_panels
 
-CLASSES = object_panels.CLASSES + render_panels.CLASSES
+CLASSES = object_panels.CLASSES + render_panels.CLASSES + preferences.CLASSES
 
 
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    if settings.preferences():
+        settings.apply(settings.preferences())
 
 
 def unregister():

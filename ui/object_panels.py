@@ -66,7 +66,7 @@ def draw_time(layout, context):
     col.prop(settings, "after")
     if facts.known(obj):
         draw_rows(layout, [("Shown Now", facts.shown_now(obj, context.scene))])
-        layout.operator("fastgs.fit_scene", icon='TIME')
+        layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
 
 
 class _Splat:
@@ -114,7 +114,9 @@ class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
         if is_ours(context.object):
             draw_model(layout, context)
         else:
-            layout.operator("import_scene.fastgs", icon='IMPORT')
+            col = layout.column()
+            col.operator("import_scene.fastgs", icon='IMPORT')
+            col.operator("fastgs.bake", icon='RENDER_ANIMATION')
 
 
 class FASTGS_PT_sidebar_time(_Sidebar, bpy.types.Panel):

@@ -67,7 +67,7 @@ def save(model: GaussianModel, path: str | os.PathLike) -> None:
             fitted, lost = writer.fit(model)
             with replacing(writer.files(fitted, path), lambda target: _release(target, model)) as targets:
                 writer.write(fitted, targets)
-    except (FastGSError, OSError, ValueError, MemoryError) as error:
+    except (FastGSError, OSError, MemoryError) as error:
         raise _named("cannot write", path, error) from error
     if lost:
         warnings.warn(LossWarning(f"{path} cannot hold everything as {writer.name}: {'; '.join(lost)}."), stacklevel=2)

@@ -74,13 +74,12 @@ def comments(model: GaussianModel, keys: tuple[str, ...]) -> tuple[list[str], li
     return [f"fastgs {key} {json.dumps(values[key], allow_nan=False)}" for key in keys], lost
 
 
-def from_comments(lines: tuple[str, ...]) -> dict:
-    """understand() of the lines that comments() wrote; other lines are passed over."""
+def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
+    """understand() of the lines that comments() wrote; other lines are passed over, whoever wrote them."""
     values = {}
     for line in lines:
-        tag, _, rest = line.partition(" ")
-        if tag == "fastgs":
-            key, _, text = rest.partition(" ")
+        tag, key, text = [*line.split(" ", 2), "", ""][:3]
+        if tag == "fastgs" and key in keys:
             values[key] = read_json(text)
     return understand(values)
 

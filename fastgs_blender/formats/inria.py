@@ -56,8 +56,8 @@ class Inria(Format):
         columns = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colour_columns(degree)})
         columns["opacity"] = columns["opacity"][:, 0]
-        kinds = {"raster": Raster(antialiased=_antialiased(header)), **from_comments(header.comments)}
-        return GaussianModel(**columns, appearance=SH(degree), **{k: v for k, v in kinds.items() if k in KEYS})
+        kinds = {"raster": Raster(antialiased=_antialiased(header))} | from_comments(header.comments, KEYS)
+        return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
     def suits(self, model):
         still = model.basis.terms == 0 and model.rotation_basis.terms == 0
@@ -87,7 +87,6 @@ def _antialiased(header: ply.Header) -> bool:
 def _in_file_order(model: GaussianModel):
     """The colour columns, channel after channel."""
     yield ("f_dc_0", "f_dc_1", "f_dc_2"), model.features[:, :3]
-    rest = model.features[:, 3:].reshape(len(model), -1, 3)
-    for channel in range(3 if rest.shape[1] else 0):
-        names = [f"f_rest_{channel * rest.shape[1] + b}" for b in range(rest.shape[1])]
-        yield names, rest[:, :, channel]
+    rest = model.appearance.width // 3 - 1
+    for channel in range(3 if rest else 0):
+        yield [f"f_rest_{channel * rest + b}" for b in range(rest)], model.features[:, 3 + channel::3]

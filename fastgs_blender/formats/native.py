@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -40,11 +41,11 @@ class Native(Format):
     extensions = (".safetensors",)
 
     def sniff(self, head, path):
-        return len(head) >= 9 and head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= path.stat().st_size - 8
+        return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER
 
     def load(self, path):
         begin, tensors = _header(path)
-        metadata = tensors.pop("__metadata__", {})
+        metadata = tensors.pop("__metadata__", None) or {}
         if KEY not in metadata:
             raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
         kinds = _kinds(metadata[KEY])
@@ -58,6 +59,8 @@ class Native(Format):
         data = _map(path)
         arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes.items() if name not in spans}
         for name, (start, end) in spans.items():
+            if begin + end > len(data):
+                raise FastGSError(f"the file is cut short within its array {name!r}; copy or export it again.")
             array = data[begin + start:begin + end].view("<f4").reshape(shapes[name])
             arrays[name] = np.require(array, requirements="A")  # other writers may not align
         if isinstance(look, Features):
@@ -75,7 +78,8 @@ class Native(Format):
             # one key: the library writes several in random order, and the same model must give the same bytes
             save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
         except SafetensorError as error:
-            raise OSError(f"{error}") from error
+            number = re.search(r"os error (\d+)", str(error))
+            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
 
 
 def release(path: Path) -> None:
@@ -95,9 +99,7 @@ def _header(path: Path) -> tuple[int, dict]:
     """Where the data begins, and the header's table, which the library has found sound."""
     with open(path, "rb") as stream:
         size = int.from_bytes(stream.read(8), "little")
-        if size > MAX_HEADER:
-            raise FastGSError("its header has more than 16 MB; the file is damaged.")
-        text = stream.read(size)
+        text = stream.read(min(size, MAX_HEADER))
     try:
         with safe_open(path, "numpy"):
             pass

@@ -18,7 +18,10 @@ def replacing(paths: list[Path], release: Callable[[Path], None] = lambda path: 
     release(path) is called where the system refuses to replace a file because it is open (Windows), before a second try.
     Raises FastGSError where a path cannot be written.
     """
-    targets = [Path(os.path.realpath(path)) for path in paths]
+    try:
+        targets = [Path(os.path.realpath(path)) for path in paths]
+    except ValueError as error:  # a zero in the name
+        raise FastGSError(f"this is no name for a file ({error}); choose another.") from error
     for target in targets:
         _check(target)
     temporaries = [target.with_name(f".fastgs-{secrets.token_hex(6)}.tmp") for target in targets]

@@ -54,8 +54,9 @@ class Splatv(Format):
                 raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
             stream.seek(begin)
             texels = np.frombuffer(stream.read(count), "<u4").reshape(-1, 16)
-        kinds = {"clip": Clip(FRAMES)} | understand(chunk.get("fastgs", {}))
-        return GaussianModel(**restored(_decode(texels[texels.any(1)]), {k: v for k, v in kinds.items() if k != "appearance"}))
+        recorded = understand(chunk.get("fastgs", {}))
+        recorded.pop("appearance", None)
+        return GaussianModel(**restored(_decode(texels[texels.any(1)]), {"clip": Clip(FRAMES)} | recorded))
 
     def fit(self, model):
         lost = []
@@ -121,8 +122,9 @@ def _encode(model: GaussianModel) -> tuple[np.ndarray, bool]:
         half[:, 31] = width
         positive = half[:, [10, 11, 12, 31]]
         half[:, 6:10] = model.rotation
-        half[:, 16:16 + 3 * model.basis.terms] = model.motion.reshape(n, -1)
-        half[:, 26:26 + 4 * model.rotation_basis.terms] = model.rotation_motion.reshape(n, -1)
+        motion, omega = 3 * model.basis.terms, 4 * model.rotation_basis.terms
+        half[:, 16:16 + motion] = model.motion.reshape(n, motion)
+        half[:, 26:26 + omega] = model.rotation_motion.reshape(n, omega)
         half[:, 30] = model.mu_tau
         clipped = bool((np.abs(half) > HALF_MAX).any() or (positive < 0.5 * HALF_MIN).any())
         half[:, [10, 11, 12, 31]] = np.maximum(positive, HALF_MIN)

@@ -51,15 +51,17 @@ class SpacetimeGaussians(Format):
         missing = [name for name in NEEDED if name not in header.names]
         if missing:
             raise FastGSError(f"its columns {', '.join(missing)} are missing; export it from Spacetime Gaussians again.")
-        kinds = from_comments(header.comments)
+        kinds = from_comments(header.comments, KEYS)
         recorded = kinds.pop("appearance", None)
         settings = {} if "clip" in kinds else _settings(path)
         basis, powers, constant = _motion_columns(header, kinds.pop("basis", None))
         full = not header.names.isdisjoint(FULL[3:])
         if full and not header.names.issuperset(FULL):
             raise FastGSError("it has some but not all of the columns f_dc_0..5 and f_t_0..2; export it again.")
-        activation = recorded.activation if isinstance(recorded, Features) else settings.get("activation", "sigmoid")
-        appearance = _read_decoder(path.with_suffix(".pt"), activation) if full else RGB()
+        appearance = RGB()
+        if full:
+            activation = recorded.activation if isinstance(recorded, Features) else _activation(path, settings)
+            appearance = _read_decoder(path.with_suffix(".pt"), activation)
         arrays = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": FULL if full else LITE,
             "motion": powers, "constant": constant, "rotation_motion": OMEGA, "mu_tau": ("trbf_center",), "temporal": ("trbf_scale",)})
@@ -102,11 +104,13 @@ class SpacetimeGaussians(Format):
             torch_zip.write(targets[0], {name: weights[key].reshape(shape) for key, (name, shape) in DECODER.items()})
         n = len(model)
         if isinstance(model.basis, Fourier):
-            motion = model.motion.transpose(0, 2, 1).reshape(n, -1)
+            motion = model.motion.transpose(0, 2, 1).reshape(n, 3 * model.basis.terms)
         elif isinstance(model.basis, Cosine):
-            motion = np.stack([np.zeros_like(model.motion), model.motion], 2).reshape(n, -1, 3).transpose(0, 2, 1).reshape(n, -1)
+            pairs = np.stack([np.zeros_like(model.motion), model.motion], 2)  # [N, K, sin and cos, 3]
+            motion = pairs.transpose(0, 3, 1, 2).reshape(n, 6 * model.basis.terms)
         else:
-            motion = np.concatenate([model.motion.reshape(n, -1), np.zeros((n, 9 - 3 * model.basis.terms), np.float32)], 1)
+            motion = np.zeros((n, 9), np.float32)
+            motion[:, :3 * model.basis.terms] = model.motion.reshape(n, 3 * model.basis.terms)
         omega = model.rotation_motion[:, 0] if model.rotation_basis.terms else np.zeros((n, 4), np.float32)
         width = -0.5 * model.temporal if isinstance(model.temporal_kind, Radial) else np.full((n, 1), STEEP / 2, np.float32)
         look = [(FULL[:6] if full else LITE, model.features[:, :6])]
@@ -136,8 +140,16 @@ def _motion_columns(header: ply.Header, recorded: Basis | None) -> tuple[Basis, 
     return fourier, columns, [f"motion_{axis * width}" for axis in range(3)] if first else []
 
 
+def _activation(path: Path, settings: dict) -> str:
+    """The decoder's output activation; an unknown one is said."""
+    function = settings.get("function", "sandwich")
+    if function not in ACTIVATIONS:
+        warnings.warn(LossWarning(f"{path}: its decoder's output function {function!r} is unknown, so sigmoid is used."), stacklevel=5)
+    return ACTIVATIONS.get(function, "sigmoid")
+
+
 def _settings(path: Path) -> dict:
-    """frames and activation, so far as a cfg_args near the file knows them; a broken one is said and passed over."""
+    """frames and function, so far as a cfg_args near the file knows them; a broken one is said and passed over."""
     file = cfg_args.find(path)
     if file is None:
         return {}
@@ -147,10 +159,9 @@ def _settings(path: Path) -> dict:
             settings["frames"] = said["duration"]
             if type(said["duration"]) is not int or not 1 <= said["duration"] <= 10_000_000:
                 raise FastGSError(f"{file} says a duration of {said['duration']!r}")
-        if isinstance(said.get("rgbfunction"), str):
-            settings["activation"] = ACTIVATIONS.get(said["rgbfunction"], "sigmoid")
+        settings["function"] = said.get("rgbfunction", "sandwich")
     except FastGSError as error:
-        warnings.warn(LossWarning(f"{error}; {path.name} is taken to have {FRAMES} frames and a sigmoid after its decoder."), stacklevel=5)
+        warnings.warn(LossWarning(f"{error}; {path.name} is taken to have {FRAMES} frames and the decoder of N3V."), stacklevel=5)
         return {}
     return settings
 

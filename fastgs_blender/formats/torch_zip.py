@@ -250,7 +250,7 @@ def _program(tensors: Mapping[str, np.ndarray]) -> bytes:
     empty = b"ccollections\nOrderedDict\n)R"
     program = b"\x80\x02" + empty + b"("
     for key, (name, tensor) in enumerate(tensors.items()):
-        stride = np.cumprod([1, *tensor.shape[:0:-1]])[::-1]
+        stride = np.cumprod([1, *tensor.shape[:0:-1]])[::-1][:tensor.ndim]
         size = b"J" + struct.pack("<i", tensor.size)
         storage = b"(" + text("storage") + b"ctorch\nFloatStorage\n" + text(str(key)) + text("cpu") + size + b"tQ"
         program += (text(name) + b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + b"K\0" + numbers(tensor.shape) + numbers(stride)

@@ -2,39 +2,22 @@
 """How kernels are compiled and where the machine code is kept.
 
 Kernels are compiled without Python's lock and without numba's own threads (see threads.py).  The code is cached in a folder
-that the user may write to, under a digest of the kernels' sources, so that an update never runs old code.
+that the user may write to (cache.py).
 """
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import os
 import sys
 import threading
-from pathlib import Path
 
 import numba
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from . import cache
 
-def cache_folder() -> Path:
-    """Folder of the compiled kernels: $FASTGS_CACHE_DIR, else the system's place for caches."""
-    if os.environ.get("FASTGS_CACHE_DIR"):
-        base = Path(os.environ["FASTGS_CACHE_DIR"])
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home())) / "fastgs-blender"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches" / "fastgs-blender"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fastgs-blender"
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    digest = hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:12]
-    return base / f"kernels-{digest}"
-
-
-FOLDER = cache_folder()
+FOLDER = cache.folder()
 
 
 @contextlib.contextmanager
@@ -68,7 +51,7 @@ def announce():
     if _announced.is_set():
         return
     _announced.set()
-    if not any(FOLDER.rglob("*.nbi")):
+    if not cache.is_filled():
         print("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.",
               file=sys.stderr, flush=True)
 

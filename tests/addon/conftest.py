@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
+import image_files
 import numpy as np
 import pytest
+
+from fastgs_blender.kernels.cache import base_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
 
+USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
+os.environ.setdefault("FASTGS_CACHE_DIR", str(base_folder()))  # compiled kernels outlast the user folder
+os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before the first test module imports bpy, which reads it once
+
+
 @pytest.fixture(scope="session")
-def addon(tmp_path_factory):
+def addon():
     """The enabled extension's root module.  Blender's user folder is a temporary one, in which the repository is linked."""
-    user = tmp_path_factory.mktemp("blender")
-    os.environ["BLENDER_USER_RESOURCES"] = str(user)
-    folder = user / "extensions" / "user_default"
-    folder.mkdir(parents=True)
-    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
     pytest.importorskip("bpy")
     import addon_utils
 
+    folder = Path(USER.name) / "extensions" / "user_default"
+    folder.mkdir(parents=True)
+    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
     module = addon_utils.enable(ADDON, default_set=True)
     assert module is not None, "the extension could not be enabled; the reason stands above"
     yield module
@@ -131,49 +139,29 @@ def render(scene, tmp_path):
 
     def run(kind="EXR", **options):
         path = tmp_path / f"render.{'exr' if kind == 'EXR' else 'png'}"
-        set_output(scene, kind)
+        image_files.set_output(scene, kind)
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, **options)
-        return read_exr(path) if kind == "EXR" else read_png(path)
+        return image_files.read_exr(path) if kind == "EXR" else image_files.read_png(path)
 
     return run
 
 
-def set_output(scene, kind):
-    """Let a scene write multi-layer EXR ("EXR") or PNG with 8 or 16 bits ("PNG", "PNG16")."""
-    settings = scene.render.image_settings
-    if hasattr(settings, "media_type"):  # Blender 5.0 and later
-        settings.media_type = 'MULTI_LAYER_IMAGE' if kind == "EXR" else 'IMAGE'
-    settings.file_format = 'OPEN_EXR_MULTILAYER' if kind == "EXR" else 'PNG'
-    settings.color_depth = {"EXR": '32', "PNG": '8', "PNG16": '16'}[kind]
-    if kind != "EXR":
-        settings.color_mode = 'RGBA'
-
-
-def read_exr(path) -> dict[str, np.ndarray]:
-    """Passes of a multi-layer EXR by "Layer.Pass", float32 [h, w, channels]; Blender 4 writes one part, 5 one part a pass."""
-    import OpenEXR
-
-    order = "RGBAXYZWV"
-    planes: dict[str, dict[str, np.ndarray]] = {}
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            for name, channel in part.channels.items():
-                full = name if name.count(".") >= 2 else f"{part.header['name']}.{name}"
-                group, letter = full.rsplit(".", 1)
-                planes.setdefault(group, {})[letter] = np.array(channel.pixels, np.float32)
-    return {group: np.stack([p[c] for c in sorted(p, key=order.index)], -1) for group, p in planes.items()}
-
-
-def read_png(path) -> np.ndarray:
-    """An image as its integers [h, w, 4], read by Blender without any conversion."""
+@pytest.fixture
+def compositor(scene):
+    """The scene's compositor: .layers is a Render Layers node, .show(name) links one of its sockets to the output."""
     import bpy
 
-    image = bpy.data.images.load(str(path), check_existing=False)
-    image.colorspace_settings.name = 'Non-Color'
-    width, height = image.size
-    values = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(values)
-    deep = image.is_float
-    bpy.data.images.remove(image)
-    return values.reshape(height, width, 4)[::-1] if deep else np.round(values.reshape(height, width, 4)[::-1] * 255).astype(np.uint8)
+    scene.view_settings.view_transform = 'Raw'
+    if bpy.app.version >= (5, 0, 0):
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositor", 'CompositorNodeTree')
+        tree.interface.new_socket(name="Image", in_out='OUTPUT', socket_type='NodeSocketColor')
+        output = tree.nodes.new('NodeGroupOutput')
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+        tree.nodes.clear()
+        output = tree.nodes.new('CompositorNodeComposite')
+    layers = tree.nodes.new('CompositorNodeRLayers')
+    layers.scene = scene
+    return SimpleNamespace(layers=layers, show=lambda name: tree.links.new(layers.outputs[name], output.inputs[0]))

@@ -150,5 +150,20 @@ def test_menu_and_drop():
     handler = bpy.types.FASTGS_FH_import
     assert handler.bl_import_operator == "import_scene.fastgs"
     assert set(handler.bl_file_extensions.split(";")) == {".safetensors", ".ply", ".splatv"}
-    menu = bpy.types.TOPBAR_MT_file_import
-    assert [f.__name__ for f in menu.draw._draw_funcs if "fastgs" in f.__module__] == ["draw_menu"]
+    for menu, entry in ((bpy.types.TOPBAR_MT_file_import, "draw_import"), (bpy.types.VIEW3D_MT_object, "draw_bake")):
+        assert [f.__name__ for f in menu.draw._draw_funcs if "fastgs" in f.__module__] == [entry]
+
+
+def test_an_imported_object_renders_like_one_made_by_hand(scene, make_model, model_file, splat_object, add_camera, render):
+    """The proxy and its modifier are not part of the picture."""
+    path = model_file(make_model(60, axes="RFU"))
+    add_camera()
+    scene.render.engine = 'FASTGS'
+    bpy.ops.import_scene.fastgs(filepath=path)
+    imported = render()
+    bpy.data.objects.remove(bpy.context.object)
+    splat_object(path)
+    by_hand = render()
+    assert imported.keys() == by_hand.keys()
+    for name, image in by_hand.items():
+        assert image.any() and np.array_equal(imported[name], image)

@@ -39,7 +39,8 @@ def faces(order: str, name: str = "face") -> tuple[list[str], bytes]:
     return lines, b"\x03" + integers + b"\x07" + b"\x02" + integers[:8] + b"\x07"
 
 
-def ply(table: dict[str, np.ndarray], kind: str = "binary_little_endian", comments=(), types=None, before=(), after=(), newline="\n") -> bytes:
+def ply(table: dict[str, np.ndarray], kind: str = "binary_little_endian", comments=(), types=None, before=(), after=(),
+        newline="\n") -> bytes:
     """A PLY file with these vertices; before and after: elements as element() and faces() give them."""
     elements = [*before, element("vertex", table, FORMATS[kind], types or {}), *after]
     lines = ["ply", f"format {kind} 1.0", *(f"comment {text}" for text in comments)]

@@ -269,6 +269,28 @@ def test_bad_arrays(rich, tmp_path, arrays, text):
         fg.load(tmp_path / "m.safetensors")
 
 
+@pytest.mark.parametrize("twice", ['"position":{"dtype":"F32","shape":[40,3],"data_offsets":[1000000,1000480]}', '"__metadata__":null',
+                                   '"position":{"dtype":"F32","shape":[40,3],"data_offsets":[-480,0]}', '"position":null', '"x":[]'])
+def test_headers_that_say_a_thing_twice_or_nothing(rich, tmp_path, twice):
+    path = tmp_path / "m.safetensors"
+    fg.save(rich, path)
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    for text in (data[8:8 + size].rstrip()[:-1] + b"," + twice.encode() + b"}", b"{" + twice.encode() + b"," + data[9:8 + size]):
+        path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size:])
+        try:
+            same(rich, fg.load(path))
+        except fg.FastGSError:
+            continue
+
+
+def test_no_metadata_at_all(tmp_path):
+    text = b'{"__metadata__":null}   '
+    (tmp_path / "m.safetensors").write_bytes(len(text).to_bytes(8, "little") + text)
+    with pytest.raises(fg.FastGSError, match="not a FAST-GS model"):
+        fg.load(tmp_path / "m.safetensors")
+
+
 def test_other_safetensors(tmp_path):
     save_file({"weight": np.zeros(3, np.float32)}, tmp_path / "m.safetensors", {"format": "pt"})
     with pytest.raises(fg.FastGSError, match="not a FAST-GS model"):
@@ -281,7 +303,7 @@ def test_cut_short_anywhere_and_too_long(rich, tmp_path):
     data = path.read_bytes()
     for length in [*range(0, 2000, 97), *range(2000, len(data), 1009), len(data) - 1]:
         path.write_bytes(data[:length])
-        with pytest.raises(fg.FastGSError):
+        with pytest.raises(fg.FastGSError, match="cut short" if length else "empty"):
             fg.load(path)
     path.write_bytes(data + b"\0")
     with pytest.raises(fg.FastGSError, match="damaged"):

@@ -28,14 +28,16 @@ def load_bytes(tmp_path):
 
 def check_inria(model, table):
     """The model has the table's values: position, SH in channel-major order, and so on."""
-    for name, keys in (("position", "xyz"), ("scale", ["scale_0", "scale_1", "scale_2"]), ("rotation", ["rot_0", "rot_1", "rot_2", "rot_3"])):
+    parts = {"position": "xyz", "scale": ["scale_0", "scale_1", "scale_2"], "rotation": ["rot_0", "rot_1", "rot_2", "rot_3"]}
+    for name, keys in parts.items():
         np.testing.assert_array_equal(getattr(model, name), np.stack([table[k] for k in keys], 1))
     np.testing.assert_array_equal(model.opacity, table["opacity"])
     rest = sum(k.startswith("f_rest_") for k in table) // 3
+    colour = model.features.reshape(len(model), 1 + rest, 3)
     for channel in range(3):
-        np.testing.assert_array_equal(model.features.reshape(len(model), -1, 3)[:, 0, channel], table[f"f_dc_{channel}"])
+        np.testing.assert_array_equal(colour[:, 0, channel], table[f"f_dc_{channel}"])
         for b in range(rest):
-            np.testing.assert_array_equal(model.features.reshape(len(model), -1, 3)[:, 1 + b, channel], table[f"f_rest_{channel * rest + b}"])
+            np.testing.assert_array_equal(colour[:, 1 + b, channel], table[f"f_rest_{channel * rest + b}"])
     assert model.appearance == fg.SH({0: 0, 3: 1, 8: 2, 15: 3, 24: 4}[rest])
 
 
@@ -67,6 +69,15 @@ def test_types_comments_other_elements_and_line_ends(rng, load_bytes, kind):
 def test_many_blocks(rng, load_bytes, kind):
     table = ply_files.columns(rng, INRIA, 30_000 if kind == "ascii" else 120_000)
     check_inria(load_bytes(ply_files.ply(table, kind)), table)
+
+
+def test_comments_of_others_are_passed_over(rng, load_bytes):
+    table = ply_files.columns(rng, INRIA)
+    said = ["fastgs", "fastgs trained for {", "fastgs basis {", "FastGS axes RFU", "fastgs-axes 1"]
+    assert load_bytes(ply_files.ply(table, comments=said)).axes == "RDF"
+    assert load_bytes(ply_files.ply(table, comments=['fastgs axes "RFU"'])).axes == "RFU"
+    with pytest.raises(fg.FastGSError, match="JSON"):
+        load_bytes(ply_files.ply(table, comments=["fastgs axes RFU"]))
 
 
 def test_a_prefix_is_not_a_name(rng, load_bytes):
@@ -225,8 +236,8 @@ def test_ascii_junk(rng, load_bytes, junk):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-@pytest.mark.parametrize(("name", "value"), [("x", np.nan), ("f_dc_1", np.inf), ("rot_0", -np.inf), ("scale_2", np.inf), ("opacity", np.nan),
-                                             ("z", 1e30), ("scale_0", 1e6)])
+@pytest.mark.parametrize(("name", "value"), [("x", np.nan), ("f_dc_1", np.inf), ("rot_0", -np.inf), ("scale_2", np.inf),
+                                             ("opacity", np.nan), ("z", 1e30), ("scale_0", 1e6)])
 def test_unusable_gaussians_are_left_out_and_said(rng, load_bytes, kind, name, value):
     table = ply_files.columns(rng, INRIA)
     table[name][[1, 4]] = value

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a surface ends or bends sharply, and how near to that each sample lies: there a round Gaussian would stick out."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .sampling import near_pairs, triangle_normals
+
+SHARP = np.cos(np.radians(25.0))
+"""Two triangles that meet at more than this angle meet at a border."""
+SAME_SIDE = 0.7
+"""Least cosine between the normals of a sample and of a border's triangle that may be one surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """The M sides of sharp edges: start, end [M, 3]; the triangle's normal and the direction into it across the edge [M, 3]."""
+
+    start: np.ndarray
+    end: np.ndarray
+    normal: np.ndarray
+    inward: np.ndarray
+
+
+def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray) -> Borders:
+    """Edges of a mesh (points [V, 3], triangles [T, 3]) that have one triangle only, or two that differ in direction or patch [T].
+
+    Vertices at the same place count as one: many files hold one for each face.
+    """
+    corners = np.asarray(points, np.float64)[triangles]
+    normal = triangle_normals(corners)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    vertex = _welded(np.asarray(points, np.float64))[triangles]
+    number = np.arange(3 * len(triangles))
+    triangle, side = number // 3, number % 3
+    a, b = vertex[triangle, side], vertex[triangle, (side + 1) % 3]
+    key = np.minimum(a, b) << 32 | np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    order = order[a[order] != b[order]]
+    if not len(order):
+        return Borders(*(np.zeros((0, 3)) for _ in range(4)))
+    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    one, other = triangle[order[first]], triangle[order[np.minimum(first + 1, len(order) - 1)]]
+    smooth = (count == 2) & (np.einsum("nd,nd->n", normal[one], normal[other]) >= SHARP) & (patch[one] == patch[other])
+    sides = order[np.repeat(~smooth, count)]
+    t, k = triangle[sides], side[sides]
+    start, end, opposite = corners[t, k], corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
+    inward = np.cross(normal[t], end - start)
+    inward *= np.sign(np.einsum("nd,nd->n", inward, opposite - start))[:, None]
+    length = np.linalg.norm(inward, axis=1, keepdims=True)
+    return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30))
+
+
+def _welded(points) -> np.ndarray:
+    """For each point the number of its place."""
+    low, extent = points.min(0), max(np.ptp(points, axis=0).max(), 1e-30)
+    cell = np.round((points - low) / extent * (2**20 - 1)).astype(np.int64)
+    return np.unique(cell @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)[1]
+
+
+def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of samples (position, unit normal [N, 3]): the direction across the nearest border of their surface [N, 3], 0 where none is
+    within reach, and the distances [N, 2] to it and, along it, to the nearest other border (at most reach)."""
+    n = len(position)
+    direction, distance = np.zeros((n, 3)), np.full((n, 2), float(reach))
+    if not len(borders.start):
+        return direction, distance
+    along = borders.end - borders.start
+    pieces = np.maximum(np.ceil(np.linalg.norm(along, axis=1) / reach), 1).astype(np.int64)
+    edge = np.repeat(np.arange(len(pieces)), pieces)
+    share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[edge]
+    # Every place of an edge is within half a reach of one of its probes.
+    i, j = near_pairs(position, borders.start[edge] + share[:, None] * along[edge], 1.5 * reach)
+    i, j = np.divmod(np.unique(i * len(along) + edge[j]), len(along))
+    offset = position[i] - borders.start[j]
+    length2 = np.maximum(np.einsum("nd,nd->n", along[j], along[j]), 1e-30)
+    offset -= np.clip(np.einsum("nd,nd->n", offset, along[j]) / length2, 0, 1)[:, None] * along[j]
+    d = np.linalg.norm(offset, axis=1)
+    near = ((d < reach) & (np.einsum("nd,nd->n", normal[i], borders.normal[j]) > SAME_SIDE)
+            & (np.einsum("nd,nd->n", offset, borders.inward[j]) >= -1e-6 * reach))
+    i, j, d = i[near], j[near], d[near]
+    order = np.lexsort((d, i))
+    i, j, d = i[order], j[order], d[order]
+    found, first = np.unique(i, return_index=True)
+    direction[found], distance[found, 0] = borders.inward[j[first]], d[first]
+    crossing = np.abs(np.einsum("nd,nd->n", borders.inward[j], direction[i])) < 0.7
+    np.minimum.at(distance[:, 1], i[crossing], d[crossing])
+    return direction, distance

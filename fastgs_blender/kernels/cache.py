@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where compiled kernels are kept.  Light: says so without importing numba."""
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+from functools import cache
+from pathlib import Path
+
+_chosen: Path | None = None
+
+
+def use_folder(path) -> None:
+    """Keep compiled kernels under this folder; to be called before the kernels are imported, else it holds from the next start."""
+    global _chosen
+    _chosen = Path(path)
+
+
+def base_folder() -> Path:
+    """$FASTGS_CACHE_DIR, else what use_folder() said, else the system's place for caches."""
+    if os.environ.get("FASTGS_CACHE_DIR"):
+        return Path(os.environ["FASTGS_CACHE_DIR"])
+    if _chosen:
+        return _chosen
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "fastgs-blender"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "fastgs-blender"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fastgs-blender"
+
+
+@cache
+def _digest() -> str:
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:12]
+
+
+def folder() -> Path:
+    """The folder of this version's kernels: under a digest of their sources, so that an update never runs old code."""
+    return base_folder() / f"kernels-{_digest()}"
+
+
+def is_filled() -> bool:
+    """Whether any kernel of this version has been compiled."""
+    return any(folder().rglob("*.nbi"))
+
+
+def size() -> int:
+    """Bytes of all compiled kernels, of older versions too."""
+    return sum(p.stat().st_size for p in base_folder().glob("kernels-*/**/*") if p.is_file())
+
+
+def clear() -> None:
+    """Delete all compiled kernels; they are made anew when they are needed."""
+    for path in base_folder().glob("kernels-*"):
+        shutil.rmtree(path, ignore_errors=True)

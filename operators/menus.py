@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Our entries in Blender's menus."""
+import bpy
+
+
+def draw_import(self, context):
+    """File > Import."""
+    self.layout.operator("import_scene.fastgs", text="4D Gaussians (.safetensors/.ply/.splatv)")
+
+
+def draw_bake(self, context):
+    """The 3D view's Object menu."""
+    self.layout.separator()
+    self.layout.operator("fastgs.bake")
+
+
+MENUS = (
+    (bpy.types.TOPBAR_MT_file_import, draw_import),
+    (bpy.types.VIEW3D_MT_object, draw_bake),
+)
+
+
+def register():
+    for menu, draw in MENUS:
+        menu.append(draw)
+
+
+def unregister():
+    for menu, draw in MENUS:
+        menu.remove(draw)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Preferences, compiling ahead, diagnostics."""
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def preferences(module):
+    found = module("engine.settings").preferences()
+    before = {name: getattr(found, name) for name in ("threads", "cache_folder", "training_python", "log_level")}
+    yield found
+    for name, value in before.items():
+        setattr(found, name, value)
+
+
+@pytest.fixture
+def empty_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_preferences_reach_the_engine(module, preferences):
+    preferences.threads = 3
+    assert module("engine.settings").threads == 3
+    preferences.log_level = 'DEBUG'
+    assert module("engine.settings").logging.getLogger(module("engine.settings").EXTENSION).level == 10
+
+
+def test_kernels_go_to_the_extensions_folder(module, preferences, monkeypatch, tmp_path):
+    monkeypatch.delenv("FASTGS_CACHE_DIR")
+    cache = module("fastgs_blender.kernels.cache")
+    preferences.cache_folder = ""
+    assert cache.base_folder() == Path(bpy.utils.extension_path_user("bl_ext.user_default.fastgs_blender", path="kernels"))
+    preferences.cache_folder = str(tmp_path)
+    assert cache.base_folder() == tmp_path
+
+
+def test_compile_now_and_clear(module, empty_cache):
+    cache = module("fastgs_blender.kernels.cache")
+    assert not cache.is_filled()
+    assert bpy.ops.fastgs.compile_kernels() == {'FINISHED'}
+    names = {path.name.partition("-")[0] for path in empty_cache.rglob("*.nbi")}
+    assert {"project.project", "raster.rasteriser.locals.rasterise", "decode.decode", "sort._scatter"} <= names
+    assert cache.size() > 100_000
+    # a process that renders finds them: nothing is announced, nothing is added
+    code = "from fastgs_blender.kernels.warm import compile_all; compile_all()"
+    files = set(empty_cache.rglob("*.nbc"))
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env={**os.environ}, capture_output=True, text=True, check=True)
+    assert "compiling" not in run.stderr
+    assert set(empty_cache.rglob("*.nbc")) == files
+    assert bpy.ops.fastgs.clear_kernels() == {'FINISHED'}
+    assert not cache.is_filled()
+    assert cache.size() == 0
+
+
+def test_without_numba_nothing_is_compiled(module, empty_cache, monkeypatch):
+    compiling = module("engine.compiling")
+    monkeypatch.setattr(compiling, "has_numba", lambda: False)
+    assert not compiling.start()
+    assert not bpy.ops.fastgs.compile_kernels.poll()
+
+
+def test_diagnostics_name_versions_objects_and_messages(module, make_model, model_file):
+    path = model_file(make_model())
+    bpy.ops.import_scene.fastgs(filepath=str(path))
+    module("engine.notices").log.warning("something odd happened")
+    text = module("operators.diagnostics").text()
+    for words in (bpy.app.version_string, "numpy", "backend: cpu", path, "Gaussians", "something odd happened"):
+        assert words in text
+
+
+def test_training_python_is_asked(module, preferences):
+    diagnostics = module("operators.diagnostics")
+    answer = diagnostics.ask_python(sys.executable)
+    assert answer.packages["numpy"]
+    assert "numpy" in str(answer)
+    assert "did not answer" in str(diagnostics.ask_python(str(ROOT / "LICENSE")))
+    preferences.training_python = sys.executable
+    assert bpy.ops.fastgs.test_training_python() == {'FINISHED'}
+
+
+def test_enabling_imports_nothing_heavy(addon):
+    """In a fresh process: no numba, no torch, and quickly (a generous bound; 0.1 s is usual)."""
+    code = f"""
+import sys, time
+import bpy, addon_utils
+begin = time.perf_counter()
+assert addon_utils.enable("{addon.__name__}")
+print(time.perf_counter() - begin, *(name for name in ("numba", "torch", "llvmlite", "OpenEXR", "PIL") if name in sys.modules))
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    seconds, *heavy = out.split()
+    assert not heavy
+    assert float(seconds) < 2
