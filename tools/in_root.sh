@@ -15,6 +15,6 @@ exec unshare --mount --pid --net --fork --kill-child sh -ec '
     mount -t tmpfs tmpfs "$root/tmp"
     mount -t tmpfs tmpfs "$root/run"
     mount --bind "$work" "$root/mnt"
-    mkdir -p "$work/home"
-    exec chroot "$root" env -i -C /mnt PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/mnt/home XDG_RUNTIME_DIR=/run LANG=C.UTF-8 \
+    mkdir -p "$work/home" "$work/tmp"
+    exec chroot "$root" env -i -C /mnt PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/mnt/home TMPDIR=/mnt/tmp XDG_RUNTIME_DIR=/run LANG=C.UTF-8 \
         LIBGL_ALWAYS_SOFTWARE=1 PYTHONDONTWRITEBYTECODE=1 "$@"' _ "$@"

@@ -78,7 +78,8 @@ class User:
         command = ["./window.sh"] if window else ["blender", "-b"]
         log = self.run(*command, *arguments, "-P", "inside.py", "--", name, given, answer, limit=limit, expect=None)
         if not (self.folder / answer).exists():
-            raise Failed(f"{name}: Blender ended by itself\n{log[-4000:]}")
+            crashes = [path.read_text(errors="replace") for path in (self.folder / "tmp").glob("*crash.txt")]
+            raise Failed("\n".join([f"{name}: Blender ended by itself", log[-4000:], *crashes]))
         outcome = json.loads((self.folder / answer).read_text())
         if "failed" in outcome:
             raise Failed(f"{name}:\n{outcome['failed']}\n{log[-2000:]}")

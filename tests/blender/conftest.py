@@ -46,6 +46,14 @@ def model(newcomer):
     return model, "knot.safetensors"
 
 
+@pytest.fixture(scope="session")
+def small_model(newcomer):
+    """The same of a smaller one."""
+    model = models.knot(4_000, seed=5)
+    fg.save(model, newcomer.folder / "small.safetensors")
+    return model, "small.safetensors"
+
+
 def library_camera(facts) -> fg.Camera:
     """The library's camera for what the story `look` says of Blender's."""
     pose = np.array(facts["matrix"])
