@@ -55,3 +55,37 @@ def test_panels_draw(user, model):
         picture = read_png(user.folder / f"properties-{place.lower()}.png")[y:y + h, x:x + w]
         assert picture.std() > 0.05, f"{place} is empty"
         assert labels
+
+
+@pytest.fixture(scope="module")
+def viewports(user, model):
+    """Screenshots of the 3D view through the camera, one pixel for each of the picture's."""
+    facts = user.story("window.viewports", window=True, model=model[1])
+    x, y, w, h = facts["box"]
+    assert abs(w - 640) < 0.01
+    assert abs(h - 420) < 0.01
+
+    def crop(name):
+        return read_png(user.folder / f"{name}.png")[round(y):round(y) + 420, round(x):round(x) + 640, :3]
+
+    return facts, crop
+
+
+def test_rendered_shading_is_what_f12_shows(viewports, user, model, reference):
+    facts, crop = viewports
+    final = read_png(user.folder / "rendered-f12.png")[..., :3]
+    assert psnr(crop("rendered-12"), final) >= 40
+    assert psnr(crop("rendered-25"), black_behind(reference(model[0], facts["camera"], 25 - facts["start"]))) >= 40
+    assert psnr(crop("rendered-25"), final) < 30  # the frame was another
+
+
+def test_solid_shading_shows_splats_among_meshes(viewports, model, reference):
+    """Where splats are opaque they have the model's colours; what a mesh hides of them is hidden."""
+    facts, crop = viewports
+    wanted = reference(model[0], facts["camera"], 25 - facts["start"])
+    opaque = wanted[..., 3] > 0.99
+    assert np.abs(crop("solid-25") - wanted[..., :3])[opaque].mean() < 0.02
+    walled = crop("solid-wall")
+    left = np.broadcast_to(np.arange(640) < 315, opaque.shape)
+    assert np.abs(walled - wanted[..., :3])[opaque & (np.arange(640) > 325)].mean() < 0.02
+    assert np.ptp(walled[left].reshape(-1, 3), axis=0).max() < 0.1

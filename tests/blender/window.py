@@ -10,11 +10,27 @@ import subprocess
 
 import bpy
 from background import bring, look
+from mathutils import Vector
 
 
 def shot(name):
     """A screenshot.  Blender's own operator takes black ones on software OpenGL."""
-    subprocess.run(["import", "-window", "root", f"{name}.png"], check=True)
+    subprocess.run(["import", "-window", "root", "-define", "png:exclude-chunks=date,time", f"{name}.png"], check=True)
+
+
+def settled(name, limit=90.0):
+    """A screenshot of when two in a row, a second apart, were the same."""
+    before, waited = None, 0.0
+    while waited < limit:
+        yield 1.0
+        waited += 1.0
+        shot(name)
+        with open(f"{name}.png", "rb") as file:
+            now = file.read()
+        if now == before:
+            return
+        before = now
+    raise AssertionError(f"the window did not come to rest within {limit} s")
 
 
 def area_of(kind='VIEW_3D'):
@@ -137,3 +153,32 @@ def properties(model):
         top = bpy.context.window_manager.windows[0].height - region.y - region.height
         taken[context] = [ours, region.x, top, region.width, region.height]
     return taken
+
+
+def viewports(model):
+    """Rendered and Solid shading through the camera, two frames of each, and F12 of the same."""
+    scene = bring(model)
+    camera = look(scene, 640, 420)
+    scene.render.film_transparent = False
+    area = area_of()
+    space = area.spaces.active
+    scene.frame_set(12)
+    space.shading.type = 'RENDERED'
+    yield 0.5
+    box = yield from frame_in_region(area)
+    yield from settled("rendered-12")
+    scene.frame_set(25)
+    yield from settled("rendered-25")
+    space.shading.type = 'SOLID'
+    yield from settled("solid-25")
+    # a wall that stands before the left half of the picture
+    corners = [scene.camera.matrix_world @ Vector(corner) for corner in ((-2, -2, -1), (0, -2, -1), (0, 2, -1), (-2, 2, -1))]
+    mesh = bpy.data.meshes.new("Wall")
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    scene.collection.objects.link(bpy.data.objects.new("Wall", mesh))
+    yield from settled("solid-wall")
+    scene.frame_set(12)
+    yield from f12(area)
+    bpy.data.images["Render Result"].save_render(os.path.abspath("rendered-f12.png"))
+    obj = next(o for o in scene.objects if o.fastgs.filepath)
+    return {"box": box, "camera": camera, "start": obj.fastgs.start_frame}
