@@ -26,6 +26,9 @@ OPAQUE = 0.99
 """Opacity of an opaque surface's Gaussians."""
 
 
+Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
 @dataclass(frozen=True)
 class BakeReport:
     """What a bake did.
@@ -90,7 +93,8 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     positions    [S, V, 3]  the vertices in world space at S times
     triangles    [T, 3]     vertex indices, the same at all times
     colours      sRGB display values 0..1, with opacity as an optional fourth: one for all; [T, C] for the triangles;
-                 [T, 3, C] for their corners; or a function of (triangle [N], barycentric weights [N, 3]) -> [N, C]
+                 [T, 3, C] for their corners; a function of (triangle [N], barycentric weights [N, 3]) -> [N, C], of which the
+                 mean around each Gaussian is taken; where samples are given, [N, C] is for these and not for triangles
     frames       [S]        frame numbers of the times counted from the clip's first, increasing; default 0, 1, 2 ...
                             Fractions are welcome: half frames double what may safely be fitted
     frame_count  of the clip, default up to the last of `frames`; frame f lies at t = f / frame_count
@@ -115,9 +119,10 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
     if not tolerance > 0:
         raise FastGSError(f"the tolerance must be positive, not {tolerance}.")
-    samples = _spread(surface, count) if samples is None else samples
+    given = samples is not None
+    samples = samples if given else _spread(surface, count)
     progress(0.15)
-    rgba = _colours(colours, samples, len(surface.triangles))
+    rgba = _colours(colours, surface, samples, given)
     visible = rgba[:, 3] >= 1 / 255
     if not visible.any():
         raise FastGSError("everything is fully transparent: there is nothing to bake.")
@@ -188,15 +193,21 @@ def _numbers(name, values, triangles):
     return np.unique(np.asarray(values), return_inverse=True)[1]
 
 
-def _colours(colours, samples: SurfaceSamples, triangle_count: int) -> np.ndarray:
+def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
+    """What bake() makes of a function of colours: r, g, b and opacity [N, 4], to change them or to give them to it."""
+    return _colours(colours, _checked(positions, triangles)[0], samples, True)
+
+
+def _colours(colours, surface: MovingSurface, samples: SurfaceSamples, for_samples: bool) -> np.ndarray:
     """Colour and opacity [N, 4] at the samples."""
     if callable(colours):
-        values = np.asarray(colours(samples.triangle, samples.weights), np.float64)
+        values = np.mean([np.asarray(colours(samples.triangle, weights), np.float64) for weights in surface.footprints(samples)], 0)
     else:
         values = np.asarray(colours, np.float64)
+        triangle_count = len(surface.triangles)
         if values.ndim == 3 and values.shape[:2] == (triangle_count, 3):
             values = np.einsum("nkc,nk->nc", values[samples.triangle], samples.weights)
-        elif values.ndim == 2 and len(values) == triangle_count:
+        elif values.ndim == 2 and len(values) == triangle_count and not for_samples:
             values = values[samples.triangle]
         elif values.ndim == 1:
             values = np.broadcast_to(values, (len(samples), len(values)))

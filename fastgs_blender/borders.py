@@ -32,7 +32,7 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray) -
     corners = np.asarray(points, np.float64)[triangles]
     normal = triangle_normals(corners)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    vertex = _welded(np.asarray(points, np.float64))[triangles]
+    vertex = welded(np.asarray(points, np.float64))[triangles]
     number = np.arange(3 * len(triangles))
     triangle, side = number // 3, number % 3
     a, b = vertex[triangle, side], vertex[triangle, (side + 1) % 3]
@@ -53,8 +53,8 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray) -
     return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30))
 
 
-def _welded(points) -> np.ndarray:
-    """For each point the number of its place."""
+def welded(points: np.ndarray) -> np.ndarray:
+    """For each of the points [V, 3] the number of its place: the same for all that lie together."""
     low, extent = points.min(0), max(np.ptp(points, axis=0).max(), 1e-30)
     cell = np.round((points - low) / extent * (2**20 - 1)).astype(np.int64)
     return np.unique(cell @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)[1]

@@ -32,10 +32,10 @@ def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) ->
     edges = corners[:, :, 1:] - corners[:, :, :1]
     normal = triangle_normals(corners)
     double_area = np.linalg.norm(normal, axis=-1)
-    plane, inverse, flat = _plane(edges[pose])
+    axes, inverse, flat = plane(edges[pose])
     turned = _most_stretched(edges, inverse)
     if along is not None:
-        wanted = np.einsum("uad,ud->ua", plane, along)
+        wanted = np.einsum("uad,ud->ua", axes, along)
         length = np.linalg.norm(wanted, axis=1, keepdims=True)
         turned = np.where(length > 0, wanted / np.where(length > 0, length, 1), turned)
     direction = np.where(flat[:, None], [1.0, 0.0], np.einsum("ukm,um->uk", inverse, turned))
@@ -46,12 +46,11 @@ def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) ->
     stretch = np.stack([length, np.divide(area_ratio, length, out=np.zeros_like(length), where=length > 0)], -1).max(0)
     x = x / np.where(valid, length, 1)[..., None]
     z = normal / np.where(valid, double_area, 1)[..., None]
-    axes = np.stack([x, np.cross(z, x), z], -1)
-    q = _fill(quaternions(axes), valid)
+    q = _fill(quaternions(np.stack([x, np.cross(z, x), z], -1)), valid)
     return Tangents(_continuous(q), np.where(flat[:, None], 1.0, stretch))
 
 
-def _plane(edges):
+def plane(edges: np.ndarray):
     """Of triangles with edges [U, 2, 3]: axes [U, 2, 3] of their planes, the matrix [U, 2, 2] from coordinates along these to
     factors of the two edges, and which triangles have no area."""
     a, b = edges[:, 0], edges[:, 1]

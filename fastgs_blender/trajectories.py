@@ -12,7 +12,7 @@ from .borders import distance_to_borders, find_borders
 from .fitting import Fit, choose, motion_families, rotation_families
 from .motion import Basis, Static
 from .sampling import SurfaceSamples, sample_surface, triangle_normals
-from .tangents import tangents
+from .tangents import plane, tangents
 
 STILL = 1e-4
 """Motion of less than this share of the object's size is none."""
@@ -83,6 +83,23 @@ class MovingSurface:
     def follow(self, samples: SurfaceSamples, which) -> np.ndarray:
         """Paths [S, n, 3] of some of the samples."""
         return np.einsum("snkd,nk->snd", self.corners(samples.triangle[which]), samples.weights[which])
+
+    def footprints(self, samples: SurfaceSamples) -> np.ndarray:
+        """Barycentric weights [7, N, 3] of a Gaussian's centre and six places around it, over which its colour is the mean.
+
+        Of a large triangle none lies outside; small ones are seen as pieces of a smooth whole, which goes on around them.
+        """
+        corners = self.corners(samples.triangle, self.pose)
+        _, inverse, flat = plane(corners[:, 1:] - corners[:, :1])
+        large = np.linalg.norm(triangle_normals(corners), axis=1) > 16 * samples.spacing**2
+        angles = np.arange(6) * np.pi / 3
+        ring = 0.5 * samples.spacing * np.stack([np.cos(angles), np.sin(angles)], 1)
+        factors = np.where(flat[:, None], 0, np.einsum("nkm,am->ank", inverse, ring))
+        factors /= np.maximum(np.abs(factors).max(-1, keepdims=True) / 4, 1)
+        weights = samples.weights + np.concatenate([-factors.sum(-1, keepdims=True), factors], -1)
+        inside = np.maximum(weights, 0)
+        weights = np.where(large[:, None], inside / inside.sum(-1, keepdims=True), weights)
+        return np.concatenate([samples.weights[None], weights])
 
     def distance_to_borders(self, samples: SurfaceSamples, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """In the pose of reference, the direction [N, 3] across the nearest border and the distances [N, 2]; see borders.py."""

@@ -13,9 +13,9 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.baking import bake, surface_samples
+from ..fastgs_blender.baking import bake, surface_colours, surface_samples
 from . import baked_light, splat_object
-from .material_colour import sample_colours
+from .material_colour import MaterialColours
 from .surface import Recorder, bakeable, frame_kept, go_to, whole_frames_only
 
 BUDGET = 0.1
@@ -63,20 +63,21 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
             yield 0.4 * (number + 1) / len(times)
         positions, triangles = np.stack(recorder.positions), recorder.triangles()
         samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, 0.4, 0.5)
-        colours, notes = sample_colours(recorder.pieces, samples)
+        materials = MaterialColours(recorder.pieces)
+        colours = surface_colours(materials, positions, triangles, samples)
         if settings.lighting == 'CYCLES':
             colours = yield from _scaled(
                 baked_light.apply(context, recorder, times, colours, samples, settings.light_samples, settings.light_frames), 0.5, 0.6)
     render = scene.render
     model, report = yield from _run(
         lambda progress: bake(
-            positions, triangles, lambda triangle, weights: colours, frames=np.array(times) - settings.frame_start,
+            positions, triangles, colours, frames=np.array(times) - settings.frame_start,
             frame_count=settings.frame_end - settings.frame_start + 1, fps=render.fps / render.fps_base,
             start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
             basis=settings.basis, part=recorder.parts(), patch=recorder.patches(), samples=samples, progress=progress,
             provenance={"objects": ", ".join(obj.name for obj in objects)[:1000]}),
         in_background, 0.6, 1.0)
-    return model, report, notes
+    return model, report, materials.notes
 
 
 def _scaled(steps, begin, end):

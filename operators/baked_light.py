@@ -21,6 +21,10 @@ from .surface import Recorder, go_to
 NAME = "FAST-GS light"
 LIFT = 0.05
 """Distance of the triangles from the surface, by the distance of neighbouring Gaussians, and their size."""
+BOUNCES = 3
+"""Light that was reflected more often no longer tells."""
+BLACK = 0.02
+"""Less light than this comes from inside."""
 REACH = 2.5
 """Radius within which light is averaged, by the distance of neighbours: it takes away Cycles' noise."""
 
@@ -30,12 +34,12 @@ def apply(context, recorder: Recorder, times: list[float], colours: np.ndarray, 
     """A generator that yields the share done and returns colours [N, 4] (sRGB and opacity) under the scene's light.
 
     A colour cannot change in time, so that it gets the mean light of `light_frames` of the recorded times, which share the
-    samples.  Of a surface with a border both sides are measured and the lighter one counts.  Raises FastGSError where Cycles
+    samples.  Where both sides may be seen, the lighter one counts.  Raises FastGSError where Cycles
     is absent.
     """
     triangles = recorder.triangles()[samples.triangle]
     local = _to_local(_corners(recorder, 0, triangles), recorder.normals(samples))
-    both = np.flatnonzero(recorder.open()[samples.triangle])
+    both = None
     chosen = np.unique(np.linspace(0, len(times) - 1, light_frames + 2).round()[1:-1].astype(int))
     light = np.zeros((len(samples), 3))
     for number, index in enumerate(chosen):
@@ -44,10 +48,13 @@ def apply(context, recorder: Recorder, times: list[float], colours: np.ndarray, 
         corners = _corners(recorder, index, triangles)
         points = np.einsum("nkd,nk->nd", corners, samples.weights)
         normals = np.einsum("nak,na->nk", _frames(corners), local)
-        seen = _measure(context, np.r_[points, points[both]], np.r_[normals, -normals[both]], samples.spacing,
-                        light_samples / len(chosen))
-        seen[both] = np.maximum(seen[both], seen[len(points):])
-        light += seen[:len(points)] / len(chosen)
+        seen = _measure(context, points, normals, samples.spacing, light_samples / len(chosen))
+        if both is None:  # a closed surface that is black outside may be one that was turned inside out
+            both = np.flatnonzero(recorder.open()[samples.triangle] | (seen.max(1) < BLACK))
+        if len(both):
+            behind = _measure(context, points[both], -normals[both], samples.spacing, light_samples / len(chosen))
+            seen[both] = np.maximum(seen[both], behind)
+        light += seen / len(chosen)
     light = _smooth(light, points, normals, samples.spacing)
     return np.c_[linear_to_srgb(np.clip(srgb_to_linear(colours[:, :3]) * light, 0, 1)), colours[:, 3]]
 
@@ -70,14 +77,14 @@ def _to_local(corners, normals) -> np.ndarray:
 
 
 def _smooth(light, points, normals, spacing):
+    """The mean over neighbours that face the same way, twice."""
     i, j, weight = neighbours(points, normals, np.ones(len(points)), REACH * spacing)
     weight = np.sqrt(weight) * np.clip(np.einsum("nd,nd->n", normals[i], normals[j]), 0, 1) ** 8
-    total, out = np.ones(len(points)), light.copy()
-    for a, b in ((i, j), (j, i)):
-        total += np.bincount(a, weight, len(points))
-        for channel in range(3):
-            out[:, channel] += np.bincount(a, weight * light[b, channel], len(points))
-    return out / total[:, None]
+    total = 1 + np.bincount(i, weight, len(points)) + np.bincount(j, weight, len(points))
+    for _ in range(2):
+        around = [np.bincount(i, weight * channel[j], len(points)) + np.bincount(j, weight * channel[i], len(points)) for channel in light.T]
+        light = (light + np.stack(around, 1)) / total[:, None]
+    return light
 
 
 def _measure(context, points, normals, spacing, light_samples) -> np.ndarray:
@@ -139,6 +146,7 @@ def _furnish(scene, original, light_samples):
     scene.world = original.world
     scene.frame_set(original.frame_current, subframe=original.frame_subframe)
     scene.cycles.device = 'CPU'
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = BOUNCES
     scene.cycles.samples = max(round(light_samples / 3), 1)  # a triangle has three corners
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False

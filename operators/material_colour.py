@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 
 from ..fastgs_blender.colour import linear_to_srgb, srgb_to_linear
-from ..fastgs_blender.sampling import SurfaceSamples
 from .surface import Piece
 
 NO_MATERIAL = (0.8, 0.8, 0.8, 1.0)
@@ -21,23 +20,35 @@ class Unreadable(Exception):
     """A node that has no meaning without a renderer; the message is its name."""
 
 
-def sample_colours(pieces: list[Piece], samples: SurfaceSamples) -> tuple[np.ndarray, list[str]]:
-    """sRGB colour and opacity [N, 4] of the samples, and a sentence for each material that could not be read wholly."""
-    out = np.empty((len(samples), 4))
-    notes: dict[str, str] = {}
-    starts = np.cumsum([0] + [len(p.triangles) for p in pieces])
-    which = np.searchsorted(starts, samples.triangle, side="right") - 1
-    images: dict[str, np.ndarray] = {}
-    for number in np.unique(which):
-        piece, rows = pieces[number], np.flatnonzero(which == number)
-        local = samples.triangle[rows] - starts[number]
-        for slot in np.unique(piece.material[local]):
-            chosen = piece.material[local] == slot
-            places = Places(piece, local[chosen], samples.weights[rows[chosen]], images)
-            material = piece.materials[min(slot, len(piece.materials) - 1)] if piece.materials else None
-            out[rows[chosen]] = _material(material, places, notes)
-    out[:, :3] = linear_to_srgb(np.clip(out[:, :3], 0, 1))
-    return out, list(notes.values())
+class MaterialColours:
+    """A function of places on the pieces' triangles: call it with triangles [N] and barycentric weights [N, 3].
+
+    It returns sRGB colour and opacity [N, 4]; notes has a sentence for each material that could not be read wholly.
+    """
+
+    def __init__(self, pieces: list[Piece]):
+        self._pieces = pieces
+        self._starts = np.cumsum([0] + [len(p.triangles) for p in pieces])
+        self._images: dict[str, np.ndarray] = {}
+        self._notes: dict[str, str] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        return list(self._notes.values())
+
+    def __call__(self, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        out = np.empty((len(triangle), 4))
+        which = np.searchsorted(self._starts, triangle, side="right") - 1
+        for number in np.unique(which):
+            piece, rows = self._pieces[number], np.flatnonzero(which == number)
+            local = triangle[rows] - self._starts[number]
+            for slot in np.unique(piece.material[local]):
+                chosen = piece.material[local] == slot
+                places = Places(piece, local[chosen], weights[rows[chosen]], self._images)
+                material = piece.materials[min(slot, len(piece.materials) - 1)] if piece.materials else None
+                out[rows[chosen]] = _material(material, places, self._notes)
+        out[:, :3] = linear_to_srgb(np.clip(out[:, :3], 0, 1))
+        return out
 
 
 class Places:

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from ..engine.objects import is_splat
+from ..fastgs_blender.borders import welded
 from ..fastgs_blender.errors import FastGSError
 from ..fastgs_blender.sampling import SurfaceSamples
 
@@ -98,6 +99,8 @@ class Recorder:
                 self._compare(owner, key, len(mesh.vertices), loops, frame)
         finally:
             obj.to_mesh_clear()
+        if not np.isfinite(points).all():
+            raise FastGSError(f'"{owner}" has vertices that are nowhere (not finite numbers) on frame {frame:g}; mend its mesh.')
         return (points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
     def _compare(self, owner, key, vertices, loops, frame):
@@ -123,7 +126,10 @@ class Recorder:
 
     def open(self) -> np.ndarray:
         """Whether each triangle belongs to a surface with a border, and so may be seen from both sides."""
-        return np.repeat([_has_border(p.triangles) for p in self.pieces], [len(p.triangles) for p in self.pieces])
+        offsets = np.cumsum([p.vertices for p in self.pieces])[:-1]
+        points = np.split(self.positions[0].astype(np.float64), offsets)
+        return np.concatenate([np.full(len(p.triangles), _has_border(welded(x)[p.triangles]))
+                               for p, x in zip(self.pieces, points, strict=True)])
 
     def parts(self) -> np.ndarray:
         """For each triangle the number of the thing that it belongs to: objects with a common root are one."""
@@ -198,7 +204,8 @@ def _describe(obj, mesh, owner, loops, matrix) -> Piece:
 
 
 def _has_border(triangles) -> bool:
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64), 1)
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), 1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
     return bool((np.unique(edges[:, 0] << 32 | edges[:, 1], return_counts=True)[1] == 1).any())
 
 
