@@ -90,7 +90,8 @@ def _watch():
 def _show(text: str | None):
     """The status bar's text in all windows."""
     for window in bpy.context.window_manager.windows:
-        window.workspace.status_text_set(text)
+        with bpy.context.temp_override(window=window):  # a timer may have none, and Blender crashes without one
+            window.workspace.status_text_set(text)
 
 
 def register():
