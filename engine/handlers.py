@@ -32,6 +32,8 @@ HANDLERS = (
 )
 if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
     HANDLERS += ((bpy.app.handlers.blend_import_post, paths.after_import),)
+else:
+    HANDLERS += ((bpy.app.handlers.depsgraph_update_post, paths.after_update),)
 
 
 def register():

@@ -24,5 +24,5 @@ def register():
 
 
 def unregister():
-    for panel in bpy.types.Panel.__subclasses__():
-        getattr(panel, "COMPAT_ENGINES", set()).discard(ENGINE)
+    for engines in _fitting():
+        engines.discard(ENGINE)

@@ -51,10 +51,29 @@ def after_import(context, _=None):
     """Append from a .blend in another folder.  (Linked objects keep to their library's folder.)"""
     for item in context.import_items:
         obj = item.id
-        if (isinstance(obj, bpy.types.Object) and obj.library is None and item.source_library
-                and objects.is_splat(obj) and obj.fastgs.filepath.startswith("//")):
-            source = bpy.path.abspath(item.source_library.filepath)
-            if bpy.data.filepath:
-                obj.fastgs.filepath = rebased(obj.fastgs.filepath, source, bpy.data.filepath)
-            else:
-                obj.fastgs.filepath = os.path.normpath(bpy.path.abspath(obj.fastgs.filepath, start=os.path.dirname(source)))
+        if isinstance(obj, bpy.types.Object) and obj.library is None and item.source_library and objects.is_splat(obj):
+            _move_here(obj, bpy.path.abspath(item.source_library.filepath))
+
+
+@persistent
+def after_update(_, depsgraph):
+    """Append in Blender 4.2, which does not announce it: the object's mesh remembers the library that it came from."""
+    for update in depsgraph.updates:
+        obj = update.id.original
+        if not (isinstance(obj, bpy.types.Object) and obj.library is None and obj.data and objects.is_splat(obj)):
+            continue
+        origin = obj.data.library_weak_reference
+        if origin and not os.path.exists(objects.abspath(obj)):
+            source = bpy.path.abspath(origin.filepath)
+            if os.path.exists(bpy.path.abspath(obj.fastgs.filepath, start=os.path.dirname(source))):
+                _move_here(obj, source)
+
+
+def _move_here(obj, source: str):
+    path = obj.fastgs.filepath
+    if not path.startswith("//"):
+        return
+    if bpy.data.filepath:
+        obj.fastgs.filepath = rebased(path, source, bpy.data.filepath)
+    else:
+        obj.fastgs.filepath = os.path.normpath(bpy.path.abspath(path, start=os.path.dirname(source)))

@@ -2,6 +2,7 @@
 """What the extension's preferences say, for code that runs where Blender's context is out of bounds."""
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections import deque
 from pathlib import Path
@@ -55,10 +56,8 @@ def preferences():
 
 def register():
     logging.getLogger(EXTENSION).addHandler(recent)
-    try:
+    with contextlib.suppress(ValueError):  # not loaded as an extension: the library's own place
         cache.use_folder(kernel_folder())
-    except ValueError:
-        pass  # not loaded as an extension: the library's own place
 
 
 def unregister():

@@ -2,6 +2,8 @@
 """The colour behind the splats."""
 from __future__ import annotations
 
+import bpy
+
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -12,7 +14,7 @@ def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, st
     world = getattr(view_layer, "world_override", None) or scene.world
     if world is None or not view_layer.use_sky:
         return BLACK, None
-    if not (world.use_nodes and world.node_tree):
+    if bpy.app.version < (5, 0, 0) and not world.use_nodes:  # later worlds always have nodes
         return tuple(world.color), None
     output = world.node_tree.get_output_node('ALL')
     link = _source(output.inputs["Surface"]) if output else None

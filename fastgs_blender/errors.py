@@ -7,4 +7,4 @@ class FastGSError(Exception):
 
 
 class LossWarning(UserWarning):
-    """A file was written in a format that cannot hold everything the model has; the message says what is lost."""
+    """Something is lost: a format that cannot hold all of a model, or unusable Gaussians in a file; the message says what."""

@@ -7,7 +7,7 @@ A new basis is one small frozen dataclass here, listed in BASES; files, slicing 
 """
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import ClassVar
 
 import numpy as np
@@ -185,16 +185,6 @@ class Keyframes(Basis):
     def max_frequency(self):
         return 0.5 / float(np.min(np.diff(self.times))) if len(self.times) > 1 else 0.0
 
-    def _tangents(self):
-        """[K, K]: row k gives the slope at key k from the keys' values."""
-        x, n = np.array(self.times), len(self.times)
-        slope = np.zeros((n, n))
-        lo, hi = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
-        chord = 1 / (x[hi] - x[lo])
-        np.add.at(slope, (np.arange(n), hi), chord)
-        np.add.at(slope, (np.arange(n), lo), -chord)
-        return slope
-
     def _blend(self, t, rate):
         x, n = np.array(self.times), len(self.times)
         t = np.asarray(t, np.float64)
@@ -208,19 +198,20 @@ class Keyframes(Basis):
         h, row = x[i + 1] - x[i], np.arange(flat.size)
         u = (inside - x[i]) / h
         if self.interpolation == "linear":
-            left, right = (-1 / h, 1 / h) if rate else (1 - u, u)
-            w[row, i], w[row, i + 1] = left, right
+            w[row, i], w[row, i + 1] = (-1 / h, 1 / h) if rate else (1 - u, u)
         else:
-            slope = self._tangents()
             if rate:
                 p = (6 * u**2 - 6 * u) / h
                 p0, p1, m0, m1 = p, -p, 3 * u**2 - 4 * u + 1, 3 * u**2 - 2 * u
             else:
                 p0, p1 = 2 * u**3 - 3 * u**2 + 1, -2 * u**3 + 3 * u**2
                 m0, m1 = h * (u**3 - 2 * u**2 + u), h * (u**3 - u**2)
-            w += m0[:, None] * slope[i] + m1[:, None] * slope[i + 1]
-            w[row, i] += p0
-            w[row, i + 1] += p1
+            w[row, i], w[row, i + 1] = p0, p1
+            for key, tangent in ((i, m0), (i + 1, m1)):  # the tangent at a key is the chord between its neighbours
+                before, after = np.maximum(key - 1, 0), np.minimum(key + 1, n - 1)
+                chord = tangent / (x[after] - x[before])
+                w[row, after] += chord
+                w[row, before] -= chord
         if rate:
             w[flat != inside] = 0.0
         return w.reshape(t.shape + (n,))
@@ -248,8 +239,14 @@ def basis_from_dict(values: dict) -> Basis:
         raise FastGSError(f"the basis of time {name!r} is unknown; this version knows {', '.join(BASES)}.")
     try:
         basis = BASES[name](**values)
-        numbers = [v for v in asdict(basis).values() if not isinstance(v, (str, tuple))]
-        if not all(np.isfinite(v) for v in numbers) or not 0 <= basis.terms <= 100_000:
+        for field in fields(basis):
+            value = getattr(basis, field.name)
+            kinds = {"int": int, "float": (int, float), "bool": bool, "str": str}.get(field.type, tuple)
+            if not isinstance(value, kinds) or (isinstance(value, bool) and field.type != "bool"):
+                raise TypeError
+            if isinstance(value, float) and not np.isfinite(value):
+                raise ValueError
+        if not 0 <= basis.terms <= 100_000:
             raise ValueError
     except (TypeError, ValueError) as error:
         raise FastGSError(f"the parameters of the basis of time {name!r} do not fit it: {values}.") from error

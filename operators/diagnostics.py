@@ -49,7 +49,8 @@ class TrainingPython:
         if self.problem:
             return self.problem
         have = ", ".join(f"{name} {found}" for name, found in self.packages.items() if found)
-        return f"Python {self.python} has {have or 'none of the packages'}" + (f"; missing: {', '.join(self.missing)}" if self.missing else "")
+        lacking = f"; missing: {', '.join(self.missing)}" if self.missing else ""
+        return f"Python {self.python} has {have or 'none of the packages'}{lacking}"
 
 
 def ask_python(path: str) -> TrainingPython:

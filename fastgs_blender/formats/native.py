@@ -14,8 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from ..appearance import Features
 from ..errors import FastGSError
@@ -74,10 +72,11 @@ class Native(Format):
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
         about = {"version": VERSION, "generator": generator(), "model": describe(model)}
+        library = _library()
         try:
             # one key: the library writes several in random order, and the same model must give the same bytes
-            save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
-        except SafetensorError as error:
+            library.numpy.save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
+        except library.SafetensorError as error:
             number = re.search(r"os error (\d+)", str(error))
             raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
 
@@ -95,15 +94,25 @@ def hold(model: GaussianModel) -> None:
     _mapped.pop(model, None)
 
 
+def _library():
+    """The safetensors library, when it is needed: without it other formats still work."""
+    try:
+        import safetensors.numpy
+    except ImportError as error:
+        raise FastGSError("the safetensors library, which reads and writes this format, is not installed.") from error
+    return safetensors
+
+
 def _header(path: Path) -> tuple[int, dict]:
     """Where the data begins, and the header's table, which the library has found sound."""
     with open(path, "rb") as stream:
         size = int.from_bytes(stream.read(8), "little")
         text = stream.read(min(size, MAX_HEADER))
+    library = _library()
     try:
-        with safe_open(path, "numpy"):
+        with library.safe_open(path, "numpy"):
             pass
-    except SafetensorError as error:
+    except library.SafetensorError as error:
         raise FastGSError(f"the file is cut short or damaged ({error}); copy or export it again.") from error
     return 8 + size, read_json(text)
 

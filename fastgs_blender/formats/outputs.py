@@ -28,13 +28,13 @@ def replacing(paths: list[Path], release: Callable[[Path], None] = lambda path: 
     try:
         for temporary in temporaries:
             temporary.touch(exist_ok=False)
+        usual = [temporary.stat().st_mode for temporary in temporaries]
         yield temporaries
-        for temporary, target in zip(temporaries, targets, strict=True):
+        for temporary, target, mode in zip(temporaries, targets, usual, strict=True):
             with open(temporary, "rb+") as stream:
                 os.fsync(stream.fileno())
-            if target.exists():
-                with suppress(OSError):
-                    temporary.chmod(target.stat().st_mode & 0o7777)
+            with suppress(OSError):  # who may read it: as before, else what the user's system gives new files
+                temporary.chmod((target.stat().st_mode if target.exists() else mode) & 0o7777)
         _replace_all(temporaries, targets, release)
     finally:
         for temporary in temporaries:

@@ -246,7 +246,7 @@ def test_time_stretching_stretches_splats_as_it_does_keyframes(scene, moving, re
 
 
 def test_retiming_is_per_object(scene, moving, fg, make_model, model_file, splat_object, render, expected):
-    model, obj = moving
+    model, _ = moving
     twin = splat_object(model_file(model), "Twin", Matrix.Translation((0.3, 0, 0)))
     twin.fastgs.start_frame, twin.fastgs.speed, twin.fastgs.offset = 4.5, -0.5, -2
     scene.frame_set(8)

@@ -61,7 +61,9 @@ def test_bases_survive_json(name):
 
 @pytest.mark.parametrize("values", [
     {}, {"name": "wavelet"}, {"name": "fourier", "order": -1}, {"name": "fourier", "order": "many"}, {"name": "fourier", "orders": 5},
-    {"name": "fourier", "scale": float("nan")}, {"name": "cosine", "order": 10**12}, {"name": "keyframes", "times": [0, 0]},
+    {"name": "fourier", "scale": float("nan")},
+    {"name": "fourier", "order": 2.5}, {"name": "fourier", "linear": 1}, {"name": "cosine", "order": 10**12},
+    {"name": "keyframes", "times": [0, 0]},
     {"name": "keyframes", "times": [0, 1], "interpolation": "magic"},
 ])
 def test_bad_bases_are_refused(values):

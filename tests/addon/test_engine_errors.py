@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What goes wrong ends in one sentence; what can be rendered is rendered; a stopped render stops."""
+import os
+import threading
+import time
+
+import bpy
+import by_hand
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def broken_file(tmp_path):
+    """A file that is no model."""
+    path = tmp_path / "broken.safetensors"
+    path.write_bytes(b"this is not a model")
+    return str(path)
+
+
+@pytest.mark.parametrize("kind", ["missing", "broken"])
+def test_other_objects_still_render(scene, fg, kind, broken_file, make_model, model_file, splat_object, add_camera, render,
+                                    caplog, capfd):
+    model = make_model()
+    splat_object(model_file(model), "Good")
+    path = broken_file if kind == "broken" else "/nowhere/at all.ply"
+    splat_object(path, "Bad")
+    add_camera()
+    scene.render.film_transparent = True
+    want = fg.render(model, by_hand.camera(fg, by_hand.look_at((0, -5, 0), (0, 0, 0))), backend="reference")
+    by_hand.assert_same_picture(render()["ViewLayer.Combined"], by_hand.combined(want["rgb"], want["alpha"]))
+    lines = [record for record in caplog.records if path in record.message]
+    assert len(lines) == 1 and lines[0].levelname == "WARNING" and "Bad" in lines[0].message
+    assert "\n" not in lines[0].message
+    if kind == "missing":
+        assert f"Warning: Bad is left out: {path}" in capfd.readouterr().out
+
+
+def test_nothing_that_can_be_loaded_is_an_error_and_not_a_black_picture(scene, splat_object, add_camera, tmp_path, caplog):
+    splat_object("/nowhere/a.ply", "A")
+    splat_object("/nowhere/b.ply", "B")
+    add_camera()
+    scene.render.filepath = str(tmp_path / "black.png")
+    with pytest.raises(RuntimeError, match="/nowhere/a.ply"):
+        bpy.ops.render.render(write_still=True)
+    assert not os.path.exists(scene.render.filepath)
+    assert "Traceback" not in caplog.text
+
+
+def test_an_empty_scene_gives_the_background_and_a_warning(scene, add_camera, render, caplog):
+    add_camera()
+    np.testing.assert_array_equal(render()["ViewLayer.Combined"][5, 5], (0, 0, 0, 1))
+    assert "shows no 4D Gaussians" in caplog.text
+
+
+def test_a_hidden_broken_object_is_of_no_account(scene, broken_file, make_model, model_file, splat_object, add_camera, render, caplog):
+    splat_object(model_file(make_model()), "Good")
+    splat_object(broken_file, "Bad").hide_render = True
+    add_camera()
+    render()
+    assert not caplog.records
+
+
+def test_the_unexpected_is_one_sentence_and_a_traceback_in_the_log(
+        scene, module, make_model, model_file, splat_object, add_camera, render, caplog, monkeypatch):
+    splat_object(model_file(make_model()))
+    add_camera()
+    monkeypatch.setattr(module("engine.colour"), "scene_linear", lambda *_: 1 / 0)
+    with pytest.raises(RuntimeError, match="could not render frame 1 .*ZeroDivisionError") as caught:
+        render()
+    assert "Traceback" not in str(caught.value)
+    assert "Traceback" in caplog.text
+
+
+def test_too_little_memory_is_said(scene, module, fg, make_model, model_file, splat_object, add_camera, render, monkeypatch):
+    splat_object(model_file(make_model()))
+    add_camera()
+
+    def starve(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(fg, "render", starve)
+    with pytest.raises(RuntimeError, match="not enough memory"):
+        render()
+
+
+class Observer:
+    """Stands in for the RenderEngine instance where a test has to press Esc or watch the status line."""
+
+    camera_override = None
+
+    def __init__(self, stop_after=float("inf")):
+        self.deadline = time.monotonic() + stop_after
+        self.fractions, self.stats, self.results, self.memory, self.reports = [], [], [], [], []
+
+    def test_break(self):
+        return time.monotonic() > self.deadline
+
+    def update_progress(self, fraction):
+        self.fractions.append(fraction)
+
+    def update_stats(self, left, right):
+        self.stats.append(right)
+
+    def update_memory_stats(self, memory_used, memory_peak):
+        self.memory.append(memory_used)
+
+    def report(self, kind, text):
+        self.reports.append((kind, text))
+
+    def begin_result(self, *_, **__):
+        self.results.append("begun")
+        raise AssertionError("the picture is not wanted here")
+
+
+@pytest.fixture
+def busy(module, fg, make_model, model_file, splat_object, add_camera, monkeypatch):
+    """busy(what, seconds): "load" takes that long without a word, "render" reports its progress meanwhile."""
+    splat_object(model_file(make_model()))
+    add_camera()
+
+    def make(what, seconds):
+        original, running = getattr(fg, what), threading.Event()
+
+        def slow(*arguments, **options):
+            running.set()
+            end = time.monotonic() + seconds
+            progress = options.pop("progress", None)
+            while time.monotonic() < end:
+                time.sleep(0.01)
+                if progress:
+                    progress(min(1, 1 - (end - time.monotonic()) / seconds))
+            running.clear()
+            return original(*arguments, **options)
+
+        monkeypatch.setattr(fg, what, slow)
+        return running
+
+    return make
+
+
+@pytest.mark.parametrize("what", ["load", "render"])
+def test_cancelling_takes_less_than_a_second(module, busy, what, caplog):
+    """Also while a file is read, which nobody can interrupt."""
+    running = busy(what, 3.0)
+    engine = Observer(stop_after=0.2)
+    begin = time.monotonic()
+    module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
+    assert 0.15 < time.monotonic() - begin < 1.0
+    assert running.is_set(), "it should have been in the middle of its work"
+    assert not engine.results and not engine.reports and not caplog.records
+
+
+def test_a_stopped_worker_ends_by_itself(module):
+    worker, ended = module("engine.worker"), threading.Event()
+
+    def work(progress):
+        try:
+            while True:
+                time.sleep(0.01)
+                progress(0.5)
+        finally:
+            ended.set()
+
+    with pytest.raises(module("engine.worker").CancelledError):
+        worker.run(work, stopped=lambda: True, report=lambda fraction: None, interval=0.02)
+    assert ended.wait(2)
+
+
+def test_progress_memory_and_status(module, busy):
+    busy("render", 0.5)
+    engine = Observer()
+    module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
+    assert len(engine.fractions) >= 3 and engine.fractions == sorted(engine.fractions) and engine.fractions[-1] > 0.5
+    assert engine.memory[0] > 40 * 64 * 48 / 2**20
+    assert "Reading" in engine.stats[0] and "40 Gaussians" in engine.stats[-1] and "ViewLayer" in engine.stats[-1]
+
+
+def test_status_reaches_blender(scene, make_model, model_file, splat_object, add_camera, render):
+    lines = []
+
+    def listen(text, _):
+        lines.append(text)
+
+    splat_object(model_file(make_model()))
+    add_camera()
+    bpy.app.handlers.render_stats.append(listen)
+    try:
+        render()
+    finally:
+        bpy.app.handlers.render_stats.remove(listen)
+    assert any("40 Gaussians | Rendering" in str(line) for line in lines)
