@@ -67,8 +67,8 @@ class BakeReport:
         """One sentence where the tolerance is not reached, else None."""
         if self.reached:
             return None
-        return (f"the motion is followed to {100 * self.mean_residual / self.size:.2g} % of the object's size instead of"
-                f" {100 * self.tolerance:.2g} %, with the highest order that is safe or allowed ({self.order}, up to"
+        return (f"the motion is followed to {100 * self.mean_residual / self.size:.3g} % of the object's size instead of"
+                f" {100 * self.tolerance:.3g} %, with the highest order that is safe or allowed ({self.order}, up to"
                 f" {self.band_limit:.3g} Hz): sample more times per frame, allow a higher order, or bake fewer frames at once.")
 
     def __str__(self) -> str:

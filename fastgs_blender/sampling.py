@@ -9,6 +9,8 @@ import numpy as np
 
 OVERSAMPLING = 2
 """Candidates for each point that is kept."""
+FOLDED = 64.0
+"""A surface that is stretched by more than this at another time is folded up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +50,14 @@ def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: 
     true_area = 0.5 * np.linalg.norm(normals, axis=1)
     area = true_area if area is None else np.asarray(area, np.float64)
     candidates, weights = _stratified(corners.mean(1), area, OVERSAMPLING * count)
-    position = np.einsum("nk,nkd->nd", weights, corners[candidates])
     # Distances count in the metric in which `area` is the surface's area.
-    stretch = np.sqrt(np.divide(area, true_area, out=np.ones_like(area), where=true_area > 0))
-    keep = _eliminate(position, normals[candidates], stretch[candidates], count, float(area.sum()))
+    stretch = np.sqrt(np.divide(area, true_area, out=np.full_like(area, np.inf), where=true_area > 0))[candidates]
+    # What is folded up now, and large at another time, has no distances: every other candidate stays.
+    folded = np.flatnonzero(stretch > FOLDED)
+    left = np.delete(np.arange(len(candidates)), folded[::2])
+    candidates, weights, stretch = candidates[left], weights[left], stretch[left]
+    position = np.einsum("nk,nkd->nd", weights, corners[candidates])
+    keep = _eliminate(position, normals[candidates], stretch, count, float(area.sum()))
     return SurfaceSamples(candidates[keep], weights[keep], float(np.sqrt(area.sum() / count)))
 
 
@@ -103,14 +109,20 @@ def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
 def neighbours(position, normal, stretch, radius):
     """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1.
 
-    position, normal [M, 3]; stretch [M], by which distances count more.
+    position, normal [M, 3]; stretch [M], by which distances count more.  Of very different stretch none are neighbours.
     """
-    i, j = near_pairs(position, position, radius)
-    once = i < j
-    i, j = i[once], j[once]
-    distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
-    near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
-    return i[near], j[near], (1 - distance[near] / radius) ** 8
+    level = np.where(stretch > FOLDED, 99, np.round(np.log2(np.maximum(stretch, 1e-9)))).astype(int)
+    found = []
+    for exponent in np.unique(level[level != 99]):
+        own = np.flatnonzero(level == exponent)
+        i, j = near_pairs(position[own], position[own], radius / 2.0 ** (exponent - 0.5))
+        once = i < j
+        i, j = own[i[once]], own[j[once]]
+        distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
+        near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
+        found.append((i[near], j[near], (1 - distance[near] / radius) ** 8))
+    nothing = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    return tuple(np.concatenate(x) for x in zip(nothing, *found, strict=True))
 
 
 def near_pairs(a: np.ndarray, b: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,15 +69,19 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
         if settings.lighting == 'CYCLES':
             colours = yield from _scaled(
                 baked_light.apply(context, recorder, times, colours, samples, settings.light_samples, settings.light_frames), 0.5, 0.6)
-    render = scene.render
-    model, report = yield from _run(
-        lambda progress: bake(
-            positions, triangles, colours, frames=np.array(times) - settings.frame_start,
-            frame_count=settings.frame_end - settings.frame_start + 1, fps=render.fps / render.fps_base,
-            start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
-            basis=settings.basis, part=recorder.parts(), patch=recorder.patches(), samples=samples, progress=progress,
-            provenance={"objects": ", ".join(obj.name for obj in objects)[:1000]}),
-        in_background, 0.6, 1.0)
+    part, patch, fps = recorder.parts(), recorder.patches(), scene.render.fps / scene.render.fps_base
+    provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
+
+    def fit(progress):
+        with warnings.catch_warnings():  # what they say stands in the report too, and Blender's user reads that
+            warnings.simplefilter("ignore", UserWarning)
+            return bake(
+                positions, triangles, colours, frames=np.array(times) - settings.frame_start,
+                frame_count=settings.frame_end - settings.frame_start + 1, fps=fps,
+                start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
+                basis=settings.basis, part=part, patch=patch, samples=samples, provenance=provenance, progress=progress)
+
+    model, report = yield from _run(fit, in_background, 0.6, 1.0)
     return model, report, materials.notes
 
 
@@ -272,6 +277,8 @@ class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
         except StopIteration as end:
             self._result = end.value
             return True
+        except MemoryError:
+            raise fg.FastGSError("there is too little memory for this bake; bake fewer Gaussians, frames or objects at once.") from None
         context.window_manager.progress_update(100 * fraction)
         if context.workspace and not bpy.app.background:
             context.workspace.status_text_set(f"Baking to 4D Gaussians: {100 * fraction:.0f} %   (Esc cancels)")

@@ -82,7 +82,7 @@ def _smooth(light, points, normals, spacing):
     weight = np.sqrt(weight) * np.clip(np.einsum("nd,nd->n", normals[i], normals[j]), 0, 1) ** 8
     total = 1 + np.bincount(i, weight, len(points)) + np.bincount(j, weight, len(points))
     for _ in range(2):
-        around = [np.bincount(i, weight * channel[j], len(points)) + np.bincount(j, weight * channel[i], len(points)) for channel in light.T]
+        around = [np.bincount(i, weight * c[j], len(points)) + np.bincount(j, weight * c[i], len(points)) for c in light.T]
         light = (light + np.stack(around, 1)) / total[:, None]
     return light
 
