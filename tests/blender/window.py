@@ -159,9 +159,11 @@ def properties(model):
 def viewports(model):
     """Rendered and Solid shading through the camera, two frames of each, and F12 of the same."""
     scene = bring(model)
-    camera = look(scene, 640, 420)
-    scene.render.film_transparent = False
     area = area_of()
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    # in the middle of the region, the picture's pixels are the screen's if both sizes are even or odd
+    camera = look(scene, 640 + region.width % 2, 420 + region.height % 2)
+    scene.render.film_transparent = False
     space = area.spaces.active
     scene.frame_set(12)
     space.shading.type = 'RENDERED'
