@@ -44,14 +44,17 @@ class Contents:
         return parts, failed
 
 
-def contents(depsgraph) -> Contents:
-    """What the depsgraph's view layer shows of splats on its frame and sub-frame."""
+def contents(depsgraph, visible=lambda obj: True) -> Contents:
+    """What the depsgraph's view layer shows of splats on its frame and sub-frame.
+
+    visible(obj) may leave out more: it is asked about each object that shows splats, and about what instances come from.
+    """
     scene = depsgraph.scene
     render = scene.render
     shown, seen = [], set()
     for instance in depsgraph.object_instances:
         obj = instance.object
-        if not (instance.show_self and objects.is_splat(obj)):
+        if not (instance.show_self and objects.is_splat(obj) and visible(instance.parent if instance.is_instance else obj)):
             continue
         # an object whose geometry nodes make several kinds of geometry comes once for each kind
         key = (obj.original.as_pointer(), instance.is_instance and instance.parent.original.as_pointer(),

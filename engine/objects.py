@@ -30,6 +30,7 @@ class _Entry:
 _entries: dict[str, _Entry] = {}
 _loading: dict[str, threading.Lock] = {}
 _lock = threading.Lock()
+_reloads = [0]
 
 
 def axes_matrix(axes: str) -> Matrix:
@@ -94,8 +95,14 @@ def error_of(obj: bpy.types.Object) -> str | None:
     return entry.error if entry and entry.stamp == stamp else None
 
 
+def reloads() -> int:
+    """How often reload() was called: whoever keeps models must ask for them again when this changes."""
+    return _reloads[0]
+
+
 def reload(path: str):
     """Forget what is known of a file; the next load_model() reads it again."""
+    _reloads[0] += 1
     with _lock:
         _entries.pop(_key(path), None)
 

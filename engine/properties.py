@@ -41,6 +41,12 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
 
 
+def _redraw(self, context):
+    from .viewport import spaces
+
+    spaces.redraw()
+
+
 class FASTGS_PG_scene(bpy.types.PropertyGroup):
     """Settings of the render engine."""
 
@@ -52,6 +58,19 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('MEDIAN', "Median", "Depth at which half of the light is blocked: sharp edges, no values between surfaces", 1),
         ),
         default='EXPECTED')
+    show_splats: BoolProperty(
+        name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
+        "Rendered shading, with the scene's meshes", default=True, update=_redraw)
+    viewport_density: FloatProperty(
+        name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the animation plays, "
+        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=_redraw)
+    viewport_pixels: EnumProperty(
+        name="Pixel Size", description="Draw splats in viewports at a lower resolution",
+        items=(
+            ('1', "1x", "One pixel for each of the viewport's", 1),
+            ('2', "2x", "A quarter of the viewport's pixels", 2),
+            ('4', "4x", "A sixteenth of the viewport's pixels", 4),
+        ), default='1', update=_redraw)
 
 
 def _update_passes(self, context):

@@ -3,6 +3,7 @@
 import bpy
 
 from . import final, objects, passes
+from .viewport import spaces
 
 
 class FASTGSRenderEngine(bpy.types.RenderEngine):
@@ -21,6 +22,12 @@ class FASTGSRenderEngine(bpy.types.RenderEngine):
 
     def render(self, depsgraph):
         final.render(self, depsgraph)
+
+    def view_update(self, context, depsgraph):
+        spaces.changed()
+
+    def view_draw(self, context, depsgraph):
+        spaces.view_draw(context, depsgraph)
 
     def update_render_passes(self, scene=None, renderlayer=None):
         passes.register(self, scene, renderlayer)

@@ -2,18 +2,20 @@
 """The light mesh that stands for a 4D model in the scene: coloured points, never the Gaussians.
 
 Points alone are drawn by no other engine, so one Geometry Nodes group (shared by all splat objects of a .blend) puts a small
-octahedron on each while Blender evaluates the scene.  What is stored stays the points.
+octahedron on each while Blender evaluates the scene.  What is stored stays the points.  Where viewports draw the splats
+themselves (engine/proxies.py), all that is left of the points there is the edges of their bounding box.
 """
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
+from ..engine import proxies
 from ..engine.colour import rec709_to_working
 from ..fastgs_blender.model import GaussianModel
 from .proxy_points import LIMIT, choose
 
-NAME = "FAST-GS Proxy"
+NAME = proxies.GROUP
 """Of the node group, the modifier and the material."""
 COLOUR = "Color"
 RADIUS = "radius"
@@ -68,9 +70,15 @@ def _group() -> bpy.types.NodeTree:
             ("in", 'NodeGroupInput'), ("radius", 'GeometryNodeInputNamedAttribute'), ("ball", 'GeometryNodeMeshUVSphere'),
             ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'),
             ("smooth", 'GeometryNodeSetShadeSmooth'), ("join", 'GeometryNodeJoinGeometry'),
-            ("material", 'GeometryNodeSetMaterial'), ("out", 'NodeGroupOutput'))):
+            ("material", 'GeometryNodeSetMaterial'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
+            ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
+            ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
         node[key] = group.nodes.new(kind)
         node[key].location = 200 * x, 0
+    node["hide"].name, node["hide"].label = proxies.SWITCH, proxies.SWITCH
+    node["edges"].mode, node["edges"].domain = 'ONLY_FACE', 'FACE'
+    node["both"].operation = 'AND'
+    node["switch"].input_type = 'GEOMETRY'
     node["radius"].data_type = 'FLOAT'
     node["radius"].inputs["Name"].default_value = RADIUS
     for name, value in (("Segments", 4), ("Rings", 2), ("Radius", 1.0)):
@@ -80,7 +88,9 @@ def _group() -> bpy.types.NodeTree:
             ("in", 0, "instance", "Points"), ("ball", "Mesh", "instance", "Instance"), ("radius", "Attribute", "instance", "Scale"),
             ("instance", 0, "realize", 0), ("realize", 0, "smooth", "Geometry"), ("smooth", 0, "join", 0),
             # the points themselves come along: only they know which colour attribute is the active one
-            ("in", 0, "join", 0), ("join", 0, "material", "Geometry"), ("material", 0, "out", 0)):
+            ("in", 0, "join", 0), ("join", 0, "material", "Geometry"), ("material", 0, "switch", "False"),
+            ("in", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("edges", 0, "switch", "True"),
+            ("hide", 0, "both", 0), ("viewport", 0, "both", 1), ("both", 0, "switch", "Switch"), ("switch", 0, "out", 0)):
         group.links.new(node[source].outputs[output], node[target].inputs[socket])
     return group
 

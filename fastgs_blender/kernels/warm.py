@@ -8,6 +8,8 @@ from ..appearance import RGB, Features
 from ..camera import Camera
 from ..model import GaussianModel
 from ..rendering import render
+from ..scene import Part
+from ..visibility import importance_rank, order
 
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
 
@@ -21,6 +23,8 @@ def compile_all(progress=lambda fraction: None) -> None:
     for i, (model, passes) in enumerate(jobs):
         render(model, camera, passes=passes, backend="cpu")
         progress((i + 1) / len(jobs))
+    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera)
+    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera, 0.5, importance_rank)
 
 
 if __name__ == "__main__":

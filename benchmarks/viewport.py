@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The viewport's figures, without a window: python benchmarks/viewport.py [--gaussians 300000] [--frames 60] [--json FILE]
+
+* sort          1 M depths, median, on the threads in use
+* order         culling and sorting of the playing model on the viewport's thread
+* upload        bytes handed to the GPU for a frame of playback
+* main thread   time of a drawn frame up to the submission of its draw calls: Python, matrices, uploads; not the GPU
+                (or the software rasteriser) behind them; by the clock, and as processor time where the machine is busy
+
+Needs a Python with Blender's bpy, and an EGL driver.
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+ADDON = "bl_ext.user_default.fastgs_blender"
+SIZE = 1280, 720
+
+
+def load_extension():
+    """Enable the repository as Blender's extension, in a user folder of its own."""
+    user = Path(tempfile.mkdtemp(prefix="fastgs-"))
+    os.environ["BLENDER_USER_RESOURCES"] = str(user)
+    folder = user / "extensions" / "user_default"
+    folder.mkdir(parents=True)
+    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
+    import bpy  # noqa: F401 (makes the next one importable)
+    import addon_utils  # isort: skip
+
+    addon_utils.enable(ADDON, default_set=True)
+    sys.path.insert(0, str(ROOT / "tests" / "addon"))
+    return user
+
+
+def module(name):
+    return import_module(f"{ADDON}.{name}")
+
+
+def capture(fg, n: int):
+    """10 s at 30 fps in the paper's kind: Fourier motion, turning, temporal opacity, features with a decoder."""
+    rng = np.random.default_rng(0)
+    appearance = fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.3, (3, 6)))
+    return fg.GaussianModel(
+        position=rng.normal(0, 1, (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-5, 0.5, (n, 3)),
+        opacity=rng.normal(1, 2, n), features=rng.uniform(0, 1, (n, 9)), motion=rng.normal(0, 0.02, (n, 10, 3)),
+        rotation_motion=rng.normal(0, 0.2, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n), temporal=rng.normal(2, 1, (n, 1)),
+        basis=fg.Fourier(5), rotation_basis=fg.Polynomial(1), temporal_kind=fg.Radial(), appearance=appearance,
+        clip=fg.Clip(300, 30.0))
+
+
+def sort_milliseconds(runs: int = 31) -> list[float]:
+    """Sorting 1 M depths."""
+    order_by = module("fastgs_blender.kernels.parallel_sort").order_by
+    depth = np.random.default_rng(0).uniform(0.5, 40, 1_000_000).astype(np.float32)
+    index = np.arange(len(depth), dtype=np.int32)
+    order_by(depth, index)
+    times = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        order_by(depth, index)
+        times.append(1e3 * (time.perf_counter() - start))
+    return times
+
+
+class Stopwatch:
+    """Stands for a batch and measures what its draw calls take: that is not the main thread's own work."""
+
+    def __init__(self, batch):
+        self.batch, self.seconds, self.processor = batch, 0.0, 0.0
+
+    def draw(self, *args, **kwargs):
+        self._time(self.batch.draw, *args, **kwargs)
+
+    def draw_instanced(self, *args, **kwargs):
+        self._time(self.batch.draw_instanced, *args, **kwargs)
+
+    def _time(self, function, *args, **kwargs):
+        start, processor = time.perf_counter(), time.thread_time()
+        function(*args, **kwargs)
+        self.seconds += time.perf_counter() - start
+        self.processor += time.thread_time() - processor
+
+
+def playback(fg, n: int, frames: int) -> dict:
+    """Play a capture in a view, as fast as it goes."""
+    import gpu
+
+    atlas, textures, view, eye, frame, worker, shaders, sorting = (module(f"engine.{name}") for name in (
+        "viewport.atlas", "viewport.textures", "viewport.view", "viewport.eye", "frame", "viewport.worker", "viewport.shaders",
+        "viewport.sorting"))
+    retime = module("engine.time").Retime(start_frame=0.0)
+    path = Path(tempfile.mkdtemp()) / "capture.safetensors"
+    fg.save(capture(fg, n), path)
+    focal = 1.2
+    window = np.array([[focal, 0, 0, 0], [0, focal * SIZE[0] / SIZE[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
+    thread, textures_of_all = worker.Worker(), atlas.Atlas()
+    shown = view.View(textures_of_all, thread)
+    look = view.Look(np.eye(3))
+    watches = [Stopwatch(batch) for _, batch in (shaders.splats(True, False), shaders.resolve(True, False))]
+    pairs = [shaders.splats(True, False)[0], shaders.resolve(True, False)[0]]
+    shaders.splats = lambda *kind: (pairs[0], watches[0])
+    shaders.resolve = lambda *kind: (pairs[1], watches[1])
+    offscreen = gpu.types.GPUOffScreen(*SIZE, format='RGBA16F')
+    own, processor, sent, order = [], [], [], []
+    with offscreen.bind():
+        for number in range(frames + 2):
+            contents = frame.Contents([frame.Shown("capture", str(path), np.eye(4), retime)], float(number), 30.0)
+            turn = 0.01 * number
+            pose = np.array([[np.cos(turn), 0, np.sin(turn), 0], [0, 1, 0, 0], [-np.sin(turn), 0, np.cos(turn), -4], [0, 0, 0, 1]])
+            bytes_before = textures.Sent.bytes
+            for watch in watches:
+                watch.seconds = watch.processor = 0.0
+            start, start_processor = time.perf_counter(), time.thread_time()
+            camera, _ = eye.eye(*SIZE, pose, window)
+            shown.draw(contents, camera, look, playing=True, wait=number == 0)
+            own.append(time.perf_counter() - start - sum(w.seconds for w in watches))
+            processor.append(time.thread_time() - start_processor - sum(w.processor for w in watches))
+            sent.append(textures.Sent.bytes - bytes_before)
+            gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, 'FLOAT')  # until the picture is there
+            while shown.waiting:
+                time.sleep(0.001)
+        for number in range(9):
+            start = time.perf_counter()
+            sorting.sort(contents, camera, 1.0, textures_of_all)
+            order.append(time.perf_counter() - start)
+    thread.stop()
+    path.unlink()
+    return {"first frame": 1e3 * own[0], "main thread": [1e3 * x for x in own[2:]],
+            "processor": [1e3 * x for x in processor[2:]], "upload": sent[2:], "order": [1e3 * x for x in order]}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--gaussians", type=int, default=300_000)
+    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    load_extension()
+    import bpy
+    from gpu_context import open_gpu
+
+    open_gpu(bpy.context.scene)
+    fg, threads = module("fastgs_blender"), module("fastgs_blender.kernels.threads")
+    sort = sort_milliseconds()
+    played = playback(fg, arguments.gaussians, arguments.frames)
+    own, sent = played["main thread"], played["upload"]
+    figures = {
+        "threads": threads.thread_count(), "gaussians": arguments.gaussians, "sort of 1 M, ms": statistics.median(sort),
+        "culling and sorting, ms": statistics.median(played["order"]), "upload a frame, MB": max(sent) / 1e6,
+        "main thread, ms, median": statistics.median(own), "main thread, ms, 95 %": float(np.percentile(own, 95)),
+        "main thread, processor ms": statistics.median(played["processor"]), "first frame, ms": played["first frame"],
+    }
+    for name, value in figures.items():
+        print(f"{name:28} {value:,.2f}" if isinstance(value, float) else f"{name:28} {value:,}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=1))
+    sys.stdout.flush()
+    os._exit(0)  # Blender as a module may crash at exit
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splats in Blender's 3D viewports, drawn by the GPU."""
+import bpy
+
+from . import spaces
+
+HANDLERS = (
+    (bpy.app.handlers.depsgraph_update_post, spaces.changed),
+    (bpy.app.handlers.frame_change_post, spaces.changed),
+    (bpy.app.handlers.undo_post, spaces.changed),
+    (bpy.app.handlers.redo_post, spaces.changed),
+    (bpy.app.handlers.load_pre, spaces.clear),
+)
+_drawing = []
+
+
+def register():
+    for handlers, function in HANDLERS:
+        handlers.append(bpy.app.handlers.persistent(function))
+    _drawing.append(bpy.types.SpaceView3D.draw_handler_add(spaces.post_view, (), 'WINDOW', 'POST_VIEW'))
+
+
+def unregister():
+    while _drawing:
+        bpy.types.SpaceView3D.draw_handler_remove(_drawing.pop(), 'WINDOW')
+    for handlers, function in HANDLERS:
+        handlers.remove(function)
+    spaces.stop()

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A 3D viewport's matrices as the library's camera."""
+from __future__ import annotations
+
+import numpy as np
+
+from ... import fastgs_blender as fg
+from ..camera import OPENCV
+from .parameters import Depths
+
+
+def eye(width: int, height: int, view, window, divider: int = 1) -> tuple[fg.Camera, Depths]:
+    """The camera of a region [width, height] with its view and window matrices, and the depth that its window stores.
+
+    divider   how many of the region's pixels, in x and in y, one of the picture's covers
+    An orthographic view also shows what lies behind its matrix's origin: its camera is moved back to where the view begins.
+    """
+    p, pose = np.array(window, np.float64), OPENCV @ np.array(view, np.float64)
+    width, height = max(width // divider, 1), max(height // divider, 1)
+    if p[3, 3] == 0:
+        centre_x, centre_y = -p[0, 2], -p[1, 2]
+        near = p[2, 3] / (p[2, 2] - 1)
+        depths = Depths(0.5 - 0.5 * p[2, 2], 0.5 * p[2, 3])
+    else:
+        centre_x, centre_y = p[0, 3], p[1, 3]
+        near = (1 + p[2, 3]) / p[2, 2]
+        depths = Depths(0.5 + 0.5 * p[2, 3], -0.5 * p[2, 2])
+        if near < 0:
+            pose[2, 3] -= near
+            depths = Depths(depths.a + depths.b * near, depths.b)
+            near = 0.0
+    camera = fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=width / 2 * (1 + centre_x),
+                       cy=height / 2 * (1 - centre_y), world_to_camera=pose, orthographic=p[3, 3] != 0, near=max(near, 0.0))
+    return camera, depths
+
+
+def frame_in(window, frame) -> tuple[float, float, float, float]:
+    """Where the picture of one projection (`frame`, a matrix) lies in another's (`window`): left, bottom, right, top, 0..1."""
+    w, f = np.array(window, np.float64), np.array(frame, np.float64)
+    out = []
+    for edge in (-1, 1):
+        for axis in (0, 1):
+            if w[3, 3] == 0:
+                at = w[axis, axis] * (edge + f[axis, 2]) / f[axis, axis] - w[axis, 2]
+            else:
+                at = w[axis, axis] * (edge - f[axis, 3]) / f[axis, axis] + w[axis, 3]
+            out.append(0.5 + 0.5 * at)
+    return tuple(out)

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A picture of splats on the GPU: blended in the space in which the models were trained, then turned into scene-linear colour.
+
+Splats are blended once for each *group* that needs its own way from blended numbers to colour: one for all plain sRGB models,
+one for all linear ones, one for each model with a decoder.  In a group's turn the splats of others are black, so that they
+hide what lies behind them.  Groups in one colour space are summed, then decoded; the spaces' light adds up (engine/final.py
+does the same).  Nearly always there is one group.
+"""
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import gpu
+import numpy as np
+
+from ...fastgs_blender.appearance import ACTIVATIONS, Features
+from ...fastgs_blender.camera import Camera
+from ...fastgs_blender.scene import Part
+from . import parameters, shaders
+from .atlas import Atlas
+from .textures import upload, upload_list
+
+ORDER_WIDTH = 4096
+"""Entries in a row of the texture with the order; glsl.py knows it too."""
+FORMAT = 'RGBA16F'
+WHOLE = (0.0, 0.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Parts whose blended numbers become colour in the same way; `part` is the one with a decoder, or None."""
+
+    colour_space: str
+    part: Part | None = None
+
+
+def grouped(parts: list[Part]) -> tuple[list[Group], dict[int, int]]:
+    """The groups, and which of them each part belongs to, by their places in the lists."""
+    groups, member, plain = [], {}, {}
+    for number, part in enumerate(parts):
+        space = part.model.colour_space
+        if isinstance(part.model.appearance, Features):
+            member[number] = len(groups)
+            groups.append(Group(space, part))
+        else:
+            if space not in plain:
+                plain[space] = len(groups)
+                groups.append(Group(space))
+            member[number] = plain[space]
+    return groups, member
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDepth:
+    """The depth of what else is in the window, to hide splats behind: values [h, w], the bottom row first."""
+
+    values: np.ndarray
+    depths: parameters.Depths
+
+
+class Order:
+    """Which Gaussians to draw, the nearest first, on the GPU."""
+
+    def __init__(self, indices: np.ndarray):
+        self.count = len(indices)
+        self.texture = upload_list(indices, ORDER_WIDTH)
+
+
+class Picture:
+    """Targets of one size, and what was drawn into them last."""
+
+    def __init__(self):
+        self.size = None
+        self.groups: list[Group] = []
+        self.camera = None
+        self._drawn = None
+        self._targets = []
+        self._no_depth = None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the targets."""
+        return sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
+
+    def draw(self, camera: Camera, parts: list[Part], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
+        """Blend the parts, which the atlas holds, in the given order."""
+        groups, member = grouped(parts)
+        shape = (1, 1) if depth is None else depth.values.shape[::-1]
+        table = parameters.table(camera, parts, atlas, order.count, member, depth and depth.depths, shape)
+        same = (order, atlas.geometry, table.tobytes())
+        if depth is None and same == self._drawn:
+            return
+        self._drawn = None
+        self._resize((camera.width, camera.height), groups)
+        self.camera = camera
+        if self._no_depth is None:
+            self._no_depth = upload(np.ones((1, 1, 1), np.float32))
+        seen = self._no_depth if depth is None else upload(depth.values[..., None])
+        with _drawing('ALPHA_PREMULT'):
+            for number, (_, framebuffer) in enumerate(self._targets):
+                table[0, 3, 3] = number
+                with framebuffer.bind():
+                    framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
+                    if order.count:
+                        features, own = self._kind(number)
+                        shader, batch = shaders.splats(features, own)
+                        inputs = {"t_table": upload(table), "t_order": order.texture, "t_geometry": atlas.geometry,
+                                  "t_colour": atlas.colour, "t_depth": seen}  # they must live until they are drawn
+                        shader.bind()
+                        for name, texture in inputs.items():
+                            shader.uniform_sampler(name, texture)
+                        batch.draw_instanced(shader, instance_count=order.count)
+        if depth is None:
+            self._drawn = same
+
+    def resolve(self, working: np.ndarray, background=None, border=WHOLE, opacity: float = 1.0, frame=WHOLE,
+                outside: float = 1.0) -> None:
+        """Draw the picture over the whole of the active framebuffer: premultiplied, linear.
+
+        working     [3, 3] from linear Rec.709 to the target's primaries
+        background  colour under the splats, or None
+        border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
+        frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
+        """
+        look = working, background, border, opacity, frame, outside
+        if len(self.groups) == 1:
+            self._resolve(self.groups[0], self._targets[0][0], *look)
+            return
+        for number, (space, textures) in enumerate(self._sums().items()):
+            self._resolve(Group(space), textures, *look, first=number == 0, own=True, summed=True)
+
+    def _sums(self):
+        """For each colour space, what its groups look like together, with the weight that they have in the picture."""
+        sums = {}
+        for group, (textures, _) in zip(self.groups, self._targets):
+            if group.colour_space not in sums:
+                target, framebuffer = _target(self.size, False, False)
+                sums[group.colour_space] = {**target, "t_own": textures["t_own"]}, framebuffer
+                with framebuffer.bind():
+                    framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
+            with sums[group.colour_space][1].bind():
+                self._resolve(group, textures, np.eye(3), own=True, raw=True)
+        return {space: textures for space, (textures, _) in sums.items()}
+
+    def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
+                 first=True, own=False, summed=False, raw=False):
+        values = np.zeros((1, 37, 4), np.float32)
+        row = values[0]
+        appearance = group.part and group.part.model.appearance
+        activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
+        row[0] = group.colour_space == "srgb" and not raw, activation, summed, raw
+        row[1] = (0, 0, 0, 0) if background is None else (*background, 1)
+        row[2] = border
+        row[3] = first, opacity, 0, 0
+        row[4] = self.camera.width, self.camera.height, self.camera.orthographic, outside
+        row[5] = self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
+        if appearance:
+            row[6:9] = group.part.camera_to_model[:3]
+            row[9:27] = appearance.w1.reshape(18, 4)
+            row[27:33, :3] = appearance.w2.T
+        row[33:36, :3] = working
+        row[36] = frame
+        shader, batch = shaders.resolve(group.part is not None, own)
+        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
+            inputs = {"t_resolve": upload(values), **textures}
+            shader.bind()
+            for name, texture in inputs.items():
+                shader.uniform_sampler(name, texture)
+            batch.draw(shader)
+
+    def free(self) -> None:
+        """Free the targets."""
+        self._targets, self.groups, self.size, self._drawn, self._no_depth = [], [], None, None, None
+
+    def _kind(self, number):
+        return self.groups[number].part is not None, len(self.groups) > 1
+
+    def _resize(self, size, groups):
+        kinds = [(g.part is not None, len(groups) > 1) for g in groups]
+        same = size == self.size and kinds == [self._kind(i) for i in range(len(self.groups))]
+        self.groups, self.size = groups, size
+        if not same:
+            self._targets = [_target(size, *kind) for kind in kinds]
+
+
+def _target(size, features: bool, own: bool):
+    names = ["t_first"] + ["t_second", "t_third"] * features + ["t_own"] * own
+    textures = {name: gpu.types.GPUTexture(size, format=FORMAT) for name in names}
+    return textures, gpu.types.GPUFrameBuffer(color_slots=tuple(textures.values()))
+
+
+@contextmanager
+def _drawing(blend):
+    """Blending as wanted, no depth test; as Blender expects it afterwards."""
+    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
+    gpu.state.blend_set(blend)
+    gpu.state.depth_test_set('NONE')
+    gpu.state.depth_mask_set(False)
+    try:
+        yield
+    finally:
+        gpu.state.blend_set(before[0])
+        gpu.state.depth_test_set(before[1])
+        gpu.state.depth_mask_set(before[2])

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The 3D viewports of the open windows: where splats are drawn, and when they are drawn again."""
+from __future__ import annotations
+
+import bpy
+import gpu
+import numpy as np
+
+from .. import colour, compiling, frame, proxies, world
+from . import shaders
+from .atlas import Atlas
+from .eye import eye, frame_in
+from .picture import WHOLE, SceneDepth
+from .textures import flat
+from .view import Look, View
+from .worker import Worker
+
+TICK = 1 / 60
+
+atlas = Atlas()
+_worker = Worker()
+_views: dict[tuple[int, bool], View] = {}
+_contents: dict[tuple, frame.Contents] = {}
+
+
+def view_draw(context, depsgraph) -> None:
+    """Rendered shading under our engine: scene-linear, premultiplied; Blender applies the view transform."""
+    scene, region = depsgraph.scene, context.region
+    background, _ = world.background(scene, depsgraph.view_layer)
+    look = Look(colour.rec709_to_working(), background, _border(context, depsgraph))
+    _draw(context, depsgraph, look, region, rendered=True)
+
+
+def post_view() -> None:
+    """Every other shading: with the scene's meshes, over what Blender has drawn."""
+    context = bpy.context
+    space, scene = context.space_data, context.scene
+    if not shows_over(space, scene):
+        _put_aside(context.region, False)
+        return
+    _put_aside(context.region, True)
+    depsgraph = context.evaluated_depsgraph_get()
+    xray = space.shading.type == 'SOLID' and space.shading.show_xray
+    look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
+    _draw(context, depsgraph, look, context.region, rendered=False, hidden=not xray)
+
+
+def _put_aside(region, rendered):
+    """Free what a region drew in the other of its two ways: it would only take memory."""
+    view = _views.pop((region.as_pointer(), rendered), None)
+    if view is not None:
+        view.free()
+
+
+def shows_over(space, scene) -> bool:
+    """Whether a viewport shows splats over what Blender draws."""
+    shading = space.shading.type
+    return scene.fastgs.show_splats and shading != 'WIREFRAME' and not (shading == 'RENDERED' and scene.render.engine == 'FASTGS')
+
+
+def _draw(context, depsgraph, look, region, rendered, hidden=False):
+    shown = contents(context.space_data, depsgraph)
+    view = _views.get((region.as_pointer(), rendered))
+    if view is None:
+        if not shown.shown and not rendered:
+            return
+        _forget_closed()
+        compiling.start_on_first_use()
+        view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
+    settings, matrices = context.scene.fastgs, context.region_data
+    divider = int(settings.viewport_pixels)
+    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider)
+    depth = None
+    if hidden and shown.shown:
+        depth = scene_depth(region.width, region.height, depths)
+    playing = context.screen is not None and context.screen.is_animation_playing
+    view.draw(shown, camera, look, settings.viewport_density, playing, depth)
+    if view.waiting or view.coarse or view.stale or (shown.shown and not proxies.hidden()):
+        _start()
+
+
+def _start():
+    if not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=TICK)
+
+
+def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
+    """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats."""
+    values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
+    return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)
+
+
+def contents(space, depsgraph) -> frame.Contents:
+    """What a viewport shows, kept until something changes."""
+    key = (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
+           space.use_local_collections, space.show_object_viewport_mesh)
+    found = _contents.get(key)
+    if found is None:
+        found = _contents[key] = frame.contents(depsgraph, lambda obj: _visible(obj, space))
+    return found
+
+
+def changed(*_) -> None:
+    """Something in the scene is other than it was."""
+    _contents.clear()
+
+
+def memory() -> int:
+    """Bytes that viewports hold on the GPU."""
+    return atlas.nbytes + sum(view.picture.nbytes for view in _views.values())
+
+
+def trouble() -> str | None:
+    """What keeps viewports from showing all splats, as a sentence; None where nothing does."""
+    return next((view.trouble for view in _views.values() if view.trouble), None)
+
+
+def clear(*_) -> None:
+    """Free all that is on the GPU, and forget all viewports."""
+    for view in _views.values():
+        view.free()
+    _views.clear()
+    _contents.clear()
+    atlas.clear()
+
+
+def stop() -> None:
+    """End everything: the extension goes."""
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    _worker.stop()
+    clear()
+    shaders.clear()
+    proxies.hide(False)
+
+
+def redraw(*_) -> None:
+    """Draw all 3D viewports again, after a setting of theirs has changed."""
+    _start()
+    for region in _regions():
+        region.tag_redraw()
+
+
+def _visible(obj, space) -> bool:
+    obj = obj.original
+    if obj.type == 'MESH' and not space.show_object_viewport_mesh:
+        return False
+    return obj.visible_in_viewport_get(space)
+
+
+def _shown_models():
+    return [model for view in _views.values() for model in view.models]
+
+
+def _border(context, depsgraph):
+    """The part of the region to render: left, bottom, right, top, 0..1."""
+    space, render = context.space_data, depsgraph.scene.render
+    if context.region_data.view_perspective == 'CAMERA':
+        frame_ = _camera_frame(context, depsgraph)
+        if frame_ is None or not render.use_border:
+            return WHOLE
+        left, bottom, right, top = frame_
+        return (left + render.border_min_x * (right - left), bottom + render.border_min_y * (top - bottom),
+                left + render.border_max_x * (right - left), bottom + render.border_max_y * (top - bottom))
+    if space.use_render_border:
+        return space.render_border_min_x, space.render_border_min_y, space.render_border_max_x, space.render_border_max_y
+    return WHOLE
+
+
+def _passepartout(context, depsgraph) -> dict:
+    """How Blender darkens what lies outside the camera's picture."""
+    space = context.space_data
+    if context.region_data.view_perspective == 'CAMERA' and space.overlay.show_overlays:
+        frame_ = _camera_frame(context, depsgraph)
+        camera = space.camera if space.use_local_camera else depsgraph.scene.camera
+        if frame_ is not None and camera.data.show_passepartout:
+            return {"frame": frame_, "outside": 1 - camera.data.passepartout_alpha}
+    return {}
+
+
+def _camera_frame(context, depsgraph):
+    """Where the camera's picture lies in a region that looks through it; None where that is no camera."""
+    space, render = context.space_data, depsgraph.scene.render
+    camera = space.camera if space.use_local_camera else depsgraph.scene.camera
+    if camera is None or camera.type != 'CAMERA':
+        return None
+    width, height = render.resolution_x, render.resolution_y
+    projection = camera.evaluated_get(depsgraph).calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
+    return frame_in(context.region_data.window_matrix, projection)
+
+
+def _regions():
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == 'VIEW_3D':
+                yield from (region for region in area.regions if region.type == 'WINDOW')
+
+
+def _forget_closed():
+    """Free the viewports that are gone, and the models that no viewport shows."""
+    open_ = {region.as_pointer() for region in _regions()}
+    for key in [key for key in _views if key[0] not in open_]:
+        _views.pop(key).free()
+
+
+def _tick():
+    """While something is under way: draw the viewports for which it has arrived."""
+    busy = False
+    if bpy.app.is_job_running('RENDER'):
+        return 0.5  # it reads the data that is written below
+    proxies.hide(any(view.shows for view in _views.values()) and all(scene.fastgs.show_splats for scene in bpy.data.scenes))
+    for region in _regions():
+        for rendered in (False, True):
+            view = _views.get((region.as_pointer(), rendered))
+            if view is None:
+                continue
+            if view.stale or (view.coarse and view.resting):
+                region.tag_redraw()
+            busy |= view.waiting or view.stale or view.coarse
+    return TICK if busy else None

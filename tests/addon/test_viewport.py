@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A viewport's state: what it draws while it waits, when it asks again, what it does where the GPU fails, and what it leaves."""
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from gpu_context import draw_offscreen, open_gpu
+
+
+@pytest.fixture
+def worker(module):
+    worker = module("engine.viewport.worker").Worker()
+    yield worker
+    worker.stop()
+
+
+@pytest.fixture
+def view(module, scene, worker):
+    open_gpu(scene)
+    view = module("engine.viewport.view").View(module("engine.viewport.atlas").Atlas(), worker)
+    yield view
+    view.free()
+
+
+@pytest.fixture
+def contents(module):
+    """contents(*paths, frame=0.0): what a scene shows."""
+    frame, retime = module("engine.frame"), module("engine.time").Retime(start_frame=0.0)
+
+    def make(*paths, at=0.0):
+        return frame.Contents([frame.Shown(path, path, np.eye(4), retime) for path in paths], at, 30.0)
+
+    return make
+
+
+@pytest.fixture
+def eye(module):
+    """eye(turn=0, size=(96, 64)): the camera of a region that looks at the origin from 4 units away."""
+
+    def make(turn=0.0, size=(96, 64), orthographic=False):
+        view = np.array([[np.cos(turn), 0, np.sin(turn), 0], [0, 1, 0, 0], [-np.sin(turn), 0, np.cos(turn), -4], [0, 0, 0, 1.0]])
+        wide = size[0] / size[1]
+        if orthographic:
+            window = np.array([[0.5 / wide, 0, 0, 0.1], [0, 0.5, 0, -0.05], [0, 0, -0.01, 0], [0, 0, 0, 1]])
+        else:
+            window = np.array([[1.8 / wide, 0, 0.1, 0], [0, 1.8, -0.05, 0], [0, 0, -1.002, -0.2], [0, 0, -1, 0]])
+        return module("engine.viewport.eye").eye(*size, view, window)[0]
+
+    return make
+
+
+@pytest.fixture
+def draw(module, view):
+    """draw(contents, camera, **options): the view's picture [h, w, 4]."""
+    look = module("engine.viewport.view").Look(np.eye(3))
+    return lambda contents, camera, **options: draw_offscreen(
+        camera.width, camera.height, lambda framebuffer: view.draw(contents, camera, look, **options))
+
+
+@pytest.fixture
+def expected(module):
+    """The final render's picture of what the contents show."""
+
+    def picture(contents, camera):
+        return module("engine.final").pictures(contents.parts()[0], camera, None, None, lambda fraction: None).combined
+
+    return picture
+
+
+def psnr(a, b):
+    return -10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20)
+
+
+def settle(view, timeout=30):
+    end = time.monotonic() + timeout
+    while view.waiting:
+        assert time.monotonic() < end, "the thread never answered"
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_region_shows_what_the_camera_of_its_matrices_renders(fg, make_model, model_file, contents, eye, draw, expected, orthographic):
+    path = model_file(make_model(200))
+    camera = eye(orthographic=orthographic)
+    got = draw(contents(path), camera, wait=True)
+    assert psnr(got, expected(contents(path), camera)) > 45 and got[..., 3].max() > 0.5
+
+
+def test_the_window_is_the_matrices(module, eye):
+    """Points are where the region's matrices put them, and so is their depth."""
+    view = np.array([[0.8, 0, 0.6, 0.3], [0, 1, 0, -0.2], [-0.6, 0, 0.8, -4], [0, 0, 0, 1]])
+    points = np.c_[np.random.default_rng(0).uniform(-1, 1, (20, 3)), np.ones(20)]
+    for window in (np.array([[1.5, 0, 0.1, 0], [0, 2, -0.2, 0], [0, 0, -1.002, -0.2], [0, 0, -1, 0]]),
+                   np.array([[0.3, 0, 0, 0.1], [0, 0.4, 0, -0.2], [0, 0, -0.01, 0.0], [0, 0, 0, 1]])):
+        camera, depths = module("engine.viewport.eye").eye(100, 50, view, window)
+        clip = points @ view.T @ window.T
+        ndc = clip[:, :3] / clip[:, 3:]
+        x, y, z = (points @ camera.world_to_camera.T)[:, :3].T
+        scale = 1 if camera.orthographic else 1 / z
+        np.testing.assert_allclose(camera.fx * x * scale + camera.cx, 50 * (1 + ndc[:, 0]))
+        np.testing.assert_allclose(camera.fy * y * scale + camera.cy, 25 * (1 - ndc[:, 1]))
+        np.testing.assert_allclose(depths.a + depths.b * (z if camera.orthographic else 1 / z), 0.5 + 0.5 * ndc[:, 2])
+        assert (z > camera.near).all()
+
+
+def test_drawing_never_waits_and_catches_up(fg, make_model, model_file, contents, eye, draw, view, expected):
+    path = model_file(make_model(200))
+    first = draw(contents(path), eye())
+    assert not first.any(), "nothing is known yet"
+    settle(view)
+    assert view.stale
+    np.testing.assert_array_equal(draw(contents(path), eye()), draw(contents(path), eye()))
+    assert not view.stale and not view.waiting
+    turned = draw(contents(path), eye(2.5))
+    assert turned.any(), "the last order serves until the new one is there"
+    settle(view)
+    assert view.stale
+    assert psnr(draw(contents(path), eye(2.5)), expected(contents(path), eye(2.5))) > 45
+
+
+def test_time_needs_no_new_data(module, fg, make_model, model_file, contents, eye, draw, view, expected):
+    sent = module("engine.viewport.textures").Sent
+    model = make_model(400, motion=np.random.default_rng(1).normal(0, 0.3, (400, 10, 3)), basis=fg.Fourier(5), clip=fg.Clip(30))
+    path = model_file(model)
+    draw(contents(path), eye(), wait=True)
+    for at in (3.25, 17.0):
+        before = sent.bytes
+        assert psnr(draw(contents(path, at=at), eye(), wait=True), expected(contents(path, at=at), eye())) > 45
+        assert 0 < sent.bytes - before < 30_000
+
+
+def test_density_while_moving_and_everything_when_still(module, fg, make_model, model_file, contents, eye, draw, view, monkeypatch):
+    monkeypatch.setattr(module("engine.viewport.view"), "RESTING", 0.05)
+    path = model_file(make_model(300))
+    draw(contents(path), eye(), wait=True, density=0.25)
+    assert view._order[1].count > 200
+    draw(contents(path), eye(0.3), wait=True, density=0.25)
+    assert view.coarse and view._order[1].count <= 75
+    time.sleep(0.06)
+    draw(contents(path), eye(0.3), wait=True, density=0.25)
+    assert not view.coarse and view._order[1].count > 200
+    draw(contents(path), eye(0.3), wait=True, density=0.25, playing=True)
+    assert view._order[1].count <= 75
+
+
+def test_objects_come_and_go(make_model, model_file, contents, eye, draw, view, expected):
+    one, two = model_file(make_model(50), "one.safetensors"), model_file(make_model(60, seed=1), "two.safetensors")
+    for shown in (contents(one), contents(one, two), contents(two), contents(), contents(two, one, two)):
+        got = draw(shown, eye(), wait=True)
+        assert psnr(got, expected(shown, eye())) > 45 if shown.shown else not got.any()
+
+
+def test_a_reloaded_file_is_drawn_anew(module, make_model, model_file, contents, eye, draw, expected):
+    path = model_file(make_model(50))
+    first = draw(contents(path), eye(), wait=True)
+    model_file(make_model(50, seed=3))
+    module("engine.objects").reload(path)
+    second = draw(contents(path), eye(), wait=True)
+    assert psnr(second, expected(contents(path), eye())) > 45 > psnr(second, first)
+
+
+def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, contents, eye, draw, view, expected):
+    path = model_file(make_model(50))
+    got = draw(contents(path, "/nowhere/x.ply"), eye(), wait=True)
+    draw(contents(path, "/nowhere/x.ply"), eye())
+    assert "/nowhere/x.ply" in view.trouble
+    assert psnr(got, expected(contents(path), eye())) > 45
+
+
+def test_the_cpu_draws_where_shaders_do_not_compile(module, make_model, model_file, contents, eye, draw, view, expected, monkeypatch):
+    def broken(*kind):
+        raise Exception("Shader Compile Error")  # what Blender raises
+
+    monkeypatch.setattr(module("engine.viewport.shaders"), "splats", broken)
+    path = model_file(make_model(100))
+    draw(contents(path), eye(), wait=True)
+    assert "CPU" in view.trouble
+    draw(contents(path), eye(), wait=True)
+    assert psnr(draw(contents(path), eye(), wait=True), expected(contents(path), eye())) > 45
+
+
+def test_the_latest_wish_wins(worker):
+    """Of what an owner asks for while the thread is busy, only the last is done."""
+    import threading
+
+    class Owner:
+        def __init__(self):
+            self.answers, self.errors = [], []
+
+        def done(self, answer):
+            self.answers.append(answer)
+
+        def failed(self, error):
+            self.errors.append(error)
+
+    owner, other, gate, begun = Owner(), Owner(), threading.Event(), threading.Event()
+    worker.ask(owner, lambda: (begun.set(), gate.wait(10), "first")[2])
+    assert begun.wait(10)
+    worker.ask(owner, lambda: "second")
+    worker.ask(owner, lambda: "third")
+    worker.ask(other, lambda: 1 / 0)
+    gate.set()
+    end = time.monotonic() + 10
+    while not (other.errors and len(owner.answers) == 2) and time.monotonic() < end:
+        time.sleep(0.005)
+    assert owner.answers == ["first", "third"] and isinstance(other.errors[0], ZeroDivisionError)
+    worker.stop()
+    worker.ask(owner, lambda: "after a stop")
+    while len(owner.answers) < 3 and time.monotonic() < end:
+        time.sleep(0.005)
+    assert owner.answers[2] == "after a stop"
+
+
+def test_models_that_nobody_shows_leave_the_gpu(module, fg, make_model, scene):
+    open_gpu(scene)
+    atlas = module("engine.viewport.atlas").Atlas()
+    one, two, three = (make_model(50, seed=seed) for seed in range(3))
+    atlas.hold([one, two])
+    atlas.hold([three], keep=[one])
+    assert atlas.has([one, three]) and not atlas.has([two])
+    assert atlas.nbytes > 0
+    atlas.clear()
+    assert atlas.nbytes == 0 and not atlas.has([one]) and atlas.geometry is None
+
+
+def test_a_model_too_large_for_textures_is_refused(module, fg, make_model, scene, monkeypatch):
+    atlas = module("engine.viewport.atlas")
+    monkeypatch.setattr(atlas, "ROWS", 0)
+    with pytest.raises(atlas.TooLarge):
+        atlas.Atlas().hold([make_model(5)])
+
+
+def test_viewport_visibility_is_asked_for_objects_and_instancers(module, scene, make_model, model_file, splat_object):
+    import bpy
+
+    path = model_file(make_model(5))
+    inside = bpy.data.collections.new("Inside")
+    splat_object(path, "Instanced", collection=inside)
+    splat_object(path, "Plain")
+    empty = bpy.data.objects.new("Instancer", None)
+    empty.instance_type, empty.instance_collection = 'COLLECTION', inside
+    scene.collection.objects.link(empty)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    contents = module("engine.frame").contents
+    assert [s.name for s in contents(depsgraph).shown] == ["Plain", "Instanced"]
+    assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Plain").shown] == ["Instanced"]
+    assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Instancer").shown] == ["Plain"]
+
+
+def test_nothing_is_left_after_unregister(module, addon, scene):
+    import bpy
+
+    spaces = module("engine.viewport.spaces")
+    viewport = module("engine.viewport")
+    viewport.unregister()
+    try:
+        lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]
+        functions = [f for handlers in lists if isinstance(handlers, list) for f in handlers]
+        assert not [f for f in functions if f.__module__ == spaces.__name__]
+        assert not spaces._views and not spaces.atlas.models and not viewport._drawing
+        assert not bpy.app.timers.is_registered(spaces._tick)
+    finally:
+        viewport.register()

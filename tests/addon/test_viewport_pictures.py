@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the GPU draws is what the library renders."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gpu_context import draw_offscreen, open_gpu
+
+SIZE = 160, 120
+
+
+@pytest.fixture
+def gpu_scene(scene):
+    open_gpu(scene)
+    return scene
+
+
+@pytest.fixture
+def camera(fg):
+    """camera(orthographic=False, distance=4.0): looks at the origin from somewhere off the axes, off-centre, wide pixels."""
+
+    def make(orthographic=False, distance=4.0, size=SIZE):
+        turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+        pose = np.eye(4)
+        pose[:3, :3] = turn * np.sign(np.linalg.det(turn))
+        pose[2, 3] = distance
+        width, height = size
+        focal = (0.2 if orthographic else 0.8) * width
+        return fg.Camera(width, height, focal, 1.05 * focal, 0.53 * width, 0.46 * height, pose, orthographic, near=0.1)
+
+    return make
+
+
+@pytest.fixture
+def moving(fg):
+    """moving(appearance, basis="static", n=300, seed=0): a random model with temporal opacity, blur and turning Gaussians."""
+    bases = {
+        "static": fg.Static(), "paper": fg.Fourier(5), "cosine": fg.Cosine(6), "cubic": fg.Polynomial(3),
+        "keys": fg.Keyframes((0.0, 0.2, 0.3, 0.5, 0.8, 1.0)), "smooth keys": fg.Keyframes((0.0, 0.2, 0.5, 0.7, 0.9), "catmull-rom"),
+    }
+
+    def make(appearance, basis="static", rotation="cubic", temporal=None, n=300, seed=0, **fields):
+        rng = np.random.default_rng(seed)
+        basis, rotation, temporal = bases[basis], bases[rotation], temporal or fg.Radial()
+        begin = rng.uniform(-0.2, 0.7, n)
+        features = rng.normal(0.4, 0.2, (n, appearance.width))
+        if isinstance(appearance, fg.SH):
+            features[:, 3:] -= 0.4
+        window = np.stack([begin, begin + rng.uniform(0.05, 0.6, n), *rng.normal(-3, 0.7, (2, n))], -1)
+        arrays = dict(
+            position=rng.uniform(-1, 1, (n, 3)), rotation=rng.normal(size=(n, 4)), scale=np.log(0.1) + rng.normal(0, 0.7, (n, 3)),
+            opacity=rng.normal(1, 2, n), features=features,
+            motion=rng.normal(0, 0.2, (n, basis.terms, 3)), rotation_motion=rng.normal(0, 0.3, (n, rotation.terms, 4)),
+            mu_tau=rng.uniform(0, 1, n), temporal=window if temporal.width == 4 else rng.normal(2, 1, (n, temporal.width)),
+            basis=basis, rotation_basis=rotation, temporal_kind=temporal, appearance=appearance)
+        return fg.GaussianModel(**(arrays | fields))
+
+    return make
+
+
+@pytest.fixture
+def drawn(module, gpu_scene):
+    """drawn(parts, camera, **resolve): the viewport's picture in scene-linear Rec.709 [h, w, 4]."""
+    picture, atlas = module("engine.viewport.picture"), module("engine.viewport.atlas")
+    order = module("fastgs_blender.visibility").order
+    part_of = module("fastgs_blender.scene").Part
+
+    def draw(parts, camera, depth=None, keep=lambda indices: indices, **look):
+        parts = [part_of(model, np.array(placement, float), t, camera.world_to_camera) for model, placement, t in parts]
+        textures, shown = atlas.Atlas(), picture.Picture()
+        textures.hold([part.model for part in parts])
+
+        def resolve(framebuffer):
+            shown.draw(camera, parts, textures, picture.Order(keep(order(parts, camera))), depth)
+            shown.resolve(np.eye(3), **look)
+
+        return draw_offscreen(camera.width, camera.height, resolve)
+
+    return draw
+
+
+def decoder(fg, activation):
+    rng = np.random.default_rng(3)
+    return fg.Features(rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6)), activation)
+
+
+def expected(module, parts, camera):
+    """The same from the final render's code: Combined on transparent film."""
+    return module("engine.final").pictures(parts, camera, None, None, lambda fraction: None).combined
+
+
+def psnr(a, b):
+    """Against the brightest colour of b, at least 1: decoders without activation give any number."""
+    return 10 * np.log10(max(b.max(), 1) ** 2 / (np.mean((a.astype(np.float64) - b) ** 2) + 1e-20))
+
+
+def agree(module, parts, camera, drawn, **options):
+    want = expected(module, parts, camera)
+    assert want[..., 3].max() > 0.5, "the picture must show something"
+    got = drawn(parts, camera, **options)
+    assert psnr(got, want) >= 45
+    return got, want
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("look", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none"])
+def test_every_appearance(module, fg, moving, camera, drawn, look, orthographic):
+    appearance = fg.RGB() if look == "rgb" else fg.SH(int(look[2])) if look[:2] == "sh" else decoder(fg, look)
+    agree(module, [(moving(appearance), np.eye(4), 0.4)], camera(orthographic), drawn)
+
+
+@pytest.mark.parametrize("basis", ["paper", "cosine", "cubic", "keys", "smooth keys"])
+@pytest.mark.parametrize("t", [-0.1, 0.37, 1.2])
+def test_every_basis_of_time(module, fg, moving, camera, drawn, basis, t):
+    model = moving(fg.SH(1), basis, rotation="smooth keys" if basis == "keys" else "paper", temporal=fg.Window())
+    agree(module, [(model, np.eye(4), t)], camera(), drawn) if t == 0.37 else agree(
+        module, [(moving(fg.RGB(), basis, temporal=fg.Always()), np.eye(4), t)], camera(), drawn)
+
+
+def test_antialiased_models_with_constants_of_their_own(module, fg, moving, camera, drawn):
+    raster = fg.Raster(blur=0.1, alpha_max=0.8, alpha_cut=0.02, near=0.5, antialiased=True)
+    agree(module, [(moving(fg.RGB(), raster=raster), np.eye(4), 0.5)], camera(distance=1.0), drawn)
+
+
+def test_a_camera_among_the_splats(module, fg, moving, camera, drawn):
+    agree(module, [(moving(fg.SH(2), "paper"), np.eye(4), 0.5)], camera(distance=0.3), drawn)
+
+
+PAIRS = {"both plain": ("rgb", "sh", "srgb", "srgb"), "a decoder": ("rgb", "features", "srgb", "srgb"),
+         "two decoders": ("features", "features", "srgb", "srgb"), "two colour spaces": ("rgb", "sh", "srgb", "linear")}
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_objects_that_interpenetrate_are_one_cloud(module, fg, moving, camera, drawn, pair):
+    looks = {"rgb": fg.RGB(), "sh": fg.SH(2), "features": decoder(fg, "sigmoid")}
+    first, second, *spaces = PAIRS[pair]
+    placement = np.array([[0.9, -0.4, 0, 0.2], [0.4, 0.9, 0, 0], [0, 0, 1.3, -0.1], [0, 0, 0, 1]])
+    models = [moving(looks[look], "paper", seed=seed, colour_space=space)
+              for seed, (look, space) in enumerate(zip((first, second), spaces))]
+    parts = [(models[0], np.eye(4), 0.3), (models[1], placement, 0.8), (models[0], placement, 0.6)]
+    _, want = agree(module, parts, camera(), drawn)
+    alone = expected(module, parts[:1], camera())
+    assert psnr(alone, want) < 30
+
+
+def test_the_order_matters(module, fg, moving, camera, drawn):
+    """Otherwise the tests above would prove nothing about sorting."""
+    parts, eye = [(moving(fg.RGB(), temporal=fg.Always(), opacity=np.full(300, 3.0)), np.eye(4), 0.0)], camera()
+    assert psnr(drawn(parts, eye, keep=lambda indices: indices[::-1]), expected(module, parts, eye)) < 30
+
+
+def test_background_border_and_opacity(fg, moving, camera, drawn):
+    parts, eye = [(moving(fg.RGB(), temporal=fg.Always()), np.eye(4), 0.0)], camera()
+    plain = drawn(parts, eye)
+    over = drawn(parts, eye, background=(0.1, 0.2, 0.3))
+    np.testing.assert_allclose(over[..., :3], plain[..., :3] + (1 - plain[..., 3:]) * np.float32((0.1, 0.2, 0.3)), atol=1e-5)
+    assert (over[..., 3] == 1).all()
+    np.testing.assert_allclose(drawn(parts, eye, opacity=0.25), 0.25 * plain, atol=1e-5)
+    dark = drawn(parts, eye, frame=(0.0, 0.5, 1.0, 1.0), outside=0.25)
+    np.testing.assert_array_equal(dark[:60], plain[:60])
+    np.testing.assert_array_equal(dark[60:, :, 3], plain[60:, :, 3])
+    assert (dark[60:, :, :3].sum() < 0.25 * plain[60:, :, :3].sum())
+    part = drawn(parts, eye, border=(0.25, 0.5, 0.5, 1.0))
+    np.testing.assert_array_equal(part[:60, 40:80], plain[:60, 40:80])
+    assert plain[60:].any() and not part[60:].any() and not part[:, :40].any() and not part[:, 80:].any()
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_splats_behind_other_things_are_hidden(module, fg, moving, camera, drawn, orthographic):
+    """A wall at z = 4 leaves of the cloud what lies before it, as if the rest were not there."""
+    parameters, picture = module("engine.viewport.parameters"), module("engine.viewport.picture")
+    model, eye, wall = moving(fg.RGB(), temporal=fg.Always()), camera(orthographic), 4.0
+    depths = parameters.Depths(0.0, 0.1) if orthographic else parameters.Depths(1.0, -0.1)
+    at = 0.1 * wall if orthographic else 1 - 0.1 / wall
+    depth = picture.SceneDepth(np.full((240, 320), at, np.float32), depths)
+    z = model.position @ eye.world_to_camera[2, :3] + eye.world_to_camera[2, 3]
+    before = model.take(z < wall)
+    assert 50 < len(before) < 250
+    assert psnr(drawn([(model, np.eye(4), 0.0)], eye, depth=depth), expected(module, [(before, np.eye(4), 0.0)], eye)) >= 45
+
+
+def test_broken_numbers_are_not_drawn(module, fg, moving, camera, drawn):
+    good = moving(fg.SH(1), temporal=fg.Always())
+    bad = moving(fg.SH(1), temporal=fg.Always(), seed=1, n=20)
+    bad.position[0, 1], bad.scale[1, 0], bad.opacity[2], bad.features[3, 5] = np.nan, np.inf, np.nan, np.nan
+    bad.rotation[4] = 0
+    both = fg.GaussianModel(**{name: np.concatenate([a, bad.arrays[name]]) for name, a in good.arrays.items()},
+                            rotation_basis=good.rotation_basis, appearance=good.appearance)
+    agree(module, [(both, np.eye(4), 0.0)], camera(), drawn)
+
+
+def test_nothing_to_draw(fg, moving, camera, drawn):
+    assert not drawn([], camera()).any()
+    assert not drawn([(moving(fg.RGB(), n=0), np.eye(4), 0.0)], camera()).any()

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How viewports draw splats: in the sidebar of the 3D view."""
+from __future__ import annotations
+
+import bpy
+
+from ..engine import objects
+from ..engine.viewport import spaces
+from . import facts
+from .object_panels import draw_rows
+
+
+class FASTGS_PT_viewport(bpy.types.Panel):
+    bl_label = "Splats in Viewports"
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return any(objects.is_splat(obj) for obj in context.scene.objects)
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.fastgs, "show_splats", text="")
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.fastgs
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "viewport_density")
+        layout.prop(settings, "viewport_pixels")
+        draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
+        trouble = spaces.trouble()
+        if trouble:
+            col = layout.column(align=True)
+            for i, line in enumerate(facts.lines(trouble, context.region.width)):
+                col.label(text=line, icon='BLANK1' if i else 'ERROR')
+
+
+CLASSES = (FASTGS_PT_viewport,)
