@@ -56,7 +56,7 @@ test-addon-4.2.23: .venvs/4.2.23/ready
 test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
 
 test-blender: .venv/ready
-	@$(PY) tools/test_blender.py
+	@$(PY) tools/test_blender.py $(ARGS)
 
 # The screenshots that the last test-blender took.
 docs-pictures: .venv/ready

@@ -22,7 +22,8 @@ OUTPUT = ROOT / "build" / "blender"
 
 def roots(suites: list[str]) -> dict[str, str]:
     """Release -> folder, for those that could be made; the others say why by themselves."""
-    processes = {suite: subprocess.Popen([ROOT / "tools" / "blender_root.sh", suite], stdout=subprocess.PIPE, text=True) for suite in suites}
+    script = ROOT / "tools" / "blender_root.sh"
+    processes = {suite: subprocess.Popen([script, suite], stdout=subprocess.PIPE, text=True) for suite in suites}
     folders = {suite: process.communicate()[0].strip() for suite, process in processes.items()}
     return {suite: folder for suite, folder in folders.items() if processes[suite].returncode == 0}
 

@@ -17,7 +17,7 @@ TARGET = (0.0, 0.0, 0.75)
 
 def environment():
     """What this Blender is, and what the extension's installation gave it."""
-    import numpy
+    import numpy as np
 
     places = {}
     for name in ("numba", "safetensors"):
@@ -25,8 +25,8 @@ def environment():
             places[name] = __import__(name).__file__
         except ImportError:
             places[name] = None
-    return {"version": list(bpy.app.version), "python": sys.version.split()[0], "numpy": numpy.__version__, "places": places,
-            "enabled": ADDON in bpy.context.preferences.addons, "engine": bpy.types.RenderEngine.bl_rna_get_subclass_py("FASTGS") is not None}
+    versions = {"version": list(bpy.app.version), "python": sys.version.split()[0], "numpy": np.__version__}
+    return {**versions, "places": places, "enabled": ADDON in bpy.context.preferences.addons, "engine": bpy.types.RenderEngine.bl_rna_get_subclass_py("FASTGS") is not None}
 
 
 def enabling():
@@ -110,4 +110,5 @@ def opened():
     """The file that Blender was started with: what it says of its splats."""
     scene = bpy.context.scene
     return {"engine": scene.render.engine,
-            "objects": {o.name: [o.fastgs.filepath, o.fastgs.gaussian_count, o.fastgs.start_frame] for o in scene.objects if o.type == 'MESH'}}
+            "objects": {o.name: [o.fastgs.filepath, o.fastgs.gaussian_count, o.fastgs.start_frame]
+                        for o in scene.objects if o.type == 'MESH'}}

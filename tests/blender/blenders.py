@@ -12,7 +12,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 TOOLS = HERE.parents[1] / "tools"
-COMPLAINT = re.compile(r"^(Traceback|\w*Error[: ]|Error[: ]|Warning: .*(property|class) .*|.*(Segmentation fault|SIGSEGV|SIGABRT))", re.MULTILINE)
+COMPLAINT = re.compile(r"^(Traceback .*|\w*(Error|Exception)[: ].*|.*(Segmentation fault|SIGSEGV|SIGABRT).*)", re.MULTILINE)
 _numbers = count(1)
 
 

@@ -10,6 +10,7 @@ import pytest
 from blenders import User
 from conftest import psnr, read_png
 
+
 def test_blender_accepts_the_zip(newcomer, user):
     newcomer.blender("--command", "extension", "validate", Path(os.environ["FASTGS_ZIP"]).name)
 

@@ -9,7 +9,7 @@ import os
 import subprocess
 
 import bpy
-from background import bring, look
+from background import TARGET, bring, look
 from mathutils import Vector
 
 
@@ -111,25 +111,25 @@ def sidebar(area):
 
 
 def first_steps(model):
-    """What a newcomer does: import, look around, F12."""
+    """What a newcomer does: import, look at it, open our tab, Rendered shading, F12."""
     scene = bring(model)
     camera = look(scene, 640, 420)
     scene.render.film_transparent = False
     area = area_of()
-    obj = next(o for o in scene.objects if o.type == 'MESH')
+    view = area.spaces.active.region_3d
+    view.view_rotation = scene.camera.rotation_euler.to_quaternion()
+    view.view_location, view.view_distance = TARGET, 8.0
     yield from sidebar(area)
-    with within(area):
-        bpy.ops.view3d.view_all()
-    yield 1.0
-    shot("panel")
     scene.frame_set(12)
-    scene.render.filepath = os.path.abspath("f12.png")
+    yield from settled("solid")
+    area.spaces.active.shading.type = 'RENDERED'
+    yield from settled("rendered")
     yield from f12(area)
     shot("f12")
-    images = [a.type for a in bpy.context.window_manager.windows[0].screen.areas]
+    areas = [a.type for a in bpy.context.window_manager.windows[0].screen.areas]
     bpy.data.images["Render Result"].save_render(os.path.abspath("f12-saved.png"))
-    return {"areas": images, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12,
-            "start": obj.fastgs.start_frame}
+    obj = next(o for o in scene.objects if o.fastgs.filepath)
+    return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame}
 
 
 def properties(model):
