@@ -26,7 +26,8 @@ def environment():
         except ImportError:
             places[name] = None
     versions = {"version": list(bpy.app.version), "python": sys.version.split()[0], "numpy": np.__version__}
-    return {**versions, "places": places, "enabled": ADDON in bpy.context.preferences.addons, "engine": bpy.types.RenderEngine.bl_rna_get_subclass_py("FASTGS") is not None}
+    return {**versions, "places": places, "enabled": ADDON in bpy.context.preferences.addons,
+            "engine": bpy.types.RenderEngine.bl_rna_get_subclass_py("FASTGS") is not None}
 
 
 def enabling():
