@@ -20,9 +20,9 @@ def main():
     arguments.add_argument("blend", type=Path)
     arguments.add_argument("--rig", default="RobotArmature")
     arguments.add_argument("--action", default="Robot_Dance")
-    arguments.add_argument("--frames", default="4,18,33,50,64,76", help="which frames; halves are allowed")
+    arguments.add_argument("--frames", default="0,16,32.5,48,64,80", help="which frames; halves are allowed")
     arguments.add_argument("--count", type=int, default=200_000)
-    arguments.add_argument("--size", default="300x400", help="of one picture")
+    arguments.add_argument("--size", default="300x340", help="of one picture")
     arguments.add_argument("--out", type=Path, default=Path("docs/robot.png"))
     options = arguments.parse_args()
     frames = [float(x) for x in options.frames.split(",")]
@@ -70,7 +70,7 @@ def set_up(bpy, scene, meshes, size):
     camera.data.sensor_fit = 'VERTICAL'
     middle, extent = Vector((low + high) / 2), [float(x) for x in high - low]
     towards = Vector((0.45, -1.0, 0.22)).normalized()
-    distance = 1.1 * max(extent[2], extent[0] * size[1] / size[0]) * camera.data.lens / 24
+    distance = 0.9 * max(extent[2], extent[0] * size[1] / size[0]) * camera.data.lens / 24
     camera.location = middle + distance * towards
     camera.rotation_euler = (-towards).to_track_quat('-Z', 'Y').to_euler()
     render = scene.render

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """bpy.ops.fastgs.bake: what Blender shows becomes 4D Gaussians, and the user's scene stays as it was."""
+import threading
 from pathlib import Path
 
 import bpy
@@ -372,3 +373,32 @@ def test_a_real_character(fg, target, action, frames):
         assert distances(model, fg, tree, frame / model.clip.frame_count, 5).mean() <= 0.005 * height
     expected = {tuple(srgb(m.diffuse_color[:3]).round(2).tolist()) for m in bpy.data.materials if m.name in ("Main", "Grey", "Black")}
     assert {tuple(c) for c in np.unique(model.features.astype(float).round(2), axis=0).tolist()} == expected
+
+
+def test_in_steps_beside_the_user(module, add, scene, fg):
+    """As with a window: the work goes on in a thread, gives the same model, and can be broken off at any point."""
+    bake_module = module("operators.bake")
+    cube = add("cube")
+    key(cube, "location", [(0.1 * f, 0, np.sin(f / 3)) for f in range(FRAMES)])
+    scene.frame_set(5, subframe=0.5)
+    settings = bake_module.Settings(1, FRAMES, count=300)
+
+    def finish(in_background):
+        steps, shares = bake_module.bake_steps(bpy.context, [cube], settings, in_background), []
+        while True:
+            try:
+                shares.append(next(steps))
+            except StopIteration as end:
+                return end.value, shares
+
+    (blocking, _, _), _ = finish(False)
+    (model, report, notes), shares = finish(True)
+    assert shares == sorted(shares) and shares[0] >= 0 and shares[-1] <= 1 and report.gaussians == 300 and not notes
+    assert all(np.array_equal(a, b) for a, b in zip(model.arrays.values(), blocking.arrays.values(), strict=True))
+    for stop in range(1, len(shares), 7):
+        steps = bake_module.bake_steps(bpy.context, [cube], settings, True)
+        for _ in range(stop):
+            next(steps)
+        steps.close()
+        assert (scene.frame_current, scene.frame_subframe) == (5, 0.5)
+        assert not any(t.name == "FAST-GS bake" for t in threading.enumerate())
