@@ -64,6 +64,7 @@ docs-pictures: .venv/ready
 
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
+	@$(PY) benchmarks/viewport.py
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py

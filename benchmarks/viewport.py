@@ -130,7 +130,7 @@ def playback(fg, n: int, frames: int) -> dict:
             gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, 'FLOAT')  # until the picture is there
             while shown.waiting:
                 time.sleep(0.001)
-        for number in range(9):
+        for _ in range(9):
             start = time.perf_counter()
             sorting.sort(contents, camera, 1.0, textures_of_all)
             order.append(time.perf_counter() - start)

@@ -30,7 +30,7 @@ class _Entry:
 _entries: dict[str, _Entry] = {}
 _loading: dict[str, threading.Lock] = {}
 _lock = threading.Lock()
-_reloads = [0]
+_reloads = 0
 
 
 def axes_matrix(axes: str) -> Matrix:
@@ -97,12 +97,13 @@ def error_of(obj: bpy.types.Object) -> str | None:
 
 def reloads() -> int:
     """How often reload() was called: whoever keeps models must ask for them again when this changes."""
-    return _reloads[0]
+    return _reloads
 
 
 def reload(path: str):
     """Forget what is known of a file; the next load_model() reads it again."""
-    _reloads[0] += 1
+    global _reloads
+    _reloads += 1
     with _lock:
         _entries.pop(_key(path), None)
 

@@ -67,9 +67,9 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     viewport_pixels: EnumProperty(
         name="Pixel Size", description="Draw splats in viewports at a lower resolution",
         items=(
-            ('1', "1x", "One pixel for each of the viewport's", 1),
-            ('2', "2x", "A quarter of the viewport's pixels", 2),
-            ('4', "4x", "A sixteenth of the viewport's pixels", 4),
+            ('1', "1x", "One pixel for each of the viewport's", 0),
+            ('2', "2x", "A quarter of the viewport's pixels", 1),
+            ('4', "4x", "A sixteenth of the viewport's pixels", 2),
         ), default='1', update=_redraw)
 
 

@@ -10,19 +10,22 @@ HANDLERS = (
     (bpy.app.handlers.undo_post, spaces.changed),
     (bpy.app.handlers.redo_post, spaces.changed),
     (bpy.app.handlers.load_pre, spaces.clear),
+    (bpy.app.handlers.load_post, spaces.changed),
 )
-_drawing = []
+_drawing = None
 
 
 def register():
+    global _drawing
     for handlers, function in HANDLERS:
         handlers.append(bpy.app.handlers.persistent(function))
-    _drawing.append(bpy.types.SpaceView3D.draw_handler_add(spaces.post_view, (), 'WINDOW', 'POST_VIEW'))
+    _drawing = bpy.types.SpaceView3D.draw_handler_add(spaces.post_view, (), 'WINDOW', 'POST_VIEW')
 
 
 def unregister():
-    while _drawing:
-        bpy.types.SpaceView3D.draw_handler_remove(_drawing.pop(), 'WINDOW')
+    global _drawing
+    bpy.types.SpaceView3D.draw_handler_remove(_drawing, 'WINDOW')
+    _drawing = None
     for handlers, function in HANDLERS:
         handlers.remove(function)
     spaces.stop()

@@ -2,16 +2,38 @@
 """A 3D viewport's matrices as the library's camera."""
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ... import fastgs_blender as fg
 from ..camera import OPENCV
 from .parameters import Depths
 
+WHOLE = (0.0, 0.0, 1.0, 1.0)
 
-def eye(width: int, height: int, view, window, divider: int = 1) -> tuple[fg.Camera, Depths]:
+
+@dataclass(frozen=True, eq=False)
+class Eye(fg.Camera):
+    """A camera that shows more than the picture that it stands for.
+
+    frame   where that picture lies: left, bottom, right, top, 0..1.  Splats are projected as that picture's camera would.
+    """
+
+    frame: tuple[float, float, float, float] = WHOLE
+
+    def tangent_limits(self):
+        left, bottom, right, top = self.frame
+        width, height = self.width * (right - left), self.height * (top - bottom)
+        picture = fg.Camera(1, 1, self.fx / width, self.fy / height, (self.cx - left * self.width) / width,
+                            (self.cy - (1 - top) * self.height) / height, np.eye(4))
+        return picture.tangent_limits()
+
+
+def eye(width: int, height: int, view, window, divider: int = 1, frame=WHOLE) -> tuple[Eye, Depths]:
     """The camera of a region [width, height] with its view and window matrices, and the depth that its window stores.
 
+    frame     where the picture of the camera lies that the region looks through, see Eye
     divider   how many of the region's pixels, in x and in y, one of the picture's covers
     An orthographic view also shows what lies behind its matrix's origin: its camera is moved back to where the view begins.
     """
@@ -29,8 +51,8 @@ def eye(width: int, height: int, view, window, divider: int = 1) -> tuple[fg.Cam
             pose[2, 3] -= near
             depths = Depths(depths.a + depths.b * near, depths.b)
             near = 0.0
-    camera = fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=width / 2 * (1 + centre_x),
-                       cy=height / 2 * (1 - centre_y), world_to_camera=pose, orthographic=p[3, 3] != 0, near=max(near, 0.0))
+    camera = Eye(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=width / 2 * (1 + centre_x),
+                 cy=height / 2 * (1 - centre_y), world_to_camera=pose, orthographic=p[3, 3] != 0, near=max(near, 0.0), frame=frame)
     return camera, depths
 
 

@@ -19,12 +19,12 @@ from ...fastgs_blender.camera import Camera
 from ...fastgs_blender.scene import Part
 from . import parameters, shaders
 from .atlas import Atlas
+from .eye import WHOLE
 from .textures import upload, upload_list
 
 ORDER_WIDTH = 4096
 """Entries in a row of the texture with the order; glsl.py knows it too."""
 FORMAT = 'RGBA16F'
-WHOLE = (0.0, 0.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)

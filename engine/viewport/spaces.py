@@ -2,18 +2,23 @@
 """The 3D viewports of the open windows: where splats are drawn, and when they are drawn again."""
 from __future__ import annotations
 
+import logging
+from functools import cache
+
 import bpy
 import gpu
 import numpy as np
 
-from .. import colour, compiling, frame, proxies, world
+from .. import colour, compiling, frame, objects, proxies, world
 from . import shaders
 from .atlas import Atlas
-from .eye import eye, frame_in
-from .picture import WHOLE, SceneDepth
+from .eye import WHOLE, eye, frame_in
+from .picture import SceneDepth
 from .textures import flat
 from .view import Look, View
 from .worker import Worker
+
+log = logging.getLogger(__name__)
 
 TICK = 1 / 60
 
@@ -21,6 +26,7 @@ atlas = Atlas()
 _worker = Worker()
 _views: dict[tuple[int, bool], View] = {}
 _contents: dict[tuple, frame.Contents] = {}
+_any_splats: bool | None = None
 
 
 def view_draw(context, depsgraph) -> None:
@@ -69,7 +75,7 @@ def _draw(context, depsgraph, look, region, rendered, hidden=False):
         view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
     settings, matrices = context.scene.fastgs, context.region_data
     divider = int(settings.viewport_pixels)
-    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider)
+    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider, _picture(context, depsgraph))
     depth = None
     if hidden and shown.shown:
         depth = scene_depth(region.width, region.height, depths)
@@ -85,13 +91,22 @@ def _start():
 
 
 def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
-    """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats."""
-    values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
+    """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats, or it cannot be read."""
+    try:
+        values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
+    except Exception as error:  # a driver's
+        _say_once(f"The viewport's depth cannot be read ({error}): meshes do not hide splats in it.")
+        return None
     return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)
 
 
 def contents(space, depsgraph) -> frame.Contents:
     """What a viewport shows, kept until something changes."""
+    global _any_splats
+    if _any_splats is None:
+        _any_splats = any(objects.is_splat(obj) for obj in bpy.data.objects)
+    if not _any_splats:  # spare scenes without splats the walk over all their instances
+        return frame.Contents([], 0.0, 1.0)
     key = (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
            space.use_local_collections, space.show_object_viewport_mesh)
     found = _contents.get(key)
@@ -102,6 +117,8 @@ def contents(space, depsgraph) -> frame.Contents:
 
 def changed(*_) -> None:
     """Something in the scene is other than it was."""
+    global _any_splats
+    _any_splats = None
     _contents.clear()
 
 
@@ -120,8 +137,8 @@ def clear(*_) -> None:
     for view in _views.values():
         view.free()
     _views.clear()
-    _contents.clear()
     atlas.clear()
+    changed()
 
 
 def stop() -> None:
@@ -141,6 +158,11 @@ def redraw(*_) -> None:
         region.tag_redraw()
 
 
+@cache
+def _say_once(text):
+    log.warning(text)
+
+
 def _visible(obj, space) -> bool:
     obj = obj.original
     if obj.type == 'MESH' and not space.show_object_viewport_mesh:
@@ -150,6 +172,13 @@ def _visible(obj, space) -> bool:
 
 def _shown_models():
     return [model for view in _views.values() for model in view.models]
+
+
+def _picture(context, depsgraph):
+    """What of the region the final render shows: left, bottom, right, top, 0..1."""
+    if context.region_data.view_perspective == 'CAMERA':
+        return _camera_frame(context, depsgraph) or WHOLE
+    return WHOLE
 
 
 def _border(context, depsgraph):

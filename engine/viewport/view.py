@@ -175,5 +175,5 @@ def _known(models):
 
 def _signature(x):
     if isinstance(x, fg.Camera):
-        return (x.width, x.height, x.fx, x.fy, x.cx, x.cy, x.world_to_camera.tobytes(), x.orthographic, x.near)
+        return (x.width, x.height, x.fx, x.fy, x.cx, x.cy, x.world_to_camera.tobytes(), x.orthographic, x.near, x.tangent_limits())
     return x.frame, x.fps, tuple((item.path, item.placement.tobytes(), item.retime) for item in x.shown)

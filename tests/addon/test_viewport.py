@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-
 from gpu_context import draw_offscreen, open_gpu
 
 
@@ -106,6 +105,31 @@ def test_the_window_is_the_matrices(module, eye):
         assert (z > camera.near).all()
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene, fg, make_model, model_file, contents, draw, add_camera,
+                                                                  orthographic):
+    """Zoomed out, off-centre: what lies within the camera's frame is F12's picture, splats outside of it included."""
+    import bpy
+
+    kind = {"type": 'ORTHO', "ortho_scale": 1.5} if orthographic else {"lens": 60}
+    camera = add_camera(location=(0, -2, 0), **kind)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    wanted = module("engine.camera").camera_of(camera, module("engine.camera").frame_of(scene.render), depsgraph)
+    projection = np.array(camera.calc_matrix_camera(depsgraph, x=64, y=48))
+    # a region of 160 x 144 that shows the 64 x 48 pixels of the frame from 40, 24 on, pixel by pixel
+    zoom = np.diag([64 / 160, 48 / 144, 1, 1])
+    zoom[0, 3], zoom[1, 3] = 2 * (40 + 32) / 160 - 1, 2 * (24 + 24) / 144 - 1
+    window, eyes = zoom @ projection, module("engine.viewport.eye")
+    frame = eyes.frame_in(window, projection)
+    np.testing.assert_allclose(frame, (40 / 160, 24 / 144, 104 / 160, 72 / 144), atol=1e-6)
+    eye, _ = eyes.eye(160, 144, np.linalg.inv(np.array(camera.matrix_world)), window, frame=frame)
+    np.testing.assert_allclose(eye.tangent_limits(), wanted.tangent_limits(), atol=1e-5)
+    path = model_file(make_model(200, spread=1.5))
+    want = module("engine.final").pictures(contents(path).parts()[0], wanted, None, None, lambda fraction: None).combined
+    got = draw(contents(path), eye, wait=True)[144 - 72:144 - 24, 40:104]
+    assert want[..., 3].max() > 0.5 and psnr(got, want) > 45
+
+
 def test_drawing_never_waits_and_catches_up(fg, make_model, model_file, contents, eye, draw, view, expected):
     path = model_file(make_model(200))
     first = draw(contents(path), eye())
@@ -172,7 +196,7 @@ def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, conte
 
 def test_the_cpu_draws_where_shaders_do_not_compile(module, make_model, model_file, contents, eye, draw, view, expected, monkeypatch):
     def broken(*kind):
-        raise Exception("Shader Compile Error")  # what Blender raises
+        raise Exception("Shader Compile Error")  # noqa: TRY002 (what Blender raises)
 
     monkeypatch.setattr(module("engine.viewport.shaders"), "splats", broken)
     path = model_file(make_model(100))
