@@ -22,6 +22,7 @@ archive=$root.tar.zst
 log=$roots/$suite.log
 
 cannot() {
+    rm -rf "$root.part"
     echo "No Blender of Debian $suite here: $1." >&2
     exit 3
 }

@@ -31,9 +31,9 @@ def main():
     if not tested:
         sys.exit("There are no screenshots; make test-blender takes them.")
     for folder in (path.parent for path in tested):
-        version = next(folder.glob("home/.config/blender/*")).name
+        version = next(folder.glob("home/.config/blender/[0-9]*.[0-9]*")).name
         for name in NAMES:
-            target = ROOT / "docs" / f"blender-{version[1]}-{name}.png"
+            target = ROOT / "docs" / f"blender-{version}-{name}.png"
             target.write_bytes(packed(folder / f"{name}.png"))
             print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
 

@@ -9,8 +9,8 @@ import os
 import subprocess
 
 import bpy
-from background import TARGET, bring, look
-from mathutils import Vector
+from background import bring, look
+from mathutils import Euler, Vector
 
 
 def shot(name):
@@ -117,8 +117,8 @@ def first_steps(model):
     scene.render.film_transparent = False
     area = area_of()
     view = area.spaces.active.region_3d
-    view.view_rotation = scene.camera.rotation_euler.to_quaternion()
-    view.view_location, view.view_distance = TARGET, 8.0
+    view.view_rotation = Euler((1.1, 0, -0.35)).to_quaternion()
+    view.view_location, view.view_distance = (0.5, 0, 0.5), 7.5
     yield from sidebar(area)
     scene.frame_set(12)
     yield from settled("solid")
