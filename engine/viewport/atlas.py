@@ -25,7 +25,10 @@ class Place:
 
 
 class Atlas:
-    """The textures of a set of models; `version` changes with them.  Made anew where a model is missing, because textures cannot be written in part."""
+    """The textures of a set of models; `version` changes with them.
+
+    Made anew where a model is missing, because textures cannot be written in part.
+    """
 
     def __init__(self):
         self.version = 0
