@@ -51,7 +51,7 @@ test-addon-5.2.3: .venv313/ready
 test-addon-4.5.15: .venvs/4.5.15/ready
 	@echo "Blender 4.5.15:" && .venvs/4.5.15/bin/python -m pytest tests/addon
 test-addon-4.2.23: .venvs/4.2.23/ready
-	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python tools/pytest_and_leave.py tests/addon
+	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest tests/addon
 
 test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
 
