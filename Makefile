@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy bench extension clean
+.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures bench extension clean
 
 PY := .venv/bin/python
 LTS := .venv313/bin/python
@@ -10,6 +10,7 @@ help:
 	@echo "make demo          bake an animated scene into 4D Gaussians and render it through Blender"
 	@echo "make test          style, library and add-on tests (Blender 5.0.1; 5.2.3 too where Python 3.13 is found)"
 	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1 and 5.2.3"
+	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
 	@echo "make extension     dist/*.zip to install in Blender"
@@ -50,9 +51,16 @@ test-addon-5.2.3: .venv313/ready
 test-addon-4.5.15: .venvs/4.5.15/ready
 	@echo "Blender 4.5.15:" && .venvs/4.5.15/bin/python -m pytest tests/addon
 test-addon-4.2.23: .venvs/4.2.23/ready
-	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python tools/pytest_and_leave.py tests/addon
+	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest tests/addon
 
 test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
+
+test-blender: .venv/ready
+	@$(PY) tools/test_blender.py $(ARGS)
+
+# The screenshots that the last test-blender took.
+docs-pictures: .venv/ready
+	@$(PY) tools/docs_pictures.py
 
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py

@@ -20,6 +20,18 @@ log = logging.getLogger(__name__)
 TEXT = "FAST-GS compiles its renderer for this machine, once; this takes about half a minute"
 _process: subprocess.Popen | None = None
 
+# Compiled code refers to its modules by name, so they must have the names there that they have here.  What else the extension
+# consists of cannot be imported without Blender: empty packages stand for it.
+_CHILD = """
+import importlib, sys, types
+package, root = sys.argv[1:]
+names = package.split(".")
+for i in range(len(names)):
+    module = sys.modules[".".join(names[:i + 1])] = types.ModuleType(names[i])
+    module.__path__ = [root] if i + 1 == len(names) else []
+importlib.import_module(package + ".fastgs_blender.kernels.warm").compile_all()
+"""
+
 
 def has_numba() -> bool:
     """Whether the fast renderer can run here at all; without numba, NumPy renders, slowly."""
@@ -37,10 +49,10 @@ def start() -> bool:
     if not has_numba() or cache.is_filled() or is_running():
         return False
     root = Path(__file__).resolve().parents[1]
-    environment = {**os.environ, "FASTGS_CACHE_DIR": str(cache.base_folder()), "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
+    environment = {**os.environ, "FASTGS_CACHE_DIR": str(cache.base_folder()), "PYTHONPATH": os.pathsep.join(sys.path)}
     hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
     try:
-        _process = subprocess.Popen([sys.executable, "-m", "fastgs_blender.kernels.warm"], env=environment, cwd=root,
+        _process = subprocess.Popen([sys.executable, "-c", _CHILD, __package__.rpartition(".")[0], str(root)], env=environment, cwd=root,
                                     stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **hidden)
     except OSError as error:
         log.warning("The renderer cannot be compiled ahead (%s); the first render will do it.", error)
@@ -90,7 +102,8 @@ def _watch():
 def _show(text: str | None):
     """The status bar's text in all windows."""
     for window in bpy.context.window_manager.windows:
-        window.workspace.status_text_set(text)
+        with bpy.context.temp_override(window=window):  # a timer may have none, and Blender crashes without one
+            window.workspace.status_text_set(text)
 
 
 def register():

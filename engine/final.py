@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.kernels.threads import set_threads
-from . import camera, colour, frame, notices, objects, passes, settings, worker, world
+from . import camera, colour, compiling, frame, notices, objects, passes, settings, worker, world
 
 
 def render(engine, depsgraph):
@@ -40,6 +40,9 @@ def _render_layer(engine, depsgraph):
     status("Reading")
     parts, failed = worker.run(lambda progress: shown.parts(), engine.test_break, status.progress)
     _tell(engine, layer, shown, failed)
+    if compiling.is_running():
+        status("Compiling the renderer for this machine, once")
+        worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)
     status.count = sum(len(model) for model, _, _ in parts)
     status.memory(objects.loaded_bytes(), picture)
 

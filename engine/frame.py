@@ -56,12 +56,12 @@ def contents(depsgraph, visible=lambda obj: True) -> Contents:
         obj = instance.object
         if not (instance.show_self and objects.is_splat(obj) and visible(instance.parent if instance.is_instance else obj)):
             continue
-        # an object whose geometry nodes make several kinds of geometry comes once for each kind
-        key = (obj.original.as_pointer(), instance.is_instance and instance.parent.original.as_pointer(),
-               tuple(instance.persistent_id) if instance.is_instance else ())
+        placement = np.array(instance.matrix_world, np.float64)
+        # an object whose geometry nodes make several kinds of geometry comes once for each kind, at the same place
+        key = obj.original.as_pointer(), placement.tobytes()
         if key not in seen:
             seen.add(key)
-            shown.append(Shown(obj.name, objects.abspath(obj), np.array(instance.matrix_world, np.float64), retime_of(obj)))
+            shown.append(Shown(obj.name, objects.abspath(obj), placement, retime_of(obj)))
     # as Blender computes the time of its animation, time stretching included
     frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
     return Contents(shown, frame, render.fps / render.fps_base)

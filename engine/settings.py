@@ -31,6 +31,8 @@ class RecentLines(logging.Handler):
 
 
 recent = RecentLines()
+console = logging.StreamHandler()  # Python prints warnings by itself only where nothing else handles them
+console.setFormatter(logging.Formatter("FAST-GS %(levelname)s: %(message)s"))
 
 
 def apply(preferences) -> None:
@@ -55,10 +57,12 @@ def preferences():
 
 
 def register():
-    logging.getLogger(EXTENSION).addHandler(recent)
+    for handler in (recent, console):
+        logging.getLogger(EXTENSION).addHandler(handler)
     with contextlib.suppress(ValueError):  # not loaded as an extension: the library's own place
         cache.use_folder(kernel_folder())
 
 
 def unregister():
-    logging.getLogger(EXTENSION).removeHandler(recent)
+    for handler in (recent, console):
+        logging.getLogger(EXTENSION).removeHandler(handler)

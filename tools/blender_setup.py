@@ -9,8 +9,6 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
-from fastgs_blender.kernels.cache import base_folder
-
 ROOT = Path(__file__).resolve().parents[1]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
@@ -23,7 +21,6 @@ def enable_addon():
     user = Path(tempfile.mkdtemp(prefix="fastgs-"))
     atexit.register(shutil.rmtree, user, ignore_errors=True)
     os.environ["BLENDER_USER_RESOURCES"] = str(user)
-    os.environ.setdefault("FASTGS_CACHE_DIR", str(base_folder()))  # kernels outlast the user folder
     folder = user / "extensions" / "user_default"
     folder.mkdir(parents=True)
     (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)

@@ -22,8 +22,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "fastgs_blender", "engine", "operators", "ui")
 
-PYTHONS = ("3.11", "3.13")
-"""Blender 4.2 to 5.0 and 5.1 to 5.2; the wheel of a Python that is not Blender's is ignored at installation."""
+PYTHONS = {"linux-x64": ("3.11", "3.13", "3.14"), "windows-x64": ("3.11", "3.13"), "macos-arm64": ("3.11", "3.13")}
+"""Blender 4.2 to 5.0 and 5.1 to 5.2; Linux distributions build Blender for their own Python, of late 3.14.  The wheel of a Python
+that is not Blender's is ignored at installation, but a Python that no wheel is for is refused."""
 
 WHEELS = ("numba", "llvmlite", "safetensors")
 """In the versions that the tests ran with.  numpy is Blender's own (1.26 to 2.x, all of which numba 0.61 and later accept)."""
@@ -63,7 +64,7 @@ def download(name: str) -> list[Path]:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     packages = [f"{package}=={importlib.metadata.version(package)}" for package in WHEELS]
-    for python in PYTHONS:
+    for python in PYTHONS[name]:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:",
                    "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
         command += [f"--platform={tag}" for tag in PLATFORMS[name]]

@@ -12,14 +12,10 @@ import image_files
 import numpy as np
 import pytest
 
-from fastgs_blender.kernels.cache import base_folder
-
 ROOT = Path(__file__).resolve().parents[2]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
-
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
-os.environ.setdefault("FASTGS_CACHE_DIR", str(base_folder()))  # compiled kernels outlast the user folder
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before the first test module imports bpy, which reads it once
 
 

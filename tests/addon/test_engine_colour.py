@@ -188,6 +188,15 @@ def test_world_can_be_animated_and_left_out_of_a_layer(scene, world, add_camera,
     np.testing.assert_array_equal(render()["ViewLayer.Combined"][0, 0], (0, 0, 0, 1))
 
 
+def test_a_layer_can_have_its_own_world(scene, world, add_camera, render):
+    layer = scene.view_layers[0]
+    if not hasattr(layer, "world_override"):
+        pytest.skip("this Blender has one world for all layers")
+    add_camera()
+    layer.world_override, scene.world = scene.world, None
+    np.testing.assert_allclose(render()["ViewLayer.Combined"][0, 0, :3], COLOUR, rtol=1e-5)
+
+
 def test_constants_reach_the_background_through_nodes(scene, world, add_camera, render):
     add_camera()
     tree = scene.world.node_tree

@@ -176,6 +176,17 @@ def test_progress_memory_and_status(module, busy):
     assert "Reading" in engine.stats[0] and "40 Gaussians" in engine.stats[-1] and "ViewLayer" in engine.stats[-1]
 
 
+def test_a_compilation_under_way_is_waited_for(module, busy, monkeypatch):
+    busy("render", 0)
+    waited = []
+    monkeypatch.setattr(module("engine.compiling"), "is_running", lambda: True)
+    monkeypatch.setattr(module("engine.compiling"), "wait", lambda: waited.append(threading.current_thread().name))
+    engine = Observer()
+    module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
+    assert len(waited) == 1 and waited[0] != threading.current_thread().name
+    assert any("Compiling" in line for line in engine.stats)
+
+
 def test_status_reaches_blender(scene, make_model, model_file, splat_object, add_camera, render):
     lines = []
 

@@ -192,6 +192,26 @@ def test_collection_instances(scene, make_model, model_file, splat_object, add_c
     by_hand.assert_same_picture(render()["ViewLayer.Combined"], by_hand.combined(want["rgb"], want["alpha"]))
 
 
+def test_several_kinds_of_geometry_are_still_one_object(scene, make_model, model_file, splat_object, add_camera, render):
+    """An object whose geometry nodes make a mesh and a point cloud comes twice in the depsgraph, and is drawn once."""
+    obj = splat_object(model_file(make_model()))
+    obj.data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    add_camera()
+    scene.render.film_transparent = True
+    once = render()["ViewLayer.Combined"]
+    tree = bpy.data.node_groups.new("Both", 'GeometryNodeTree')
+    for direction in ('INPUT', 'OUTPUT'):
+        tree.interface.new_socket(name="Geometry", in_out=direction, socket_type='NodeSocketGeometry')
+    nodes = {kind: tree.nodes.new(kind) for kind in ('NodeGroupInput', 'GeometryNodePoints', 'GeometryNodeJoinGeometry', 'NodeGroupOutput')}
+    for source in ('NodeGroupInput', 'GeometryNodePoints'):
+        tree.links.new(nodes[source].outputs[0], nodes['GeometryNodeJoinGeometry'].inputs[0])
+    tree.links.new(nodes['GeometryNodeJoinGeometry'].outputs[0], nodes['NodeGroupOutput'].inputs[0])
+    obj.modifiers.new("Both", 'NODES').node_group = tree
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert len([i for i in depsgraph.object_instances if i.object.original == obj]) == 2
+    np.testing.assert_array_equal(render()["ViewLayer.Combined"], once)
+
+
 def test_parents_and_constraints_place_the_object(scene, make_model, model_file, splat_object, add_camera, render, expected):
     model = make_model(30, spread=0.5)
     obj = splat_object(model_file(model))

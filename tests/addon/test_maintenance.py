@@ -36,7 +36,7 @@ def test_preferences_reach_the_engine(module, preferences):
 
 
 def test_kernels_go_to_the_extensions_folder(module, preferences, monkeypatch, tmp_path):
-    monkeypatch.delenv("FASTGS_CACHE_DIR")
+    monkeypatch.delenv("FASTGS_CACHE_DIR", raising=False)
     cache = module("fastgs_blender.kernels.cache")
     preferences.cache_folder = ""
     assert cache.base_folder() == Path(bpy.utils.extension_path_user("bl_ext.user_default.fastgs_blender", path="kernels"))

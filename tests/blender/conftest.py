@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Real Blenders, each in its Debian root, with the extension installed from its zip.  tools/test_blender.py starts these tests."""
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import models
+import numpy as np
+import pytest
+from blenders import User
+from PIL import Image
+
+import fastgs_blender as fg
+
+ROOT = os.environ.get("FASTGS_BLENDER_ROOT", "")
+"""A folder made by blender_root.sh."""
+OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
+"""Where logs, files and screenshots stay."""
+
+
+@pytest.fixture(scope="session")
+def newcomer() -> User:
+    """Somebody who has just installed Blender."""
+    if not ROOT:
+        pytest.skip("these tests are started with make test-blender")
+    shutil.rmtree(OUTPUT, ignore_errors=True)
+    OUTPUT.mkdir(parents=True)
+    return User(Path(ROOT), OUTPUT, "home-new")
+
+
+@pytest.fixture(scope="session")
+def user(newcomer) -> User:
+    """Somebody who has installed the extension's zip."""
+    user = User(newcomer.root, newcomer.folder)
+    user.install(Path(os.environ["FASTGS_ZIP"]))
+    return user
+
+
+@pytest.fixture(scope="session")
+def model(newcomer):
+    """The model and the name of its file in the working folder."""
+    model = models.knot()
+    fg.save(model, newcomer.folder / "knot.safetensors")
+    return model, "knot.safetensors"
+
+
+@pytest.fixture(scope="session")
+def small_model(newcomer):
+    """The same of a smaller one."""
+    model = models.knot(4_000, seed=5)
+    fg.save(model, newcomer.folder / "small.safetensors")
+    return model, "small.safetensors"
+
+
+def library_camera(facts) -> fg.Camera:
+    """The library's camera for what the story `look` says of Blender's."""
+    pose = np.array(facts["matrix"])
+    width, height = facts["width"], facts["height"]
+    return fg.Camera(width, height, facts["focal"], facts["focal"], width / 2, height / 2,
+                     np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(pose))
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """reference(model, camera facts, clip frame): what the library draws, RGBA premultiplied, 0 .. 1."""
+    def draw(model, camera, frame):
+        out = fg.render(model, library_camera(camera), model.clip.t_of_frame(frame))
+        return np.concatenate([out["rgb"], out["alpha"][..., None]], -1)
+
+    return draw
+
+
+def read_png(path: Path) -> np.ndarray:
+    """RGBA [h, w, 4] premultiplied, 0 .. 1."""
+    rgba = np.asarray(Image.open(path).convert("RGBA")) / 255.0
+    rgba[..., :3] *= rgba[..., 3:]
+    return rgba
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    """dB, for pictures in 0 .. 1."""
+    return float(-10 * np.log10(max(np.mean((a - b) ** 2), 1e-12)))

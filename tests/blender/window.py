@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stories in Blender's window (see inside.py): generators that yield the seconds to wait.
+
+Screenshots are of the whole virtual screen, which the window fills.
+"""
+from __future__ import annotations
+
+import os
+import subprocess
+
+import bpy
+from background import bring, look
+from mathutils import Euler, Vector
+
+
+def shot(name):
+    """A screenshot.  Blender's own operator takes black ones on software OpenGL."""
+    subprocess.run(["import", "-window", "root", "-define", "png:exclude-chunks=date,time", f"{name}.png"], check=True)
+
+
+def settled(name, limit=90.0):
+    """A screenshot of when two in a row, a second apart, were the same."""
+    before, waited = None, 0.0
+    while waited < limit:
+        yield 1.0
+        waited += 1.0
+        shot(name)
+        with open(f"{name}.png", "rb") as file:
+            now = file.read()
+        if now == before:
+            return
+        before = now
+    raise AssertionError(f"the window did not come to rest within {limit} s")
+
+
+def area_of(kind='VIEW_3D'):
+    """The window's largest area of a kind."""
+    areas = [area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == kind]
+    return max(areas, key=lambda area: area.width * area.height)
+
+
+def within(area):
+    """The context of an area's main region."""
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    return bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region)
+
+
+def press(key, area):
+    """A key, with the mouse in the middle of an area."""
+    window = bpy.context.window_manager.windows[0]
+    x, y = area.x + area.width // 2, area.y + area.height // 2
+    window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
+    yield 0.3
+    for value in ('PRESS', 'RELEASE'):
+        window.event_simulate(type=key, value=value, x=x, y=y)
+    yield 0.3
+
+
+def until(condition, limit=60.0):
+    """Wait for something; False where it does not come to be."""
+    waited = 0.0
+    while not condition() and waited < limit:
+        yield 0.25
+        waited += 0.25
+    return condition()
+
+
+def f12(area):
+    """Press F12 and wait for the picture, which replaces an area."""
+    done = []
+    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
+    bpy.context.preferences.view.render_display_type = 'AREA'
+    yield from press('F12', area)
+    finished = yield from until(lambda: done, 240)
+    yield 1.0
+    if not finished:
+        raise AssertionError("F12 did not finish")
+
+
+def frame_in_region(area):
+    """Look through the camera with one pixel of the picture on one of the screen: (x, y, w, h) of the picture in a screenshot."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d as project
+
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    space = area.spaces.active
+    scene = bpy.context.scene
+    space.region_3d.view_perspective = 'CAMERA'
+    space.overlay.show_overlays = False
+    space.show_gizmo = False
+    with within(area):
+        bpy.ops.view3d.zoom_camera_1_to_1()
+    yield 1.0
+    camera = scene.camera
+    corners = [project(region, space.region_3d, camera.matrix_world @ corner) for corner in camera.data.view_frame(scene=scene)]
+    left, low = min(c.x for c in corners), min(c.y for c in corners)
+    right, high = max(c.x for c in corners), max(c.y for c in corners)
+    height = bpy.context.window_manager.windows[0].height
+    return [region.x + left, height - (region.y + high), right - left, high - low]
+
+
+def sidebar(area):
+    """Open our tab."""
+    with within(area):  # a timer has no window by itself after a file was loaded, and Blender crashes without one
+        area.spaces.active.show_region_ui = True
+    yield 0.5
+    region = next(region for region in area.regions if region.type == 'UI')
+    for _ in range(2):  # 4.3 shows it one redraw late
+        region.active_panel_category = "FAST-GS"
+        region.tag_redraw()
+        yield 0.5
+
+
+def first_steps(model):
+    """What a newcomer does: import, look at it, open our tab, Rendered shading, F12."""
+    scene = bring(model)
+    camera = look(scene, 640, 420)
+    scene.render.film_transparent = False
+    area = area_of()
+    view = area.spaces.active.region_3d
+    view.view_rotation = Euler((1.1, 0, -0.35)).to_quaternion()
+    view.view_location, view.view_distance = (0.5, 0, 0.5), 7.5
+    yield from sidebar(area)
+    scene.frame_set(12)
+    yield from settled("solid")
+    area.spaces.active.shading.type = 'RENDERED'
+    yield from settled("rendered")
+    yield from f12(area)
+    shot("f12")
+    areas = [a.type for a in bpy.context.window_manager.windows[0].screen.areas]
+    bpy.data.images["Render Result"].save_render(os.path.abspath("f12-saved.png"))
+    obj = next(o for o in scene.objects if o.fastgs.filepath)
+    return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame}
+
+
+def properties(model):
+    """The property editor's tabs that hold panels of ours, each in a screenshot: {tab: [panels' names, x, y, w, h]}."""
+    scene = bring(model)
+    look(scene, 640, 420)
+    yield 0.5
+    editor = area_of('PROPERTIES')
+    with within(editor):
+        bpy.ops.screen.screen_full_area()
+    yield 0.5
+    editor = area_of('PROPERTIES')
+    region = next(region for region in editor.regions if region.type == 'WINDOW')
+    bpy.context.view_layer.objects.active = next(o for o in scene.objects if o.type == 'MESH')
+    taken = {}
+    for context in ('RENDER', 'VIEW_LAYER', 'OBJECT'):
+        editor.spaces.active.context = context
+        yield 1.0
+        shot(f"properties-{context.lower()}")
+        ours = [cls.bl_label for cls in bpy.types.Panel.__subclasses__()
+                if cls.__name__.startswith("FASTGS_") and getattr(cls, "bl_context", "") == context.lower()]
+        top = bpy.context.window_manager.windows[0].height - region.y - region.height
+        taken[context] = [ours, region.x, top, region.width, region.height]
+    return taken
+
+
+def viewports(model):
+    """Rendered and Solid shading through the camera, two frames of each, and F12 of the same."""
+    scene = bring(model)
+    area = area_of()
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    # in the middle of the region, the picture's pixels are the screen's if both sizes are even or odd
+    camera = look(scene, 640 + region.width % 2, 420 + region.height % 2)
+    scene.render.film_transparent = False
+    space = area.spaces.active
+    scene.frame_set(12)
+    space.shading.type = 'RENDERED'
+    yield 0.5
+    box = yield from frame_in_region(area)
+    yield from settled("rendered-12")
+    scene.frame_set(25)
+    yield from settled("rendered-25")
+    space.shading.type = 'SOLID'
+    yield from settled("solid-25")
+    # a wall that stands before the left half of the picture
+    corners = [scene.camera.matrix_world @ Vector(corner) for corner in ((-2, -2, -1), (0, -2, -1), (0, 2, -1), (-2, 2, -1))]
+    mesh = bpy.data.meshes.new("Wall")
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    scene.collection.objects.link(bpy.data.objects.new("Wall", mesh))
+    yield from settled("solid-wall")
+    scene.frame_set(12)
+    yield from f12(area)
+    bpy.data.images["Render Result"].save_render(os.path.abspath("rendered-f12.png"))
+    obj = next(o for o in scene.objects if o.fastgs.filepath)
+    return {"box": box, "camera": camera, "start": obj.fastgs.start_frame}

@@ -1,0 +1,99 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: GPL-3.0-or-later
+# blender_root.sh SUITE: prints the folder of a Debian system with that release's Blender, Xvfb and Mesa's software OpenGL.
+#
+# trixie has Blender 4.3, sid the newest that Debian packages.  The folder is made once (two minutes, 1.5 GB) and kept, with a
+# packed copy of it, under $FASTGS_BLENDER_ROOTS, or else fastgs-blender/roots in the user's cache; where only the packed copy is
+# there it is unpacked (ten seconds).  Packages come from the Debian mirror that this machine's apt uses.  Where that cannot be
+# done here, the reason is the one line on standard error and the exit status is 3.
+set -euo pipefail
+
+suite=${1:?suite}
+roots=${FASTGS_BLENDER_ROOTS:-${XDG_CACHE_HOME:-$HOME/.cache}/fastgs-blender/roots}
+# Debian's blender names only what it links; its add-ons import the Python modules.
+packages=(
+    blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
+    python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
+)
+recipe=1  # to be raised when something below changes what is in a root
+digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)
+root=$roots/$suite-$digest
+archive=$root.tar.zst
+log=$roots/$suite.log
+
+cannot() {
+    rm -rf "$root.part"
+    echo "No Blender of Debian $suite here: $1." >&2
+    exit 3
+}
+
+namespaced() { # nothing that the command mounts or starts outlives it
+    unshare --mount --pid --fork --kill-child "$@"
+}
+
+inside() {
+    # shellcheck disable=SC2016
+    namespaced sh -c '
+        root=$1; shift
+        mount -t proc proc "$root/proc"
+        mount --rbind /dev "$root/dev"
+        exec chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8 DEBIAN_FRONTEND=noninteractive \
+            http_proxy="${http_proxy:-}" https_proxy="${https_proxy:-}" no_proxy="${no_proxy:-}" "$@"' _ "$root.part" "$@"
+}
+
+mirror() {
+    cat /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources 2>/dev/null |
+        sed -nE 's/^(URIs:|deb(-src)?( \[[^]]*\])?) +(https?:[^ ]*\/debian)\/?( .*)?$/\4/p' | head -n 1
+}
+
+tools() {
+    local missing=()
+    for tool in debootstrap zstd; do
+        command -v $tool >/dev/null || missing+=($tool)
+    done
+    ((${#missing[@]})) || return 0
+    command -v apt-get >/dev/null || cannot "${missing[*]} is not installed, and there is no apt-get to install it"
+    { apt-get update -qq && apt-get install -y -qq --no-install-recommends "${missing[@]}"; } >>"$log" 2>&1 ||
+        cannot "${missing[*]} could not be installed (see $log)"
+}
+
+build() {
+    local from
+    from=$(mirror) || true
+    [[ -n $from ]] || cannot "the apt sources name no Debian mirror"
+    namespaced debootstrap --variant=minbase "$suite" "$root.part" "$from" >>"$log" 2>&1 ||
+        cannot "debootstrap failed (see $log)"
+    printf '#!/bin/sh\nexit 101\n' >"$root.part/usr/sbin/policy-rc.d"
+    chmod +x "$root.part/usr/sbin/policy-rc.d"
+    printf 'force-unsafe-io\npath-exclude=/usr/share/%s/*\n' doc >"$root.part/etc/dpkg/dpkg.cfg.d/lean"
+    printf 'path-exclude=/usr/share/%s/*\n' man locale >>"$root.part/etc/dpkg/dpkg.cfg.d/lean"
+    # A mirror that stands still serves a rolling release whose signed date has run out; the signature itself is checked.
+    [[ $suite != sid ]] || echo 'Acquire::Check-Valid-Until "false";' >"$root.part/etc/apt/apt.conf.d/99still"
+    for file in /etc/apt/apt.conf.d/*proxy* /etc/resolv.conf; do
+        [[ ! -f $file ]] || cp -L "$file" "$root.part/${file#/}"
+    done
+    { inside apt-get update -qq && inside apt-get install -y -qq --no-install-recommends "${packages[@]}" && inside apt-get clean; } \
+        >>"$log" 2>&1 || cannot "its packages could not be installed (see $log)"
+    rm -rf "$root.part"/var/lib/apt/lists/* "$root.part/etc/apt/apt.conf.d/"*proxy* "$root.part/etc/resolv.conf"
+}
+
+[[ $(id -u) == 0 ]] || cannot "only root can make and enter its folder"
+namespaced true 2>/dev/null || cannot "this machine does not let root make namespaces"
+mkdir -p "$roots"
+exec 9>"$roots/$suite.lock"
+flock 9
+if [[ ! -d $root ]]; then
+    : >"$log"
+    tools
+    rm -rf "$root.part"
+    if [[ -f $archive ]]; then
+        mkdir "$root.part"
+        tar --zstd -xf "$archive" -C "$root.part" || cannot "$archive could not be unpacked"
+    else
+        build
+        find "$roots" -maxdepth 1 -name "$suite-*" ! -name "$suite-$digest*" -exec rm -rf {} +
+        tar --zstd -cf "$archive.part" -C "$root.part" . && mv "$archive.part" "$archive"
+    fi
+    mv "$root.part" "$root"
+fi
+echo "$root"

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Take the screenshots of the last `make test-blender` over into docs/, small enough for a repository."""
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("solid", "rendered", "f12")
+LIMIT = 400_000
+"""Bytes of a picture."""
+
+
+def packed(path: Path) -> bytes:
+    """The picture as PNG, with a palette where it would be too large."""
+    image = Image.open(path).convert("RGB")
+    for version in (image, image.quantize(256, dither=Image.Dither.NONE)):
+        buffer = io.BytesIO()
+        version.save(buffer, "PNG", optimize=True)
+        if buffer.tell() < LIMIT:
+            return buffer.getvalue()
+    sys.exit(f"{path} does not fit into {LIMIT} bytes.")
+
+
+def main():
+    """For each Blender that was tested: docs/blender-VERSION-NAME.png."""
+    tested = sorted((ROOT / "build" / "blender").glob("*/f12.png"))
+    if not tested:
+        sys.exit("There are no screenshots; make test-blender takes them.")
+    for folder in (path.parent for path in tested):
+        version = next(folder.glob("home/.config/blender/[0-9]*.[0-9]*")).name
+        for name in NAMES:
+            target = ROOT / "docs" / f"blender-{version}-{name}.png"
+            target.write_bytes(packed(folder / f"{name}.png"))
+            print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
