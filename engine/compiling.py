@@ -38,6 +38,11 @@ def has_numba() -> bool:
     return importlib.util.find_spec("numba") is not None
 
 
+def command() -> list[str]:
+    """What compiles the kernels as this Blender imports them: same names, same files."""
+    return [sys.executable, "-c", _CHILD, __package__.rpartition(".")[0], str(Path(__file__).parents[1])]
+
+
 def is_running() -> bool:
     """Whether kernels are being compiled just now."""
     return _process is not None and _process.poll() is None
@@ -48,12 +53,11 @@ def start() -> bool:
     global _process
     if not has_numba() or cache.is_filled() or is_running():
         return False
-    root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, "FASTGS_CACHE_DIR": str(cache.base_folder()), "PYTHONPATH": os.pathsep.join(sys.path)}
     hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
     try:
-        _process = subprocess.Popen([sys.executable, "-c", _CHILD, __package__.rpartition(".")[0], str(root)], env=environment, cwd=root,
-                                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **hidden)
+        _process = subprocess.Popen(command(), env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                                    stderr=subprocess.PIPE, **hidden)
     except OSError as error:
         log.warning("The renderer cannot be compiled ahead (%s); the first render will do it.", error)
         return False

@@ -34,7 +34,8 @@ def base_folder() -> Path:
 @cache
 def _digest() -> str:
     sources = sorted(Path(__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:12]
+    names = __package__.encode()  # compiled code refers to its modules by name, and Blender has names of its own
+    return hashlib.sha256(b"".join([names, *(p.read_bytes() for p in sources)])).hexdigest()[:12]
 
 
 def folder() -> Path:

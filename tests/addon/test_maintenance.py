@@ -2,7 +2,6 @@
 """Preferences, compiling ahead, diagnostics."""
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -52,9 +51,8 @@ def test_compile_now_and_clear(module, empty_cache):
     assert {"project.project", "raster.rasteriser.locals.rasterise", "decode.decode", "sort._scatter"} <= names
     assert cache.size() > 100_000
     # a process that renders finds them: nothing is announced, nothing is added
-    code = "from fastgs_blender.kernels.warm import compile_all; compile_all()"
     files = set(empty_cache.rglob("*.nbc"))
-    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env={**os.environ}, capture_output=True, text=True, check=True)
+    run = subprocess.run(module("engine.compiling").command(), capture_output=True, text=True, check=True)
     assert "compiling" not in run.stderr
     assert set(empty_cache.rglob("*.nbc")) == files
     assert bpy.ops.fastgs.clear_kernels() == {'FINISHED'}
