@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from . import passes
+from . import passes, redraw
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
 _OWN = {'LIBRARY_OVERRIDABLE'}
@@ -43,12 +43,6 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
 
 
-def _redraw(self, context):
-    from .viewport import spaces
-
-    spaces.redraw()
-
-
 class FASTGS_PG_scene(bpy.types.PropertyGroup):
     """Settings of the render engine."""
 
@@ -62,17 +56,17 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         default='EXPECTED')
     show_splats: BoolProperty(
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
-        "Rendered shading, with the scene's meshes", default=True, update=_redraw)
+        "Rendered shading, with the scene's meshes", default=True, update=redraw.viewports)
     viewport_density: FloatProperty(
         name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the animation plays, "
-        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=_redraw)
+        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=redraw.viewports)
     viewport_pixels: EnumProperty(
         name="Pixel Size", description="Draw splats in viewports at a lower resolution",
         items=(
             ('1', "1x", "One pixel for each of the viewport's", 0),
             ('2', "2x", "A quarter of the viewport's pixels", 1),
             ('4', "4x", "A sixteenth of the viewport's pixels", 2),
-        ), default='1', update=_redraw)
+        ), default='1', update=redraw.viewports)
 
 
 class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
