@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: compile, clear, test the training Python, copy diagnostics."""
+"""Operators of the preferences: compile, clear, copy diagnostics."""
 from __future__ import annotations
 
 import bpy
 
-from ..engine import compiling, settings
+from ..engine import compiling
 from ..fastgs_blender.kernels import cache
 from . import diagnostics
 
@@ -47,19 +47,6 @@ class FASTGS_OT_clear_kernels(bpy.types.Operator):
         return {'FINISHED'}
 
 
-class FASTGS_OT_test_training_python(bpy.types.Operator):
-    """Ask the training Python which of the packages for training it has"""
-
-    bl_idname = "fastgs.test_training_python"
-    bl_label = "Test"
-
-    def execute(self, context):
-        preferences = settings.preferences()
-        found = diagnostics.ask_python(bpy.path.abspath(preferences.training_python) if preferences else "")
-        self.report({'INFO' if found.complete else 'WARNING'}, str(found))
-        return {'FINISHED'}
-
-
 class FASTGS_OT_copy_diagnostics(bpy.types.Operator):
     """Put versions, graphics card, renderer and recent messages on the clipboard, for a report of a problem"""
 
@@ -72,4 +59,4 @@ class FASTGS_OT_copy_diagnostics(bpy.types.Operator):
         return {'FINISHED'}
 
 
-CLASSES = (FASTGS_OT_compile_kernels, FASTGS_OT_clear_kernels, FASTGS_OT_test_training_python, FASTGS_OT_copy_diagnostics)
+CLASSES = (FASTGS_OT_compile_kernels, FASTGS_OT_clear_kernels, FASTGS_OT_copy_diagnostics)

@@ -14,7 +14,7 @@ def _apply(self, context):
 
 
 class FASTGS_AP_preferences(bpy.types.AddonPreferences):
-    """Threads, compiled kernels, training Python, log."""
+    """Threads, compiled kernels, log."""
 
     bl_idname = settings.EXTENSION
 
@@ -24,9 +24,6 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
     cache_folder: bpy.props.StringProperty(
         name="Kernel Folder", description="Where the compiled renderer is kept; empty for the extension's own folder",
         subtype='DIR_PATH', update=_apply)
-    training_python: bpy.props.StringProperty(
-        name="Training Python", description="The Python with torch that trains models; empty for Blender's own",
-        subtype='FILE_PATH')
     log_level: bpy.props.EnumProperty(
         name="Log", description="What is written to the console",
         items=(('ERROR', "Errors", "Only what went wrong", 0), ('WARNING', "Warnings", "Also what may surprise", 1),
@@ -47,9 +44,6 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         row.operator("fastgs.compile_kernels", icon='PLAY')
         row.operator("fastgs.clear_kernels", icon='TRASH')
 
-        col = layout.column(heading="Training")
-        col.prop(self, "training_python")
-        col.operator("fastgs.test_training_python", icon='CONSOLE')
         layout.separator()
         layout.operator("fastgs.copy_diagnostics", icon='COPYDOWN')
 

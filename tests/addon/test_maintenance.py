@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def preferences(module):
     found = module("engine.settings").preferences()
-    before = {name: getattr(found, name) for name in ("threads", "cache_folder", "training_python", "log_level")}
+    before = {name: getattr(found, name) for name in ("threads", "cache_folder", "log_level")}
     yield found
     for name, value in before.items():
         setattr(found, name, value)
@@ -74,16 +74,6 @@ def test_diagnostics_name_versions_objects_and_messages(module, make_model, mode
     text = module("operators.diagnostics").text()
     for words in (bpy.app.version_string, "numpy", "backend: cpu", path, "Gaussians", "something odd happened"):
         assert words in text
-
-
-def test_training_python_is_asked(module, preferences):
-    diagnostics = module("operators.diagnostics")
-    answer = diagnostics.ask_python(sys.executable)
-    assert answer.packages["numpy"]
-    assert "numpy" in str(answer)
-    assert "did not answer" in str(diagnostics.ask_python(str(ROOT / "LICENSE")))
-    preferences.training_python = sys.executable
-    assert bpy.ops.fastgs.test_training_python() == {'FINISHED'}
 
 
 def test_enabling_imports_nothing_heavy(addon):
