@@ -12,8 +12,6 @@ from ...fastgs_blender.scene import Part
 from .atlas import Atlas
 from .textures import WIDTH
 
-HEAD = 11
-"""Texels of an object's row before the weights of its bases."""
 NONE, WEIGHTS, POWERS = range(3)
 
 

@@ -11,9 +11,6 @@ import sys
 import threading
 
 import numba
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 
 from . import cache
 
@@ -54,19 +51,3 @@ def announce():
     if not cache.is_filled():
         print("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.",
               file=sys.stderr, flush=True)
-
-
-@intrinsic
-def as_int(context, value):
-    """The bits of a float32 as an int32."""
-    def build(_, builder, __, args):
-        return builder.bitcast(args[0], ir.IntType(32))
-    return types.int32(types.float32), build
-
-
-@intrinsic
-def as_float(context, value):
-    """The float32 with the bits of an int32."""
-    def build(_, builder, __, args):
-        return builder.bitcast(args[0], ir.FloatType())
-    return types.float32(types.int32), build
