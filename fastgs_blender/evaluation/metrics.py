@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measures of one picture against the truth, in float64, with the definitions that published tables use.
+
+Pictures are [h, w, 3], display-referred, 0..1; what lies outside is clipped first, as every trainer's evaluation does.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import FastGSError
+
+GAUSSIAN_WINDOW, SIGMA = 11, 1.5
+UNIFORM_WINDOW = 7
+K1, K2 = 0.01, 0.03
+FOREGROUND = 0.5
+"""Pixels whose mask is at least this are foreground."""
+
+
+def psnr(picture, truth, mask=None) -> float:
+    """Peak signal-to-noise ratio in dB, range 1; with a mask [h, w], over its foreground pixels only.
+
+    inf for equal pictures; nan where the mask has no foreground.
+    """
+    picture, truth = _pair(picture, truth)
+    error = np.square(picture - truth)
+    if mask is not None:
+        error = error[np.asarray(mask) >= FOREGROUND]
+    if not error.size:
+        return float("nan")
+    mean = float(error.mean())
+    return float("inf") if mean == 0 else -10 * float(np.log10(mean))
+
+
+def dssim1(picture, truth) -> float:
+    """(1 - SSIM) / 2 with 3DGS's SSIM: Gaussian window of 11 x 11 pixels, sigma 1.5, zeros beyond the edges, data range 1."""
+    distance = np.arange(GAUSSIAN_WINDOW) - GAUSSIAN_WINDOW // 2
+    window = np.exp(-distance**2 / (2 * SIGMA**2))
+    picture, truth = (np.pad(x, ((5, 5), (5, 5), (0, 0))) for x in _pair(picture, truth))
+    return (1 - _ssim(picture, truth, window / window.sum(), 1.0, 1.0)) / 2
+
+
+def dssim2(picture, truth) -> float:
+    """(1 - SSIM) / 2 with scikit-image's structural_similarity(..., channel_axis=-1, data_range=2.0).
+
+    Uniform window of 7 x 7 pixels, sample covariances (N / (N - 1)), only windows that lie inside the picture.  Older versions
+    of scikit-image took 2 as the range of any floating-point picture, and the published figures stem from them.
+    """
+    picture, truth = _pair(picture, truth)
+    if min(picture.shape[:2]) < UNIFORM_WINDOW:
+        raise FastGSError(f"DSSIM2 needs pictures of at least 7 x 7 pixels, not {picture.shape[1]} x {picture.shape[0]}.")
+    count = UNIFORM_WINDOW**2
+    return (1 - _ssim(picture, truth, np.full(UNIFORM_WINDOW, 1 / UNIFORM_WINDOW), 2.0, count / (count - 1))) / 2
+
+
+def temporal_error(picture, before, truth, truth_before) -> float:
+    """Flicker: the mean of |(picture - before) - (truth - truth_before)| over pixels and channels, 0..2.
+
+    It is 0 where a picture changes from one frame to the next exactly as the truth does, however wrong it is.
+    """
+    picture, truth = _pair(picture, truth)
+    before, truth_before = _pair(before, truth_before)
+    return float(np.abs((picture - before) - (truth - truth_before)).mean())
+
+
+def _pair(picture, truth):
+    picture, truth = (np.clip(np.asarray(x, np.float64), 0, 1) for x in (picture, truth))
+    if picture.shape != truth.shape or picture.ndim != 3:
+        raise FastGSError(f"pictures of the shapes {picture.shape} and {truth.shape} cannot be compared; both must be [h, w, 3].")
+    return picture, truth
+
+
+def _ssim(x, y, window, data_range: float, sample: float) -> float:
+    """Mean SSIM over all whole windows (Wang et al. 2004): `window` [k] is one axis of a separable one, `sample` scales covariances."""
+    c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
+    total = 0.0
+    for channel in range(x.shape[-1]):
+        a, b = (np.ascontiguousarray(v[..., channel]) for v in (x, y))
+        ma, mb, aa, bb, ab = (_filtered(v, window) for v in (a, b, a * a, b * b, a * b))
+        va, vb, vab = (sample * (s - m) for s, m in ((aa, ma * ma), (bb, mb * mb), (ab, ma * mb)))
+        ssim = (2 * ma * mb + c1) * (2 * vab + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2))
+        total += float(ssim.mean())
+    return total / x.shape[-1]
+
+
+def _filtered(plane, window):
+    """plane [h, w] under the separable window [k], whole windows only: [h - k + 1, w - k + 1]."""
+    for axis in (0, 1):
+        count = plane.shape[axis] - len(window) + 1
+        out = 0.0
+        for i, weight in enumerate(window):
+            out = out + weight * (plane[i:i + count] if axis == 0 else plane[:, i:i + count])
+        plane = out
+    return plane
