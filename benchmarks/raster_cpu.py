@@ -31,7 +31,6 @@ sys.path.insert(0, str(ROOT))
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.kernels import cpu, raster, threads  # noqa: E402
 from fastgs_blender.kernels.project import SCALE  # noqa: E402
-from fastgs_blender.kernels.sort import order_by  # noqa: E402
 from fastgs_blender.scene import Layout, Part  # noqa: E402
 
 
@@ -72,14 +71,10 @@ class Stage:
 
     def __init__(self, model, camera, t):
         part = Part(model, np.eye(4), t, camera.world_to_camera)
-        layout, n = Layout([part], False), len(model)
-        self.channels = raster.padded(layout.channels)
+        layout = Layout([part], False)
         self.size = (camera.height, camera.width)
-        self.geometry, self.shade = np.empty((n, 5)), np.empty((n, raster.CHANNEL + self.channels), np.float32)
-        depth = np.empty(n, np.float32)
-        spans = cpu.project_part(part, camera, layout, self.geometry, self.shade, depth)
-        index = np.concatenate([np.arange(a, a + count, dtype=np.int32) for a, count in spans])
-        self.order = order_by(depth[index], index)
+        cloud = cpu.project_parts([part], camera, layout)
+        self.channels, self.geometry, self.shade, self.order = cloud.channels, cloud.geometry, cloud.shade, cloud.order()
         self.columns, self.rows = -(-camera.width // raster.TILE), -(-camera.height // raster.TILE)
         grid = (0, 0, self.columns, self.rows)
         segments, counts = cpu.list_spans(self.order, self.geometry, self.shade, grid)

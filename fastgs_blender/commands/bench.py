@@ -118,23 +118,19 @@ def _stages(model, camera, repeat):
     """What kernels.cpu.draw does, stage by stage."""
     import numpy as np
 
-    from ..kernels import cpu, raster, sort
+    from ..kernels import cpu
     from ..scene import Layout, Part
 
     part = Part(model, np.eye(4), 0.5, camera.world_to_camera)
     layout = Layout([part], depth=False)
-    channels = raster.padded(layout.channels)
-    geometry, depth = np.empty((len(model), 5)), np.empty(len(model), np.float32)
-    shade = np.empty((len(model), raster.CHANNEL + channels), np.float32)
     times = {"slice and project": [], "sort": [], "tiles and rasterise": []}
     for _ in range(repeat):
         clock = [time.perf_counter()]
-        rows = cpu.project_part(part, camera, layout, geometry, shade, depth)
-        index = np.concatenate([np.arange(start, start + count, dtype=np.int32) for start, count in rows])
+        cloud = cpu.project_parts([part], camera, layout)
         clock.append(time.perf_counter())
-        order = sort.order_by(depth[index], index)
+        order = cloud.order()
         clock.append(time.perf_counter())
-        cpu.rasterise(order, geometry, shade, channels, camera, median=False)
+        cpu.rasterise(order, cloud.geometry, cloud.shade, cloud.channels, camera, median=False)
         clock.append(time.perf_counter())
         for values, span in zip(times.values(), np.diff(clock), strict=True):
             values.append(1000 * span)

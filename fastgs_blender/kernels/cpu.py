@@ -2,6 +2,8 @@
 """The CPU backend: project every part, sort once, list the tiles, rasterise."""
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..appearance import ACTIVATIONS, RGB, SH, Features
@@ -22,30 +24,62 @@ ENTRIES = 48_000_000
 """Tile entries held at once; a picture with more is rasterised in bands."""
 
 
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The splats of all parts in arrays with a row for every Gaussian, of which only some are written.
+
+    geometry, shade  see raster.py
+    depth   [rows] float32, along the view axis
+    source  [rows] int32: which Gaussian of its part each row is
+    runs    for each part, the first row and the number of rows written for each piece of it
+    index   [V] int32: the rows written
+    """
+
+    geometry: np.ndarray
+    shade: np.ndarray
+    depth: np.ndarray
+    source: np.ndarray
+    runs: list[list[tuple[int, int]]]
+    index: np.ndarray
+
+    @property
+    def channels(self) -> int:
+        """The number of channels, padded to one that the rasteriser has a kernel for."""
+        return self.shade.shape[1] - raster.CHANNEL
+
+    def order(self) -> np.ndarray:
+        """The rows written [V] int32, front to back."""
+        return order_by(self.depth[self.index], self.index)
+
+
 def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress) -> Buffers:
     """All parts as one cloud, composited into the layout's channels (scene.py)."""
     announce()
-    channels = raster.padded(layout.channels)
-    total = sum(len(part.model) for part in parts)
-    geometry = np.empty((total, 5))
-    shade = np.empty((total, raster.CHANNEL + channels), np.float32)
-    depth = np.empty(total, np.float32)
-    visible, done = [], 0
-    for part in parts:
-        count = len(part.model)
-        span = slice(done, done + count)
-        runs = project_part(part, camera, layout, geometry[span], shade[span], depth[span],
-                            lambda f, done=done, count=count: progress(0.3 * (done + f * count) / total))
-        visible += [np.arange(done + first, done + first + number, dtype=np.int32) for first, number in runs]
-        done += count
-    index = np.concatenate(visible)
-    order = order_by(depth[index], index)
-    buffers = rasterise(order, geometry, shade, channels, camera, median, lambda f: progress(0.35 + 0.6 * f))
+    cloud = project_parts(parts, camera, layout, lambda f: progress(0.3 * f))
+    buffers = rasterise(cloud.order(), cloud.geometry, cloud.shade, cloud.channels, camera, median, lambda f: progress(0.35 + 0.6 * f))
     return Buffers(buffers.channels[..., :layout.channels], buffers.alpha, buffers.median)
 
 
-def project_part(part: Part, camera: Camera, layout: Layout, geometry, shade, depth, progress=None) -> list[tuple[int, int]]:
-    """Slice, cull and project one part into arrays of its length; returns (first row, number of rows) of what is visible."""
+def project_parts(parts: list[Part], camera: Camera, layout: Layout, progress=None) -> Cloud:
+    """Slice, cull and project all parts."""
+    total = sum(len(part.model) for part in parts)
+    shade = np.empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32)
+    arrays = np.empty((total, 5)), shade, np.empty(total, np.float32), np.empty(total, np.int32)
+    runs, done = [], 0
+    for part in parts:
+        count, inputs = len(part.model), _inputs(part, camera, layout)
+        rows = tuple(array[done:done + count] for array in arrays)
+        pieces = ranges(count, CHUNK)
+        share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
+        counts = run(lambda first, last, rest=(*inputs, *rows): project.project(first, last, *rest), pieces, share)
+        runs.append([(done + first, number) for (first, _), number in zip(pieces, counts)])
+        done += count
+    index = [np.arange(first, first + number, dtype=np.int32) for part in runs for first, number in part]
+    return Cloud(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
+
+
+def _inputs(part: Part, camera: Camera, layout: Layout):
+    """arrays, times, view, lens, constants and look of a part, see project.project."""
     model, group = part.model, layout.group_of(part)
     to_camera, to_model = part.model_to_camera, part.camera_to_model
     x0, y0, width, height = camera.window
@@ -53,18 +87,14 @@ def project_part(part: Part, camera: Camera, layout: Layout, geometry, shade, de
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, part.near(camera), *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r = model.raster
-    common = (
+    return (
         tuple(_plain(a) for a in model.arrays.values()),
         (part.t, model.temporal_kind.code, _weights(model.basis, part.t), _weights(model.rotation_basis, part.t)),
         np.ascontiguousarray(view), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
         (CODES[type(model.appearance)], getattr(model.appearance, "degree", 0), group.offset,
          -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth),
-        geometry, shade, depth,
     )
-    pieces = ranges(len(model), CHUNK)
-    counts = run(lambda first, last: project.project(first, last, *common), pieces, progress)
-    return [(first, count) for (first, _), count in zip(pieces, counts)]
 
 
 def rasterise(order, geometry, shade, channels: int, camera: Camera, median: bool, progress=None) -> Buffers:

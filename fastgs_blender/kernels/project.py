@@ -16,7 +16,7 @@ from .jit import inline, kernel
 from .spherical import sh_colour
 
 RGB, SH, FEATURES = range(3)
-ALWAYS, RADIAL, WINDOW = range(3)
+ALWAYS, RADIAL, WINDOW, WINDOWED_RADIAL = range(4)
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -36,6 +36,9 @@ def _temporal_factor(code, t, mu_tau, p):
     if code == WINDOW:
         early, late = max(p[0] - t, 0.0) / _exp(p[2]), max(t - p[1], 0.0) / _exp(p[3])
         return _exp(-early * early - late * late)
+    if code == WINDOWED_RADIAL:
+        delta, outside = t - mu_tau, max(p[1] - t, t - p[2], 0.0) / _exp(p[3])
+        return _exp(-_exp(p[0]) * delta * delta - outside * outside)
     return 1.0
 
 
@@ -70,14 +73,64 @@ def _moved4(c, basis, delta):
 
 
 @inline
-def _project_axis(x, y, z, row0, row1, row2, a02, a12):
+def _quaternion(constant, turn):
+    """The unit quaternion of constant + turn, and the length of the sum; the identity and 0 where that vanishes."""
+    qw, qx, qy, qz = turn
+    qw, qx, qy, qz = qw + constant[0], qx + constant[1], qy + constant[2], qz + constant[3]
+    norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    if norm > 1e-12:
+        return qw / norm, qx / norm, qy / norm, qz / norm, norm
+    return 1.0, 0.0, 0.0, 0.0, 0.0
+
+
+@inline
+def _axes(qw, qx, qy, qz):
+    """Columns of the rotation matrix of a unit quaternion."""
+    return ((1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)),
+            (2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx)),
+            (2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy)))
+
+
+@inline
+def _shear(x, y, z, lens, orthographic):
+    """Centre in pixels, the Jacobian's third column (without focal length and depth), and 1 / depth (orthographic: 1)."""
+    fx, fy, cx, cy, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
+    if orthographic:
+        return fx * x + cx, fy * y + cy, 0.0, 0.0, 1.0
+    return fx * (x / z) + cx, fy * (y / z) + cy, -min(max(x / z, low_x), high_x), -min(max(y / z, low_y), high_y), 1.0 / z
+
+
+@inline
+def _covariance(u, v, blur):
+    """Of the rows u, v of the factor J W R S: blurred covariance s00, s01, s11; determinants before and after the blur."""
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    s00, s01, s11 = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
+    sharp = (u1 * v2 - u2 * v1) ** 2 + (u2 * v0 - u0 * v2) ** 2 + (u0 * v1 - u1 * v0) ** 2
+    return s00 + blur, s01, s11 + blur, sharp, sharp + blur * (s00 + s11) + blur * blur
+
+
+@inline
+def _direction(px, py, pz, eye, orthographic):
+    """Unit direction in which a position is seen, and its length before."""
+    if orthographic:
+        dx, dy, dz = eye[0], eye[1], eye[2]
+    else:
+        dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
+    norm = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-30)
+    return dx / norm, dy / norm, dz / norm, norm
+
+
+@inline
+def _project_axis(axis, row0, row1, row2, a02, a12):
     """An axis in model space, in the camera, sheared by the projection: u and v before focal length and depth."""
+    x, y, z = axis
     depth = row2[0] * x + row2[1] * y + row2[2] * z
     return row0[0] * x + row0[1] * y + row0[2] * z + a02 * depth, row1[0] * x + row1[1] * y + row1[2] * z + a12 * depth
 
 
 @kernel
-def project(first, last, arrays, times, view, lens, constants, look, geometry, shade, depth):
+def project(first, last, arrays, times, view, lens, constants, look, geometry, shade, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
@@ -88,13 +141,14 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
     constants  (blur, alpha max, alpha cut, antialiased, orthographic)
     look       (appearance code, degree, first channel, weight channel or -1, depth channel or -1)
     geometry, shade, depth   of the splats, see raster.py
+    source     int32: which Gaussian each row is
     """
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, moving, turning = times
-    fx, fy, cx, cy, near, low_x, high_x, low_y, high_y, left, right, top, bottom = lens
+    fx, fy, _, _, near, _, _, _, _, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
     appearance, degree, channel, weight_channel, depth_channel = look
-    colour, (row0, row1, row2, shift, eye) = np.empty(3), (view[0], view[1], view[2], view[3], view[4])
+    terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), (view[0], view[1], view[2], view[3], view[4])
     log2_cut = math.log2(alpha_cut)
     out = first
     for n in range(first, last):
@@ -110,33 +164,16 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         if not (z > near and z < np.inf):
             continue
 
-        qw, qx, qy, qz = _moved4(rotation_motion[n], turning, delta)
-        qw, qx, qy, qz = qw + rotation[n, 0], qx + rotation[n, 1], qy + rotation[n, 2], qz + rotation[n, 3]
-        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-        if norm > 1e-12:
-            qw, qx, qy, qz = qw / norm, qx / norm, qy / norm, qz / norm
-        else:
-            qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
-
-        # the 2 x 3 factor J W R S of the projected covariance: J's third column first
-        if orthographic:
-            mx, my, a02, a12, per_depth = fx * x + cx, fy * y + cy, 0.0, 0.0, 1.0
-        else:
-            mx, my, per_depth = fx * (x / z) + cx, fy * (y / z) + cy, 1.0 / z
-            a02 = -min(max(x / z, low_x), high_x)
-            a12 = -min(max(y / z, low_y), high_y)
+        qw, qx, qy, qz, _ = _quaternion(rotation[n], _moved4(rotation_motion[n], turning, delta))
+        mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
-        u0, v0 = _project_axis(1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy), row0, row1, row2, a02, a12)
-        u1, v1 = _project_axis(2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx), row0, row1, row2, a02, a12)
-        u2, v2 = _project_axis(2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy), row0, row1, row2, a02, a12)
+        axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
+        u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
+        u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
+        u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
         size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
-        u0, u1, u2 = fx * u0 * size0, fx * u1 * size1, fx * u2 * size2
-        v0, v1, v2 = fy * v0 * size0, fy * v1 * size1, fy * v2 * size2
-        s00, s01, s11 = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
-        sharp = (u1 * v2 - u2 * v1) ** 2 + (u2 * v0 - u0 * v2) ** 2 + (u0 * v1 - u1 * v0) ** 2
-        det = sharp + blur * (s00 + s11) + blur * blur
-        s00 += blur
-        s11 += blur
+        u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
+        s00, s01, s11, sharp, det = _covariance(u, v, blur)
         if not (det > 0.0 and s00 + s11 < np.inf):
             continue
         if antialiased:
@@ -150,12 +187,8 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
             continue
 
         if appearance == SH:
-            if orthographic:
-                dx, dy, dz = eye[0], eye[1], eye[2]
-            else:
-                dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
-            norm = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-30)
-            sh_colour(features[n], degree, dx / norm, dy / norm, dz / norm, colour)
+            dx, dy, dz, _ = _direction(px, py, pz, eye, orthographic)
+            sh_colour(features[n], degree, dx, dy, dz, terms, colour)
         good = True
         for c in range(raster.CHANNEL, shade.shape[1]):
             shade[out, c] = float32(0.0)
@@ -184,5 +217,6 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         shade[out, raster.RADIUS_X] = radius_x + 1e-3
         shade[out, raster.RADIUS_Y] = radius_y + 1e-3
         depth[out] = z
+        source[out] = n
         out += 1
     return out - first
