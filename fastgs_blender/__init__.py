@@ -15,10 +15,11 @@ from .model import Clip, GaussianModel, Raster
 from .motion import Cosine, Fourier, Keyframes, Polynomial, Static
 from .rendering import render
 from .slicing import Slice, freeze, slice_model
-from .temporal import Always, Radial, Window
+from .temporal import Always, Radial, Window, WindowedRadial
 
 __version__ = "0.1.0"
 __all__ = [
     "RGB", "SH", "Always", "BakeReport", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
-    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "bake", "freeze", "load", "render", "save", "slice_model",
+    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",
+    "freeze", "load", "render", "save", "slice_model",
 ]

@@ -40,10 +40,10 @@ def sigmoid(x):
 
 
 def unit_quaternions(q: np.ndarray) -> np.ndarray:
-    """Normalised quaternions [M, 4]; those that vanish become the identity."""
+    """Normalised quaternions [M, 4]; those that vanish become the identity, those that are no numbers stay so."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    ok = norm > 1e-12
-    return np.where(ok, q / np.where(ok, norm, 1), [1.0, 0, 0, 0])
+    vanishing = norm <= 1e-12
+    return np.where(vanishing, [1.0, 0, 0, 0], q / np.where(vanishing, 1, norm))
 
 
 def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:

@@ -2,7 +2,7 @@
 """Temporal opacity: the factor by which a Gaussian's opacity changes with time.
 
 The parameters are one array [N, P] per model, of which each kind says what its columns are.  `code` is how the
-kernels know the kind.
+kernels know the kind; `logarithms` says which columns are natural logarithms.
 """
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ class Always:
     name: ClassVar[str] = "always"
     code: ClassVar[int] = 0
     width: ClassVar[int] = 0
+    logarithms: ClassVar[tuple[bool, ...]] = ()
 
     def factor(self, t, mu_tau, parameters):
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, P]."""
@@ -34,6 +35,7 @@ class Radial:
     name: ClassVar[str] = "radial"
     code: ClassVar[int] = 1
     width: ClassVar[int] = 1
+    logarithms: ClassVar[tuple[bool, ...]] = (True,)
 
     def factor(self, t, mu_tau, parameters):
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 1]."""
@@ -51,6 +53,7 @@ class Window:
     name: ClassVar[str] = "window"
     code: ClassVar[int] = 2
     width: ClassVar[int] = 4
+    logarithms: ClassVar[tuple[bool, ...]] = (False, False, True, True)
 
     def factor(self, t, mu_tau, parameters):
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 4]."""
@@ -59,7 +62,26 @@ class Window:
         return np.exp(-((early / np.exp(before)) ** 2) - (late / np.exp(after)) ** 2)
 
 
-KINDS = {cls.name: cls for cls in (Always, Radial, Window)}
+@dataclass(frozen=True)
+class WindowedRadial:
+    """Radial, times a window with flanks of one softness: a Gaussian of one segment of a long capture (joining.py).
+
+    Columns: ln s_tau, begin, end, ln width of the flanks; see Radial and Window.
+    """
+
+    name: ClassVar[str] = "radial-window"
+    code: ClassVar[int] = 3
+    width: ClassVar[int] = 4
+    logarithms: ClassVar[tuple[bool, ...]] = (True, False, False, True)
+
+    def factor(self, t, mu_tau, parameters):
+        """Factor [N] float64 at time t; mu_tau [N], parameters [N, 4]."""
+        _, begin, end, soft = np.asarray(parameters, np.float64).T
+        outside = np.maximum(np.maximum(begin - t, t - end), 0)
+        return Radial().factor(t, mu_tau, parameters) * np.exp(-((outside / np.exp(soft)) ** 2))
+
+
+KINDS = {cls.name: cls for cls in (Always, Radial, Window, WindowedRadial)}
 
 
 def temporal_by_name(name: str):

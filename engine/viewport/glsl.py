@@ -41,6 +41,11 @@ float temporal_factor(int kind, float t, float mu_tau, vec4 p) {
     float late = max(t - p.y, 0.0) / exp(p.w);
     return exp(-early * early - late * late);
   }
+  if (kind == 3) {
+    float d = t - mu_tau;
+    float outside = max(max(p.y - t, t - p.z), 0.0) / exp(p.w);
+    return exp(-exp(p.x) * d * d - outside * outside);
+  }
   return 1.0;
 }
 

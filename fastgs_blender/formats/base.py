@@ -9,7 +9,6 @@ import numpy as np
 
 from ..errors import FastGSError, LossWarning
 from ..model import GaussianModel
-from ..temporal import Radial, Window
 
 LIMIT = 1e18
 """Larger numbers than this are no scene: their squares leave float32."""
@@ -96,10 +95,8 @@ def _tame(model: GaussianModel) -> None:
     """Replace infinities that have a meaning, and steepness that cannot be told from a step."""
     model.opacity = _clipped(model.opacity, -OPAQUE, OPAQUE, only=np.isinf)
     model.scale = _clipped(model.scale, -np.log(LIMIT), np.inf, only=np.isneginf)
-    if isinstance(model.temporal_kind, Radial):
-        model.temporal = _clipped(model.temporal, -STEEP, STEEP)
-    elif isinstance(model.temporal_kind, Window) and len(model):
-        low = np.array([-np.inf, -np.inf, -STEEP, -STEEP], np.float32)
+    if len(model):
+        low = np.where(model.temporal_kind.logarithms, -STEEP, -np.inf).astype(np.float32)
         model.temporal = _clipped(model.temporal, low, -low)
 
 

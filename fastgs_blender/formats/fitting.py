@@ -14,7 +14,7 @@ from ..appearance import RGB, SH, SH_C0, Features
 from ..model import GaussianModel
 from ..motion import Basis, Polynomial, Static
 from ..slicing import sigmoid, unit_quaternions
-from ..temporal import Radial, Window
+from ..temporal import Always, Radial, Window, WindowedRadial
 
 CHUNK = 1 << 20
 """Numbers held at once while fitting."""
@@ -24,9 +24,14 @@ def lifetimes(model: GaussianModel) -> tuple[np.ndarray, np.ndarray]:
     """Begin and end [N] of the time in which each Gaussian can be seen, within the clip, never quite empty."""
     n = len(model)
     visible = np.log(np.maximum(sigmoid(model.opacity) / model.raster.alpha_cut, 1))
-    if isinstance(model.temporal_kind, Radial):
+    if isinstance(model.temporal_kind, (Radial, WindowedRadial)):
         reach = np.sqrt(visible * np.exp(-model.temporal[:, 0].astype(np.float64)))
         low, high = model.mu_tau - reach, model.mu_tau + reach
+        if isinstance(model.temporal_kind, WindowedRadial):
+            _, begin, end, soft = model.temporal.T.astype(np.float64)
+            flank = np.exp(soft) * np.sqrt(visible)
+            low = np.clip(low, begin - flank, end + flank)
+            high = np.clip(high, begin - flank, end + flank)
     elif isinstance(model.temporal_kind, Window):
         begin, end, before, after = model.temporal.T.astype(np.float64)
         low, high = begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
@@ -72,14 +77,9 @@ def bell_opacity(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
 
     A window becomes the bell of the same centre of mass and integral; motion and rotation around mu_tau are re-expanded.
     """
-    if not isinstance(model.temporal_kind, Window):
+    if isinstance(model.temporal_kind, (Always, Radial)):
         return model, []
-    begin, end, before, after = model.temporal.T.astype(np.float64)
-    before, after, root = np.exp(before), np.exp(after), 0.5 * sqrt(pi)
-    flat = np.maximum(end - begin, 0)
-    area = flat + root * (before + after)
-    moment = 0.5 * (begin + end) * flat + root * (begin * before + end * after) + 0.5 * (after**2 - before**2)
-    centre = moment / area
+    area, centre = _window_moments(model) if isinstance(model.temporal_kind, Window) else _moments(model)
     lost = ["its opacity windows with soft ends become bell curves"]
     if isinstance(model.appearance, Features) and np.any(model.features[:, 6:9]):
         lost.append("its time features count from another moment")
@@ -93,6 +93,27 @@ def bell_opacity(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
                 c0[part], c[part] = fit[:, 0], fit[:, 1:]
             changed |= {constant: c0, motion: c}
     return replace(model, **changed), lost
+
+
+def _window_moments(model: GaussianModel) -> tuple[np.ndarray, np.ndarray]:
+    """Integral and centre of mass [N] of Window's factor."""
+    begin, end, before, after = model.temporal.T.astype(np.float64)
+    before, after, root = np.exp(before), np.exp(after), 0.5 * sqrt(pi)
+    flat = np.maximum(end - begin, 0)
+    area = flat + root * (before + after)
+    moment = 0.5 * (begin + end) * flat + root * (begin * before + end * after) + 0.5 * (after**2 - before**2)
+    return area, moment / area
+
+
+def _moments(model: GaussianModel, samples: int = 257) -> tuple[np.ndarray, np.ndarray]:
+    """Integral and centre of mass [N] of any kind's factor over each lifetime, by samples."""
+    low, high = lifetimes(model)
+    total, moment = np.full(len(model), 1e-12), 0.5e-12 * (low + high)
+    for u in (np.arange(samples) + 0.5) / samples:
+        t = low + u * (high - low)
+        factor = model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+        total, moment = total + factor, moment + factor * t
+    return total * (high - low) / samples, moment / total
 
 
 def cubic_motion(model: GaussianModel) -> tuple[GaussianModel, list[str]]:

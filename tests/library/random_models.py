@@ -16,7 +16,8 @@ BASES = {
     "keys": fg.Keyframes((0.0, 0.25, 0.6, 1.0)),
     "smooth keys": fg.Keyframes((0.0, 0.2, 0.5, 0.9), "catmull-rom"),
 }
-TEMPORALS = {"always": fg.Always(), "radial": fg.Radial(), "window": fg.Window()}
+TEMPORALS = {"always": fg.Always(), "radial": fg.Radial(), "window": fg.Window(),
+             "radial-window": fg.WindowedRadial()}
 APPEARANCES = ("rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none")
 """SH by degree, features by the decoder's activation."""
 
@@ -45,6 +46,7 @@ def random_model(rng: np.random.Generator, n: int = 40, basis="static", rotation
     begin = rng.uniform(-0.2, 0.7, n)
     parameters = {"always": np.zeros((n, 0)), "radial": rng.normal(2, 1.5, (n, 1)),
                   "window": np.stack([begin, begin + rng.uniform(0.05, 0.6, n), *rng.normal(-3, 0.7, (2, n))], -1)}
+    parameters["radial-window"] = np.stack([rng.normal(2, 1.5, n), begin, begin + 0.4, rng.normal(-3, 0.7, n)], -1)
     if isinstance(appearance, fg.RGB):
         features = rng.uniform(0, 1, (n, 3))
     elif isinstance(appearance, fg.SH):

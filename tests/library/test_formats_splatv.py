@@ -119,6 +119,7 @@ def test_the_texture_is_whole_rows_and_the_first_gaussian_the_most_important(rng
 
 @pytest.mark.parametrize(("fields", "text"), [
     ({"basis": "paper"}, "cubic.*RMS error"), ({"rotation_basis": "keys"}, "linear in time.*degrees"), ({"temporal": "window"}, "bell"),
+    ({"temporal": "radial-window"}, "bell"),
     ({"appearance": "sh2"}, "SH degree 2"), ({"appearance": "clamp"}, "features and decoder"),
     ({"motion": 1e6, "basis": "cubic"}, "65504")])
 def test_losses_are_said_in_one_warning(rng, make_model, tmp_path, fields, text):

@@ -22,7 +22,8 @@ def numpy_order(parts, camera, monkeypatch, **options):
 
 
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize(("basis", "temporal"), [("paper", "radial"), ("cubic", "window"), ("smooth keys", "always")])
+@pytest.mark.parametrize(("basis", "temporal"), [("paper", "radial"), ("cubic", "window"), ("smooth keys", "always"),
+                                                   ("line", "radial-window")])
 def test_only_what_is_seen_in_the_right_order(seed, basis, temporal, monkeypatch):
     """A picture of the visible ones alone is the whole picture, and their depths ascend."""
     rng = np.random.default_rng(seed)
