@@ -78,9 +78,9 @@ def _quaternion(constant, turn):
     qw, qx, qy, qz = turn
     qw, qx, qy, qz = qw + constant[0], qx + constant[1], qy + constant[2], qz + constant[3]
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    if norm > 1e-12:
-        return qw / norm, qx / norm, qy / norm, qz / norm, norm
-    return 1.0, 0.0, 0.0, 0.0, 0.0
+    if norm <= 1e-12:
+        return 1.0, 0.0, 0.0, 0.0, 0.0
+    return qw / norm, qx / norm, qy / norm, qz / norm, norm
 
 
 @inline
