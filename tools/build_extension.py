@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the extension's zip for one platform or for all: the code, and the wheels of what Blender's Python lacks.
+"""Build the extension's zips, one for each platform: the code, and the wheels of what Blender's Python lacks.
 
     python tools/build_extension.py [--platform linux-x64 ...] [--no-wheels] [--out dist]
 
-Works on a staged copy; the repository's manifest names no wheels, so that it is valid as it stands.  Building and validating is
-done by Blender's own tool, which comes with the bpy wheel.
+Beside them an index is written, which makes the folder, put on any web server or disk, an extension repository for Blender.
+Works on a staged copy; the repository's manifest names no wheels, so that it is valid as it stands.  Building, validating and
+indexing is done by Blender's own tool, which comes with the bpy wheel.
 """
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import importlib.util
-import platform
 import shutil
 import subprocess
 import sys
@@ -19,80 +18,68 @@ import tempfile
 import tomllib
 from pathlib import Path
 
+import wheels
+
 ROOT = Path(__file__).resolve().parents[1]
 CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "fastgs_blender", "engine", "operators", "ui")
-
-PYTHONS = {"linux-x64": ("3.11", "3.13", "3.14"), "windows-x64": ("3.11", "3.13"), "macos-arm64": ("3.11", "3.13")}
-"""Blender 4.2 to 5.0 and 5.1 to 5.2; Linux distributions build Blender for their own Python, of late 3.14.  The wheel of a Python
-that is not Blender's is ignored at installation, but a Python that no wheel is for is refused."""
-
-WHEELS = ("numba", "llvmlite", "safetensors")
-"""In the versions that the tests ran with.  numpy is Blender's own (1.26 to 2.x, all of which numba 0.61 and later accept)."""
-
-PLATFORMS = {
-    "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
-    "windows-x64": ("win_amd64",),
-    "macos-arm64": ("macosx_14_0_arm64",),
-}
+NOTICES = "THIRD-PARTY.md"
 
 
 def main(argv=None) -> list[Path]:
-    """Builds, validates and prints the zips; returns their paths."""
+    """Builds, validates and prints the zips, and indexes them; returns their paths.  Ends with 1 if one cannot be built."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--platform", action="append", choices=(*PLATFORMS, "all"), help="default: this machine's")
+    parser.add_argument("--platform", action="append", choices=tuple(wheels.PYTHONS), help="default: all of them")
     parser.add_argument("--no-wheels", action="store_true", help="for a Blender whose Python has numba and safetensors already")
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     args = parser.parse_args(argv)
-    wanted = args.platform or [this_platform()]
-    wanted = list(PLATFORMS) if "all" in wanted else list(dict.fromkeys(wanted))
-    return [build(None, [], args.out)] if args.no_wheels else [build(name, download(name), args.out) for name in wanted]
+    if args.no_wheels:
+        return [build(None, [], args.out)]
+    built, missing = [], []
+    for name in dict.fromkeys(args.platform or wheels.PYTHONS):
+        try:
+            built.append(build(name, wheels.download(name, ROOT / "build" / "wheels" / name), args.out))
+        except wheels.Missing as reason:
+            missing.append(str(reason))
+    if built:
+        index(built, args.out)
+    if missing:
+        sys.exit("\n".join(missing))
+    return built
 
 
-def this_platform() -> str:
-    """Blender's name of this machine's platform; ends the program where there is none."""
-    system = {"Linux": "linux", "Windows": "windows", "Darwin": "macos"}.get(platform.system())
-    machine = {"x86_64": "x64", "amd64": "x64", "arm64": "arm64", "aarch64": "arm64"}.get(platform.machine().lower())
-    name = f"{system}-{machine}"
-    if name not in PLATFORMS:
-        sys.exit(f"There are no wheels for {name}; choose --platform {', '.join(PLATFORMS)}, or --no-wheels.")
-    return name
-
-
-def download(name: str) -> list[Path]:
-    """The wheels for a platform, all Pythons, kept in build/wheels."""
-    folder = ROOT / "build" / "wheels" / name
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    packages = [f"{package}=={importlib.metadata.version(package)}" for package in WHEELS]
-    for python in PYTHONS[name]:
-        command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:",
-                   "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
-        command += [f"--platform={tag}" for tag in PLATFORMS[name]]
-        result = subprocess.run([*command, *packages], capture_output=True, text=True, check=False)
-        if result.returncode:
-            sys.exit(f"{result.stderr}\nThe wheels for {name} and Python {python} could not be downloaded; the reason stands above.")
-    return sorted(folder.glob("*.whl"))
-
-
-def build(name: str | None, wheels: list[Path], out: Path) -> Path:
-    """One validated zip in out, for a platform or (None) for any."""
+def build(name: str | None, bundled: list[Path], out: Path) -> Path:
+    """One validated zip in out, for a platform or (None) for any; ends the program where the wheels do not fit together."""
     out.mkdir(parents=True, exist_ok=True)
+    if found := wheels.problems(bundled):
+        sys.exit("\n".join(found))
     with tempfile.TemporaryDirectory() as temporary:
         stage = Path(temporary) / "extension"
         copy_content(stage)
         manifest = stage / "blender_manifest.toml"
         if name:
             (stage / "wheels").mkdir()
-            for wheel in wheels:
+            for wheel in bundled:
                 shutil.copy(wheel, stage / "wheels")
-            manifest.write_text(with_wheels(manifest.read_text("utf-8"), name, wheels), "utf-8")
+            (stage / NOTICES).write_text(wheels.notices(bundled), "utf-8")
+            manifest.write_text(with_wheels(manifest.read_text("utf-8"), name, bundled), "utf-8")
         facts = tomllib.loads(manifest.read_text("utf-8"))
         target = out / f"{facts['id']}-{facts['version']}{f'-{name}' if name else ''}.zip"
         blender_ext("build", "--source-dir", str(stage), "--output-filepath", str(target))
     blender_ext("validate", str(target))
     print(f"{target}: {target.stat().st_size / 1e6:.1f} MB")
-    for wheel in wheels:
-        print(f"    {wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB")
+    for wheel in bundled:
+        print(f"    {wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB, {wheels.licence(wheel.name.split('-')[0])}")
+    return target
+
+
+def index(built: list[Path], out: Path) -> Path:
+    """The index.json of an extension repository that holds these zips and lies beside them."""
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        for path in built:  # the folder may hold zips that are no part of this
+            shutil.copy(path, folder)
+        blender_ext("server-generate", "--repo-dir", folder)
+        target = (Path(folder) / "index.json").replace(out / "index.json")
+    print(f"{target}: a repository of {len(built)} platforms")
     return target
 
 
@@ -106,11 +93,11 @@ def copy_content(stage: Path):
             shutil.copy(ROOT / item, stage / item)
 
 
-def with_wheels(manifest: str, name: str, wheels: list[Path]) -> str:
+def with_wheels(manifest: str, name: str, bundled: list[Path]) -> str:
     """The manifest with the platform and its wheels, before the first table."""
     lines = manifest.splitlines()
     table = next((i for i, line in enumerate(lines) if line.startswith("[")), len(lines))
-    added = [f'platforms = ["{name}"]', "wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in wheels), "]", ""]
+    added = [f'platforms = ["{name}"]', "wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in bundled), "]", ""]
     return "\n".join([*lines[:table], *added, *lines[table:], ""])
 
 

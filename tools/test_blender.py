@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import build_extension
+import wheels
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "build" / "blender"
@@ -30,9 +31,10 @@ def roots(suites: list[str]) -> dict[str, str]:
 
 def zips() -> dict[str, str]:
     """The zip that users get, and one for a platform that numba does not know."""
-    wheels = build_extension.download("linux-x64")
-    full = build_extension.build("linux-x64", wheels, OUTPUT / "zips")
-    light = build_extension.build("linux-x64", [w for w in wheels if w.name.startswith("safetensors")], OUTPUT / "zips" / "without-numba")
+    bundled = wheels.download("linux-x64", ROOT / "build" / "wheels" / "linux-x64")
+    full = build_extension.build("linux-x64", bundled, OUTPUT / "zips")
+    build_extension.index([full], full.parent)
+    light = build_extension.build("linux-x64", [w for w in bundled if w.name.startswith("safetensors")], OUTPUT / "zips" / "without-numba")
     return {"FASTGS_ZIP": str(full), "FASTGS_ZIP_WITHOUT_NUMBA": str(light)}
 
 

@@ -2,7 +2,11 @@
 """The extension's manifest and zip, checked by Blender's own tool (it comes with bpy, and is not Blender itself)."""
 from __future__ import annotations
 
+import hashlib
+import importlib
+import importlib.metadata
 import importlib.util
+import json
 import tomllib
 import zipfile
 from pathlib import Path
@@ -16,14 +20,42 @@ TAGS = {"3D View", "Animation", "Bake", "Camera", "Import-Export", "Material", "
 
 
 @pytest.fixture(scope="module")
-def builder():
+def wheels():
+    """tools/wheels.py"""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "tools")
+        yield importlib.import_module("wheels")
+
+
+@pytest.fixture(scope="module")
+def builder(wheels):
     """tools/build_extension.py"""
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("the extension tool comes with bpy, which is not installed")
-    spec = importlib.util.spec_from_file_location("build_extension", ROOT / "tools" / "build_extension.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("build_extension")
+
+
+@pytest.fixture
+def wheel(tmp_path):
+    """wheel(name): a wheel with nothing in it but its metadata and licence."""
+    def make(name, requires=(), licence="Do what you like."):
+        package, version = name.split("-")[:2]
+        path = tmp_path / f"{name}.whl"
+        with zipfile.ZipFile(path, "w") as file:
+            lines = ["Metadata-Version: 2.1", f"Name: {package}", f"Version: {version}", *(f"Requires-Dist: {r}" for r in requires)]
+            file.writestr(f"{package}-{version}.dist-info/METADATA", "\n".join([*lines, "", ""]))
+            if licence:
+                file.writestr(f"{package}-{version}.dist-info/licenses/LICENSE", licence)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def numbas(wheel):
+    """One platform's wheels, so to speak."""
+    return [wheel("numba-0.68.1-cp311-cp311-win_amd64", ["llvmlite<0.51,>=0.50.0dev0", "numpy<2.6,>=1.22"]),
+            wheel("llvmlite-0.50.0-cp311-cp311-win_amd64", licence="LLVM's terms")]
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +99,59 @@ def test_wheels_are_named_in_the_staged_manifest_alone(builder, manifest):
     staged = tomllib.loads(builder.with_wheels(text, "linux-x64", [Path("/x/numba-1-cp311-cp311-linux_x86_64.whl")]))
     added = {"platforms": ["linux-x64"], "wheels": ["./wheels/numba-1-cp311-cp311-linux_x86_64.whl"]}
     assert staged == manifest | added
+
+
+def test_wheels_that_fit_together(wheels, wheel, numbas):
+    assert not wheels.problems(numbas)
+    assert wheels.problems([wheel("numpy-2.1.0-cp311-cp311-win_amd64")]) == ["numpy is Blender's own."]
+    assert wheels.problems(numbas[:1]) == ["numba-0.68.1-cp311-cp311-win_amd64.whl needs llvmlite<0.51,>=0.50.0dev0, which is not there."]
+    assert not wheels.problems([wheel("x-1-py3-none-any", ["pytest; extra == 'test'", "requests>2"])])
+    for requirement, python, numpy in ("numpy>=1.26", "3.11", "1.24.3"), ("numpy<2.5", "3.13", "2.5.5"):
+        found = wheels.problems([wheel("x-1-cp310-abi3-win_amd64", [requirement])])
+        assert f"x-1-cp310-abi3-win_amd64.whl does not go with numpy {numpy} of Blenders with Python {python}." in found
+
+
+def test_what_the_tests_run_with_goes_with_every_blender(wheels, wheel):
+    """The zip gets the installed versions: what their makers say they need is there in each Blender."""
+    made = [wheel(f"{name}-{importlib.metadata.version(name)}-cp310-abi3-win_amd64", importlib.metadata.requires(name) or ())
+            for name in wheels.PACKAGES]
+    assert not wheels.problems(made)
+    shipped = {line.split("<")[0].split(">")[0].split("=")[0].strip() for line in importlib.metadata.requires("bpy") or ()}
+    assert shipped <= wheels.SHIPPED
+
+
+def test_licences_are_told(wheels, wheel, numbas):
+    text = wheels.notices([*numbas, wheel("numba-0.68.1-cp313-cp313-win_amd64")])
+    assert text.count("| numba | 0.68.1 | BSD-2-Clause |") == 1
+    assert "| llvmlite | 0.50.0 | BSD-2-Clause AND Apache-2.0 WITH LLVM-exception |" in text
+    assert "## llvmlite: LICENSE\n\nLLVM's terms" in text
+    with pytest.raises(ValueError, match="numba-1-py3-none-any.whl brings no text of its licence"):
+        wheels.notices([wheel("numba-1-py3-none-any", licence="")])
+
+
+def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, capsys):
+    """Zips and Blender's index of them; a platform whose wheels are not to be had is told, and the others are built."""
+    def download(platform, folder):
+        if platform == "macos-arm64":
+            raise wheels.Missing("macos-arm64 is left out: no such wheel.")
+        return numbas
+
+    monkeypatch.setattr(wheels, "download", download)
+    out = tmp_path / "dist"
+    with pytest.raises(SystemExit, match="macos-arm64 is left out"):
+        builder.main(["--out", str(out)])
+    zips = {name: out / f"fastgs_blender-{fg.__version__}-{name}.zip" for name in ("linux-x64", "windows-x64")}
+    assert sorted(out.iterdir()) == sorted([*zips.values(), out / "index.json"])
+    with zipfile.ZipFile(zips["linux-x64"]) as file:
+        assert {"THIRD-PARTY.md", *(f"wheels/{path.name}" for path in numbas)} <= set(file.namelist())
+    found = {entry["platforms"][0]: entry for entry in json.loads((out / "index.json").read_text("utf-8"))["data"]}
+    assert found.keys() == zips.keys()
+    for name, path in zips.items():
+        entry = found[name]
+        assert entry["archive_url"] == f"./{path.name}"
+        assert entry["archive_size"] == path.stat().st_size
+        assert entry["archive_hash"] == f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+        assert entry["id"] == "fastgs_blender"
+    printed = capsys.readouterr().out
+    assert f"{zips['windows-x64']}: " in printed
+    assert f"{numbas[0].name}: 0.0 MB, BSD-2-Clause" in printed
