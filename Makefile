@@ -13,12 +13,12 @@ help:
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
-	@echo "make extension     dist/*.zip to install in Blender"
+	@echo "make extension     dist/*.zip to install in Blender, one for each platform, and a repository's index of them"
 	@echo "make clean         remove everything that make made"
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
 .venv/ready: pyproject.toml
-	@tools/make_venv.sh .venv 3.11 5.0.1
+	@tools/make_venv.sh .venv 3.11 5.0.1 train
 .venv313/ready: pyproject.toml
 	@tools/make_venv.sh .venv313 3.13 5.2.3
 .venvs/4.2.23/ready: pyproject.toml

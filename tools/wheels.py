@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The wheels that travel in the extension's zip: which, for whom, and under which licences."""
+from __future__ import annotations
+
+import importlib.metadata
+import shutil
+import subprocess
+import sys
+import zipfile
+from email.parser import HeaderParser
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+PACKAGES = {
+    "numba": "BSD-2-Clause",
+    "llvmlite": "BSD-2-Clause AND Apache-2.0 WITH LLVM-exception",
+    "safetensors": "Apache-2.0",
+    "OpenEXR": "BSD-3-Clause",
+}
+"""What Blender's Python lacks, with its licence as SPDX writes it.  In the versions that the tests ran with."""
+
+SHIPPED = {
+    "autopep8", "cattrs", "certifi", "charset-normalizer", "cython", "fastjsonschema", "idna", "numpy", "pycodestyle", "requests",
+    "urllib3", "zstandard",
+}
+"""What Blender brings along itself, in versions of its own: never a wheel of ours.  No Blender brings OpenEXR's Python module."""
+
+PYTHONS = {"linux-x64": ("3.11", "3.13", "3.14"), "windows-x64": ("3.11", "3.13"), "macos-arm64": ("3.11", "3.13")}
+"""Blender 4.2 to 5.0 and 5.1 to 5.2; Linux distributions build Blender for their own Python, of late 3.14.  The wheel of a Python
+that is not Blender's is ignored at installation, but a Python that no wheel is for is refused."""
+
+NUMPYS = {"3.11": ("1.24.3", "1.26.4"), "3.13": ("2.2.4", "2.5.5"), "3.14": ("2.4.6",)}
+"""The oldest and newest numpy of the Blenders with a Python (1.24.3: 4.2 to 4.4; 1.26.4: 4.5 and 5.0)."""
+
+TAGS = {
+    "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
+    "windows-x64": ("win_amd64",),
+    "macos-arm64": ("macosx_14_0_arm64",),
+}
+
+
+class Missing(Exception):
+    """Wheels cannot be had; the text is a sentence that says which and why."""
+
+
+def download(platform: str, folder: Path) -> list[Path]:
+    """The wheels for a platform, for all its Pythons, from the package index that pip uses; raises Missing."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for python in PYTHONS[platform]:
+        for package in PACKAGES:
+            command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
+                       "--only-binary=:all:", "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
+            wanted = f"{package}=={importlib.metadata.version(package)}"
+            command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            if result.returncode:
+                errors = [line for line in result.stderr.splitlines() if line.startswith("ERROR")] or result.stderr.splitlines() or ["?"]
+                raise Missing(f"{platform} is left out: pip has no wheel of {wanted} for its Python {python} ({errors[-1]}).")
+    return sorted(folder.glob("*.whl"), key=lambda path: path.name.lower())
+
+
+def problems(wheels: list[Path]) -> list[str]:
+    """Sentences about what would not work in Blender: wheels that it ships, and what neither it nor a wheel provides."""
+    found = []
+    ours = {canonicalize_name(wheel.name.split("-")[0]): wheel.name.split("-")[1] for wheel in wheels}
+    found += [f"{name} is Blender's own." for name in sorted(ours.keys() & SHIPPED)]
+    for wheel in wheels:
+        for line in _metadata(wheel).get_all("Requires-Dist") or ():
+            need = Requirement(line)
+            name = canonicalize_name(need.name)
+            if need.marker is not None and not need.marker.evaluate({"extra": ""}):
+                continue
+            if name == "numpy":
+                found += [f"{wheel.name} does not go with numpy {numpy} of Blenders with Python {python}." for python in _pythons(wheel)
+                          for numpy in NUMPYS[python] if numpy not in need.specifier]
+            elif name not in SHIPPED and not (name in ours and need.specifier.contains(ours[name], prereleases=True)):
+                found.append(f"{wheel.name} needs {need}, which is not there.")
+    return found
+
+
+def notices(wheels: list[Path]) -> str:
+    """Markdown: the wheels' names, versions and licences, and the texts of the licences that they bring along."""
+    table, texts, seen = ["| package | version | licence |", "|---|---|---|"], [], set()
+    for wheel in wheels:
+        facts = _metadata(wheel)
+        name, version = facts["Name"], facts["Version"]
+        if name.lower() in seen:
+            continue
+        seen.add(name.lower())
+        table.append(f"| {name} | {version} | {licence(name)} |")
+        with zipfile.ZipFile(wheel) as file:
+            members = sorted(member for member in file.namelist() if ".dist-info/" in member and "/licen" in member.lower())
+            if not members:
+                raise ValueError(f"{wheel.name} brings no text of its licence.")
+            for member in members:
+                texts += [f"## {name}: {Path(member).name}", "", file.read(member).decode("utf-8", "replace").strip(), ""]
+    head = ["# Software in this extension's wheels folder", "", "Unmodified, as its makers published it on the Python Package Index."]
+    return "\n".join([*head, "", *table, "", *texts])
+
+
+def licence(name: str) -> str:
+    """SPDX of one of PACKAGES, however its name is written."""
+    return next(spdx for package, spdx in PACKAGES.items() if canonicalize_name(package) == canonicalize_name(name))
+
+
+def _pythons(wheel: Path) -> list[str]:
+    """The Pythons, of those in NUMPYS, that a wheel is for."""
+    python, abi = wheel.stem.split("-")[2:4]
+    return list(NUMPYS) if abi == "abi3" else [f"3.{python.removeprefix('cp3')}"]
+
+
+def _metadata(wheel: Path):
+    with zipfile.ZipFile(wheel) as file:
+        name = next(member for member in file.namelist() if member.endswith(".dist-info/METADATA"))
+        return HeaderParser().parsestr(file.read(name).decode("utf-8"))
