@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""measure a model against the pictures of a capture
+
+Renders the views that the capture holds out, at every frame, and compares: PSNR (dB), DSSIM1 and DSSIM2 ((1 - SSIM) / 2 with
+3DGS's window at data range 1, and with scikit-image's at data range 2), LPIPS with AlexNet where its weights are on this machine
+(as 3DGS trainers feed it, and normalised to -1..1 as its authors do), flicker (how differently the picture and the truth change from
+one frame to the next), and PSNR of the foreground alone where the capture has masks.
+
+--out (default: a folder beside the model) gets evaluation.json, evaluation.csv, truth, render and error side by side as PNG, and a
+film of each view with the truth beside the render.
+"""
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import FastGSError
+from .shared import add_backend, human_bytes, note, print_json, use_threads
+
+
+def add_arguments(parser):
+    parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
+    parser.add_argument("capture", metavar="CAPTURE", help="the capture to measure it against")
+    parser.add_argument("--out", metavar="DIR", help="folder for the results (default: MODEL-evaluation, or evaluation in the folder)")
+    parser.add_argument("--views", metavar="NAME,NAME", help="the views to use (default: those held out); all for all")
+    parser.add_argument("--frames", metavar="A:B", help="the frames to use, counted from 0 (default: all)")
+    parser.add_argument("--scale", type=float, metavar="S", help="size of the pictures, 1 as they are (default: the layout's)")
+    parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
+    parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_backend(parser)
+
+
+def run(args):
+    from tqdm import tqdm
+
+    from .. import formats
+    from ..captures import open_capture
+    from ..evaluation import report
+    from ..evaluation.evaluate import evaluate, make_folder
+
+    use_threads(args.threads)
+    file = model_file(args.model)
+    out = Path(args.out) if args.out else default_folder(Path(args.model), file)
+    make_folder(out)
+    frames = _frames(args.frames)
+    model = formats.load(file)
+    capture = open_capture(args.capture, scale=args.scale)
+    views = _views(args.views, capture)
+    with tqdm(unit="frame", desc="evaluating", disable=args.quiet) as bar:
+
+        def show(done, total, row):
+            bar.total = total
+            bar.set_postfix_str(f"{row['view']} {row['psnr']:.2f} dB" if row["psnr"] is not None else row["view"], refresh=False)
+            bar.update(done - bar.n)
+
+        try:
+            result = evaluate(model, capture, capture.frames(), views=views, frames=frames, out=out, images=args.images,
+                              backend=args.backend, lpips=not args.no_lpips, progress=show)
+        except KeyboardInterrupt:
+            bar.close()
+            raise KeyboardInterrupt(f"stopped; no results are written to {out}.") from None
+    result = {"model": str(file), "file_bytes": file.stat().st_size, **result}
+    result["files"] += [str(path) for path in report.write(result, out)]
+    for text in result["notes"]:
+        note(f"{text}.")
+    if args.json:
+        print_json(result)
+    else:
+        print(report.table(result))
+        print(f"\n{facts(result)}\n{out}: " + ", ".join(Path(path).name for path in result["files"]))
+
+
+def facts(result: dict) -> str:
+    """One line on the model and its speed."""
+    count = f"{result['gaussians']:,}".replace(",", " ")
+    return (f"{count} Gaussians, {human_bytes(result['file_bytes'])} on disk, "
+            f"{result['fps']:.1f} frames per second at {result['width']} x {result['height']}")
+
+
+def model_file(path) -> Path:
+    """The model that `path` means: itself, or the one in a folder that training wrote."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    file = path / "model.safetensors"
+    if not file.is_file():
+        raise FastGSError(f"{path}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
+    return file
+
+
+def default_folder(given: Path, file: Path) -> Path:
+    return given / "evaluation" if given != file else file.with_name(f"{file.stem}-evaluation")
+
+
+def _views(text, capture):
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise FastGSError(f"--views {text!r} names no view; write them as NAME,NAME.")
+    return list(capture.views) if names == ["all"] and "all" not in capture.views else names
+
+
+def _frames(text):
+    from ..frames import parse_frames
+
+    if text is None:
+        return None
+    frames = parse_frames(text)
+    if frames.decimals:
+        raise FastGSError(f"a capture has whole frames only, so --frames {text!r} cannot be used.")
+    return [int(frame) for frame in frames]

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""evaluate(): a model rendered from a capture's held-out cameras and measured against their pictures."""
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from .. import colour
+from ..errors import FastGSError
+from ..images import write_png
+from ..rendering import render
+from . import metrics
+from .film import available, film
+from .perceptual import Lpips, Unavailable
+from .pictures import comparison
+
+MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flicker")
+"""What is measured of each frame, and averaged; None where a measure does not apply."""
+
+
+def evaluate(model, capture, store, *, views=None, frames=None, out=None, images: int = 10, backend: str = "auto", lpips: bool = True,
+             progress: Callable | None = None) -> dict:
+    """Measure a model against the pictures of a capture.
+
+    views      names of the cameras to use; None: those held out.  frames: their numbers from 0; None: all that the model covers
+    out        folder for side-by-side pictures of `images` frames of each view, and a film of each view; None: no pictures
+    lpips      measure LPIPS too, where its weights are on this machine
+    progress   called as progress(done, total, row) after each frame
+
+    Returns JSON values: facts of the model and the capture; "rows", one for each frame; "views" and "average", the means of MEASURES
+    (of PSNR, over the frames where it is finite); "fps" of rendering alone; "notes", what could not be measured and why.
+    Raises FastGSError where there is nothing to measure.  Never more than two frames are in memory.
+    """
+    shots = chosen(capture, views, frames)
+    clock, notes = _clock(model, capture)
+    covered = [shot for shot in shots if clock(shot) is not None]
+    if not covered:
+        raise FastGSError(f"the model's clip has none of the frames to evaluate of {capture.path}; choose others with --frames.")
+    if len(covered) < len(shots):
+        notes.append(f"{len(shots) - len(covered)} frames lie outside the model's clip and are left out")
+    if capture.axes != model.axes:
+        notes.append(f"the model's axes are {model.axes} and the capture's {capture.axes}: they may not share a world")
+    perceptual = None
+    if lpips:
+        try:
+            perceptual = Lpips()
+        except Unavailable as reason:
+            notes.append(str(reason))
+    if out is not None:
+        make_folder(Path(out))
+    if out is not None and not available():
+        notes.append("no film is written, as PyAV is not installed (pip install av)")
+
+    _picture(model, covered[0].camera, clock(covered[0]), backend)  # compiles what is still to be compiled
+    rows, files, seconds = [], [], 0.0
+    for view, group in groupby(covered, key=lambda shot: shot.view):
+        group = list(group)
+        with ExitStack() as stack:
+            gallery = _Gallery(stack, Path(out), view, group, images, capture.clip.fps, files) if out is not None else None
+            before = None
+            for shot in group:
+                pixels = store.pixels(shot)
+                began = time.perf_counter()
+                picture = _picture(model, shot.camera, clock(shot), backend)
+                spent = time.perf_counter() - began
+                seconds += spent
+                row = {"view": view, "frame": shot.frame, "t": clock(shot), "milliseconds": round(1000 * spent, 3),
+                       **_measures(picture, pixels, perceptual)}
+                if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
+                    row["flicker"] = metrics.temporal_error(picture, before[1], pixels.rgb, before[2])
+                before = shot.frame, picture, pixels.rgb
+                rows.append(row)
+                if gallery:
+                    gallery.add(shot, picture, pixels.rgb, row)
+                if progress:
+                    progress(len(rows), len(covered), row)
+    exact = sum(row["psnr"] is None for row in rows)
+    if exact:
+        notes.append(f"{exact} frames equal the truth exactly: their PSNR is infinite and left out of the averages")
+    return {
+        "gaussians": len(model), "memory_bytes": model.nbytes, "capture": str(capture.path), "layout": capture.layout,
+        "held_out": all(shot.held_out for shot in covered), "width": covered[0].camera.width, "height": covered[0].camera.height,
+        "backend": backend, "fps": round(len(rows) / max(seconds, 1e-9), 3),
+        "average": _means(rows),
+        "views": {view: _means([row for row in rows if row["view"] == view]) for view in dict.fromkeys(row["view"] for row in rows)},
+        "rows": rows, "notes": notes, "files": [str(file) for file in files],
+    }
+
+
+def make_folder(folder: Path):
+    """Make a folder for results; raises FastGSError where that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FastGSError(f"{folder}: the folder for the results cannot be made ({error.strerror}); choose another with --out.") from error
+
+
+def chosen(capture, views=None, frames=None) -> list:
+    """The shots of those views (default: held out) and frames (default: all), view by view in the order of time."""
+    names = list(dict.fromkeys(shot.view for shot in capture.shots))
+    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    if views is None:
+        shots = [shot for shot in capture.shots if shot.held_out]
+        if not shots:
+            raise FastGSError(f"{capture.path} holds out no view to evaluate with; choose views with --views (there are {listed}).")
+    else:
+        for name in views:
+            if name not in names:
+                raise FastGSError(f"{capture.path} has no view {name!r}; there are {listed}.")
+        shots = [shot for shot in capture.shots if shot.view in set(views)]
+    if frames is not None:
+        wanted = set(frames)
+        shots = [shot for shot in shots if shot.frame in wanted]
+        if not shots:
+            raise FastGSError(f"{capture.path} has none of the frames to evaluate; it has the frames 0 to {capture.clip.frame_count - 1}.")
+    return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
+
+
+def _clock(model, capture):
+    """Gives (model time of a shot or None outside of the model's clip, notes).
+
+    A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame.
+    """
+    whole, part = capture.clip, model.clip
+    if part.frame_count in (1, whole.frame_count):
+        return (lambda shot: shot.t), []
+
+    def time_of(shot):
+        frame = whole.start_frame + shot.t * whole.frame_count - part.start_frame
+        return frame / part.frame_count if -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
+
+    clips = (f"{clip.frame_count} frames from {clip.start_frame}" for clip in (part, whole))
+    return time_of, ["the model's clip is {}, the capture's {}: frames are matched by their numbers".format(*clips)]
+
+
+def _picture(model, camera, t, backend) -> np.ndarray:
+    """What the model shows over black, as display colours [h, w, 3]."""
+    image = render(model, camera, t, ("rgb", "alpha"), backend)
+    return image["rgb"] if model.colour_space == "srgb" else colour.linear_to_srgb(image["rgb"])
+
+
+def _measures(picture, pixels, perceptual) -> dict:
+    truth, mask = pixels.rgb, pixels.mask
+    values = {"psnr": metrics.psnr(picture, truth), "psnr_foreground": None if mask is None else metrics.psnr(picture, truth, mask),
+              "dssim1": metrics.dssim1(picture, truth), "dssim2": metrics.dssim2(picture, truth), "lpips": None, "lpips_normalised": None}
+    if perceptual:
+        values["lpips"], values["lpips_normalised"] = perceptual(picture, truth)
+    return {**{name: value if value is None or np.isfinite(value) else None for name, value in values.items()}, "flicker": None}
+
+
+def _means(rows) -> dict:
+    """The mean of each measure over the rows that have it; None where none has."""
+    means = {}
+    for name in MEASURES:
+        values = [row[name] for row in rows if row[name] is not None]
+        means[name] = float(np.mean(values)) if values else None
+    return {"frames": len(rows), **means}
+
+
+class _Gallery:
+    """Side-by-side pictures of some frames of one view, and a film of all."""
+
+    def __init__(self, stack: ExitStack, out: Path, view: str, shots: list, images: int, fps: float, files: list):
+        self._stack, self._folder, self._fps, self._files = stack, out, fps, files
+        self._name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in view).lstrip(".") or "view"
+        picked = np.unique(np.linspace(0, len(shots) - 1, min(images, len(shots))).round().astype(int)) if images > 0 else []
+        self._picked = {id(shots[i]) for i in picked}
+        self._film, self._filming = None, len(shots) > 1 and available()
+
+    def add(self, shot, picture, truth, row):
+        label = f"{shot.view}  frame {shot.frame}"
+        if id(shot) in self._picked:
+            psnr = "" if row["psnr"] is None else f"  {row['psnr']:.2f} dB"
+            sheet = comparison(truth, picture, label + psnr, error=True)
+            path = self._folder / f"{self._name}-{shot.frame:04d}.png"
+            write_png(path, {"rgb": np.float32(sheet) / 255, "alpha": np.ones(sheet.shape[:2], np.float32)}, "srgb")
+            self._files.append(path)
+        if self._filming:
+            sheet = comparison(truth, picture, label, error=False)
+            if self._film is None:
+                path = self._folder / f"{self._name}.mp4"
+                self._size = sheet.shape
+                self._film = self._stack.enter_context(film(path, sheet.shape[1], sheet.shape[0], self._fps))
+                self._files.append(path)
+            if sheet.shape == self._size:
+                self._film(sheet)
+
+

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LPIPS with AlexNet (version 0.1), where the packages and weights lie on this machine.  Nothing is ever downloaded.
+
+Needs torch, torchvision, lpips (which brings the small linear layers) and AlexNet's own weights in torch's cache.
+"""
+from __future__ import annotations
+
+import importlib
+import pickle
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+ALEXNET = "alexnet-owt-*.pth"
+SMALLEST = 64
+"""Sides below this leave nothing of the picture in AlexNet's deeper layers."""
+
+
+class Unavailable(Exception):
+    """Why LPIPS cannot be measured here, as a sentence without its full stop."""
+
+
+class Lpips:
+    """Call it with a picture and the truth, [h, w, 3] in 0..1: gives (as 3DGS trainers report it, as its authors define it).
+
+    3DGS and what derives from it feed values of 0..1 where the network was calibrated for -1..1.  Published tables of that
+    family hold the first number, which is not comparable with the second.  Raises Unavailable.
+    """
+
+    def __init__(self):
+        try:
+            self._torch = importlib.import_module("torch")
+            importlib.import_module("torchvision")
+            package = importlib.import_module("lpips")
+        except ImportError as error:
+            reason = f"the package {error.name} is not installed (pip install lpips torchvision)"
+            raise Unavailable(f"LPIPS is not measured, as {reason}") from error
+        linear = Path(package.__file__).parent / "weights" / "v0.1" / "alex.pth"
+        folder = Path(self._torch.hub.get_dir()) / "checkpoints"
+        trunk = next(iter(sorted(folder.glob(ALEXNET))), None)
+        if trunk is None or not linear.is_file():
+            missing = f"{folder / 'alexnet-owt-7be5be79.pth'} of torchvision" if linear.is_file() else f"{linear} of lpips"
+            raise Unavailable(f"LPIPS is not measured, as its weights are not on this machine ({missing})")
+        with warnings.catch_warnings():  # lpips calls torchvision in a way that it no longer likes
+            warnings.simplefilter("ignore")
+            self._network = package.LPIPS(net="alex", version="0.1", pretrained=False, pnet_rand=True, verbose=False)
+        self._load(linear, "", self._network)
+        self._load(trunk, "features.", self._network.net)
+        self._network.eval()
+
+    def _load(self, path, prefix, module):
+        """Copy a state dict's tensors to the parameters whose names end alike; lpips has cut AlexNet's layers into slices."""
+        try:
+            state = self._torch.load(path, map_location="cpu", weights_only=True)
+        except (RuntimeError, OSError, EOFError, pickle.UnpicklingError) as error:
+            raise Unavailable(f"LPIPS is not measured, as {path} is damaged") from error
+        parameters = {(name.partition(".")[2] if prefix else name): value for name, value in module.named_parameters()}
+        for key, value in state.items():
+            name = key.removeprefix(prefix)
+            if key.startswith(prefix) and name in parameters and parameters[name].shape == value.shape:
+                parameters.pop(name).data.copy_(value)
+        left = [name for name in parameters if prefix or name.startswith("lin")]
+        if left:
+            raise Unavailable(f"LPIPS is not measured, as {path} lacks {left[0]}")
+
+    def __call__(self, picture, truth) -> tuple[float | None, float | None]:
+        if min(np.shape(picture)[:2]) < SMALLEST:
+            return None, None
+        tensors = [self._tensor(x) for x in (picture, truth)]
+        with self._torch.no_grad():
+            return float(self._network(*tensors)), float(self._network(*tensors, normalize=True))
+
+    def _tensor(self, picture):
+        clipped = np.clip(np.asarray(picture, np.float32), 0, 1)
+        return self._torch.from_numpy(np.ascontiguousarray(clipped.transpose(2, 0, 1)[None]))

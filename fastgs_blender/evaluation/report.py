@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What evaluate() found, as a table for people, JSON and CSV."""
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+from ..errors import FastGSError
+from ..formats.outputs import replacing
+from .evaluate import MEASURES
+
+COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_foreground": ("fg PSNR", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim2": ("DSSIM2", ".4f"),
+           "lpips": ("LPIPS", ".4f"), "lpips_normalised": ("LPIPS +-1", ".4f"), "flicker": ("flicker", ".4f")}
+"""Heading and number format of each measure in the table."""
+
+
+def table(result: dict) -> str:
+    """Every frame, then the averages of each view and of all; measures that no frame has are left out."""
+    names = [name for name in MEASURES if result["average"][name] is not None]
+    rows = [(row["view"], str(row["frame"]), row) for row in result["rows"]]
+    averages = [(view, f"mean of {means['frames']}", means) for view, means in result["views"].items()]
+    if len(averages) > 1:
+        averages.append(("all", f"mean of {result['average']['frames']}", result["average"]))
+    width = max(4, *(len(view) for view, _, _ in rows))
+    second = max(len(text) for _, text, _ in rows + averages)
+
+    def line(view, frame, cells):
+        return f"{view:<{width}}  {frame:>{second}}" + "".join(f"{cell:>11}" for cell in cells)
+
+    def cells(values):
+        return [f"{values[name]:{COLUMNS[name][1]}}" if values[name] is not None else "-" for name in names]
+
+    head = line("view", "frame", [COLUMNS[name][0] for name in names])
+    rule = "-" * len(head)
+    return "\n".join([head, *(line(view, frame, cells(values)) for view, frame, values in rows), rule,
+                      *(line(view, frame, cells(values)) for view, frame, values in averages)])
+
+
+def write(result: dict, folder: Path) -> list[Path]:
+    """evaluation.json, all of it, and evaluation.csv, a line for each frame and each average; returns the two files."""
+    targets = [folder / "evaluation.json", folder / "evaluation.csv"]
+    try:
+        with replacing(targets) as (values, lines):
+            values.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            lines.write_text(_csv(result), encoding="utf-8", newline="")
+    except (FastGSError, OSError) as error:
+        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
+        raise FastGSError(f"{folder}: the results cannot be written ({reason}); choose another folder with --out.") from error
+    return targets
+
+
+def _csv(result) -> str:
+    """Columns: view, frame ("mean" in the averages, whose view is "all" for the last), t, MEASURES, milliseconds."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ["view", "frame", "t", *MEASURES, "milliseconds"], restval="", extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(result["rows"])
+    writer.writerows({"view": view, "frame": "mean", **means} for view, means in (*result["views"].items(), ("all", result["average"])))
+    return text.getvalue()
