@@ -17,7 +17,7 @@ help:
 	@echo "make clean         remove everything that make made"
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
-.venv/ready: pyproject.toml
+.venv/ready: pyproject.toml tools/constraints.txt
 	@tools/make_venv.sh .venv 3.11 5.0.1 train
 .venv313/ready: pyproject.toml
 	@tools/make_venv.sh .venv313 3.13 5.2.3
