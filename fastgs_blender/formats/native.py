@@ -72,13 +72,18 @@ class Native(Format):
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
         about = {"version": VERSION, "generator": generator(), "model": describe(model)}
-        library = _library()
-        try:
-            # one key: the library writes several in random order, and the same model must give the same bytes
-            library.numpy.save_file(tensors, targets[-1], {KEY: json.dumps(about, allow_nan=False)})
-        except library.SafetensorError as error:
-            number = re.search(r"os error (\d+)", str(error))
-            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
+        write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
+
+
+def write_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> None:
+    """A safetensors file; raises OSError.  One key of metadata: the library writes several in random order, and the same
+    content must give the same bytes."""
+    library = _library()
+    try:
+        library.numpy.save_file(tensors, path, metadata)
+    except library.SafetensorError as error:
+        number = re.search(r"os error (\d+)", str(error))
+        raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
 
 
 def release(path: Path) -> None:
