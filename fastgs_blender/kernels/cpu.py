@@ -9,7 +9,7 @@ import numpy as np
 from ..appearance import ACTIVATIONS, RGB, SH, Features
 from ..camera import Camera
 from ..scene import Buffers, Layout, Part
-from . import project, raster, tiles
+from . import project, raster, raster_backward, tiles
 from .decode import decode
 from .jit import announce
 from .sort import order_by
@@ -22,6 +22,8 @@ TILES = 64
 """Tiles in one piece of work."""
 ENTRIES = 48_000_000
 """Tile entries held at once; a picture with more is rasterised in bands."""
+BACKWARD_BYTES = 256 << 20
+"""Bytes of tile entries' gradients held at once; a picture with more goes backward in bands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,23 +101,136 @@ def _inputs(part: Part, camera: Camera, layout: Layout):
 
 def rasterise(order, geometry, shade, channels: int, camera: Camera, median: bool, progress=None) -> Buffers:
     """Blend splats (raster.py) in the given order into the camera's window."""
-    x0, y0, width, height = camera.window
-    tile_x, tile_y = x0 // raster.TILE, y0 // raster.TILE
-    columns = (x0 + width - 1) // raster.TILE - tile_x + 1
-    rows = (y0 + height - 1) // raster.TILE - tile_y + 1
-    out = np.zeros((height, width, channels), np.float32)
-    alpha = np.zeros((height, width), np.float32)
+    _, _, width, height = camera.window
     nearest = np.empty((height, width) if median else (0, 0), np.float32)
-    grid = (tile_x, tile_y, columns, rows)
-    segments, counts = list_spans(order, geometry, shade, grid)
-    kernel = raster.rasteriser(channels, median)
-    for first, last in _bands(counts.sum(0).reshape(rows, columns).sum(1)):
-        starts, ids = list_tiles(segments, counts, first * columns, last * columns)
-        rest = (columns, x0, y0, x0 + width, y0 + height, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, nearest)
-        tiles_of_band = [(first * columns + a, first * columns + b) for a, b in ranges((last - first) * columns, TILES)]
-        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / rows))
-        run(lambda a, b, rest=rest: kernel(a, b, *rest), tiles_of_band, share)
+    listing = Listing.of(order, geometry, shade, camera)
+    out, alpha, _ = _blend(listing, geometry, shade, channels, raster.rasteriser(channels, median), nearest, progress)
     return Buffers(out, alpha, nearest if median else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Listing:
+    """Which splats touch which tile of a camera's window.
+
+    window   x0, y0, right, bottom in pixels of the image
+    grid     first tile in x and y, columns, rows
+    segments, counts   the runs of tiles of each segment of the sorted splats, and its splats in each tile; see list_spans()
+    """
+
+    window: tuple[int, int, int, int]
+    grid: tuple[int, int, int, int]
+    segments: list
+    counts: np.ndarray
+
+    @classmethod
+    def of(cls, order, geometry, shade, camera: Camera) -> Listing:
+        """The listing of splats in the given order."""
+        x0, y0, width, height = camera.window
+        tile_x, tile_y = x0 // raster.TILE, y0 // raster.TILE
+        grid = (tile_x, tile_y, (x0 + width - 1) // raster.TILE - tile_x + 1, (y0 + height - 1) // raster.TILE - tile_y + 1)
+        return cls((x0, y0, x0 + width, y0 + height), grid, *list_spans(order, geometry, shade, grid))
+
+    def bands(self, limit: int) -> list[tuple[int, int]]:
+        """Runs of tiles, whole rows of them, with at most `limit` entries each (one row at least)."""
+        columns, rows = self.grid[2:]
+        bands, first, total = [], 0, 0
+        for row, entries in enumerate(self.counts.sum(0).reshape(rows, columns).sum(1)):
+            if row > first and total + entries > limit:
+                bands.append((first * columns, row * columns))
+                first, total = row, 0
+            total += entries
+        return [*bands, (first * columns, rows * columns)]
+
+    @property
+    def frame(self) -> tuple:
+        """columns, x0, y0, right, bottom, tile_x, tile_y, as the kernels take them."""
+        return (self.grid[2], *self.window, *self.grid[:2])
+
+
+def _blend(listing: Listing, geometry, shade, channels: int, kernel, extra, progress=None):
+    """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
+    x0, y0, right, bottom = listing.window
+    out = np.zeros((bottom - y0, right - x0, channels), np.float32)
+    alpha = np.zeros((bottom - y0, right - x0), np.float32)
+    total = listing.counts.shape[1]
+    for first, last in listing.bands(ENTRIES):
+        lists = list_tiles(listing.segments, listing.counts, first, last)
+        rest = (*listing.frame, *lists, geometry, shade, out, alpha, extra)
+        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last), share)
+    return out, alpha, lists
+
+
+def _tiles(first: int, last: int) -> list[tuple[int, int]]:
+    """The tiles first..last in pieces of work."""
+    return [(first + a, first + b) for a, b in ranges(last - first, TILES)]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What rasterise_backward() needs of a forward pass; lists: its tile lists if they were made in one go."""
+
+    order: np.ndarray
+    geometry: np.ndarray
+    shade: np.ndarray
+    band: float
+    listing: Listing
+    lists: tuple[np.ndarray, np.ndarray] | None
+    trace: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class RasterGradients:
+    """d loss / d splats, for the M rows of geometry and shade; zeros where nothing was drawn.
+
+    geometry [M, 5] float64, log2_opacity [M] float32, channels [M, C] float32
+    absolute [M, 2] float32: sums over pixels of |d loss / d mean_x| and |d loss / d mean_y|
+    """
+
+    geometry: np.ndarray
+    log2_opacity: np.ndarray
+    channels: np.ndarray
+    absolute: np.ndarray
+
+
+def rasterise_forward(order, geometry, shade, channels: int, camera: Camera, band: float = 0.0) -> tuple[Buffers, Drawn]:
+    """rasterise(), and what rasterise_backward() needs of it; band: see raster.rasteriser."""
+    _, _, width, height = camera.window
+    trace = np.empty((height, 2 * width), np.float32)
+    listing = Listing.of(order, geometry, shade, camera)
+    kernel = raster.rasteriser(channels, False, True, float(band))
+    out, alpha, lists = _blend(listing, geometry, shade, channels, kernel, trace)
+    whole = len(listing.bands(ENTRIES)) == 1
+    return Buffers(out, alpha, None), Drawn(order, geometry, shade, float(band), listing, lists if whole else None, trace)
+
+
+def rasterise_backward(drawn: Drawn, grad_channels, grad_alpha) -> RasterGradients:
+    """From d loss / d channels [h, w, C] and d loss / d alpha [h, w] to d loss / d splats (raster_backward.py).
+
+    The same bytes for any number of threads.  Besides the gradients it holds at most BACKWARD_BYTES of sums at a time.
+    """
+    rows, channels = len(drawn.geometry), drawn.shade.shape[1] - raster.CHANNEL
+    width, listing = raster_backward.columns(channels), drawn.listing
+    grad_channels, grad_alpha = (np.ascontiguousarray(g, np.float32) for g in (grad_channels, grad_alpha))
+    sums = np.zeros((rows, width), np.float32)
+    ends = np.zeros(listing.counts.shape[1], np.int64)
+    kernel = raster_backward.rasteriser_backward(channels, drawn.band)
+    bands = listing.bands(BACKWARD_BYTES // (4 * width))
+    for first, last in bands:
+        again = drawn.lists is None or len(bands) > 1
+        starts, ids = list_tiles(listing.segments, listing.counts, first, last) if again else drawn.lists
+        entries = np.empty((len(ids), width), np.float32)
+        rest = (*listing.frame, starts, ids, drawn.geometry, drawn.shade, drawn.trace, grad_channels, grad_alpha, ends, entries)
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last))
+        _, cursors = _cursors(listing.counts, first, last)
+        rest = (starts, ends, entries, sums)
+        run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(*segment, *span, cursor, *rest),
+            zip(listing.segments, cursors))
+    result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
+                             np.zeros((rows, 2), np.float32))
+    rest = (drawn.order, drawn.geometry, sums, result.geometry, result.log2_opacity, result.channels, result.absolute)
+    run(lambda a, b: raster_backward.finish(a, b, *rest), ranges(len(drawn.order), CHUNK))
+    return result
 
 
 def list_spans(order, geometry, shade, grid):
@@ -131,15 +246,20 @@ def list_spans(order, geometry, shade, grid):
 
 def list_tiles(segments, counts, first: int, last: int):
     """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
+    starts, cursors = _cursors(counts, first, last)
+    ids = np.empty(starts[-1], np.int32)
+    run(lambda s, segment: tiles.scatter(*segment, first, last, cursors[s], ids), enumerate(segments))
+    return starts, ids
+
+
+def _cursors(counts, first: int, last: int):
+    """Where each tile's list begins, and where in it each segment's splats begin, with the lists of the tiles first..last alone."""
     counts = counts.copy()
     counts[:, :first] = 0
     counts[:, last:] = 0
     starts = np.zeros(counts.shape[1] + 1, np.int64)
     np.cumsum(counts.sum(0), out=starts[1:])
-    cursors = starts[:-1] + np.cumsum(counts, 0) - counts
-    ids = np.empty(starts[-1], np.int32)
-    run(lambda s, segment: tiles.scatter(*segment, first, last, cursors[s], ids), enumerate(segments))
-    return starts, ids
+    return starts, starts[:-1] + np.cumsum(counts, 0) - counts
 
 
 def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
@@ -154,17 +274,6 @@ def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
                                    ACTIVATIONS.index(appearance.activation), to_model, lens, x0, y0, camera.orthographic, out),
         ranges(height, 64))
     return out
-
-
-def _bands(row_totals) -> list[tuple[int, int]]:
-    """Runs of rows of tiles with at most ENTRIES entries each (one row at least)."""
-    bands, first, total = [], 0, 0
-    for row, entries in enumerate(row_totals):
-        if row > first and total + entries > ENTRIES:
-            bands.append((first, row))
-            first, total = row, 0
-        total += entries
-    return [*bands, (first, len(row_totals))]
 
 
 def _weights(basis, t):

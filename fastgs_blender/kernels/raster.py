@@ -38,17 +38,24 @@ def padded(channels: int) -> int:
     return next((size for size in SIZES if size >= channels), channels)
 
 
+def fade(alpha, log2_cut, band):
+    """The factor by which alpha fades in over `band` above the cut, 3 s^2 - 2 s^3, and its derivative by alpha."""
+    s = ((alpha - log2_cut.exp2()) / band).max(0.0).min(1.0)
+    return s * s * (s * -2.0 + 3.0), (s - s * s) * 6.0 / band
+
+
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, shade, splat, channels, median):
+def blend8(context, state, pixel, u, du, row, shade, splat, place, band, channels, median, trace, smooth):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
-    channels and median (0 or 1) are constants of the kernel: code is made for them.
+    channels, median, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  trace: remember `place` as
+    that of the last splat blended; smooth: let alpha fade in over `band` above the cut.
     """
-    if not isinstance(channels, types.IntegerLiteral) or not isinstance(median, types.IntegerLiteral):
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, median, trace, smooth)):
         return None
-    count, with_median = channels.literal_value, median.literal_value
+    count = channels.literal_value
     number = types.float32
-    signature = types.void(state, types.intp, number, number, number, shade, types.intp, channels, median)
+    signature = types.void(state, types.intp, number, number, number, shade, types.intp, number, number, channels, median, trace, smooth)
 
     def build(context, b, signature, args):
         state, shade = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
@@ -61,6 +68,8 @@ def blend8(context, state, pixel, u, du, row, shade, splat, channels, median):
         u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
         exponent = row - u * u
         alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
+        if smooth.literal_value:
+            alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[8]))[0]
         before = state.floats(pixel, 0)
         weight = before * alpha
         after = before - weight
@@ -70,7 +79,10 @@ def blend8(context, state, pixel, u, du, row, shade, splat, channels, median):
         for c in range(count):
             plane = PIXELS * (1 + c)
             state.store(pixel, plane, state.floats(pixel, plane) + weight * column(CHANNEL + c))
-        if with_median:
+        if trace.literal_value:
+            plane = PIXELS * (1 + count)
+            state.store(pixel, plane, simd.broadcast(b, args[7]).where(weight > 0.0, state.floats(pixel, plane)))
+        if median.literal_value:
             plane = PIXELS * (1 + count)
             front = b.and_(weight > 0.0, before > 0.5)
             state.store(pixel, plane, column(DEPTH).where(front, state.floats(pixel, plane)))
@@ -80,16 +92,22 @@ def blend8(context, state, pixel, u, du, row, shade, splat, channels, median):
 
 
 @cache
-def rasteriser(channels: int, median: bool):
-    """The kernel for a number of channels, with or without the median depth."""
-    median = int(median)
-    planes = 1 + channels + median
+def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0.0):
+    """The kernel for a number of channels, with or without the median depth.
+
+    trace: write what the backward pass starts from (raster_backward.py) instead of the median depth.  band: alpha fades in over
+    this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.
+    """
+    assert not (median and trace)
+    median, trace, smooth, band = int(median), int(trace), int(band > 0), float(band)
+    planes = 1 + channels + (median or trace)
 
     def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, depth):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
         The window is x0..right, y0..bottom in pixels of the image; out [h, w, C], alpha [h, w], depth [h, w] are the window's.
-        starts [tiles + 1]: each tile's run in ids, which lists splats front to back.
+        starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  With trace, depth is [h, 2 w]: the final
+        transmittance, and beside it the place in the tile's list of the last splat blended, or -1.
         """
         state = np.empty(planes * PIXELS, np.float32)
         for tile in range(first, last):
@@ -101,6 +119,8 @@ def rasteriser(channels: int, median: bool):
             state[PIXELS:] = float32(0.0)
             if median:
                 state[PIXELS * (1 + channels):] = float32(np.inf)
+            if trace:
+                state[PIXELS * (1 + channels):] = float32(-1.0)
             blended = 0
             for k in range(starts[tile], starts[tile + 1]):
                 i = np.intp(ids[k])
@@ -123,7 +143,8 @@ def rasteriser(channels: int, median: bool):
                     u = u0 + b * float32(y)
                     for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
                         x = half * simd.LANES
-                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i, channels, median)
+                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i, float32(k - starts[tile]), float32(band),
+                               channels, median, trace, smooth)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]
@@ -139,5 +160,8 @@ def rasteriser(channels: int, median: bool):
                         out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
                     if median:
                         depth[y - y0, x - x0] = state[PIXELS * (1 + channels) + p]
+                    if trace:
+                        depth[y - y0, x - x0] = abs(state[p])
+                        depth[y - y0, x - 2 * x0 + right] = state[PIXELS * (1 + channels) + p]
 
     return kernel(rasterise)

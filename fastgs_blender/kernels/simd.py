@@ -35,6 +35,9 @@ class Floats:
     def __mul__(self, other):
         return Floats(self.builder, self.builder.fmul(self.value, self._with(other), flags=FUSE))
 
+    def __truediv__(self, other):
+        return Floats(self.builder, self.builder.fdiv(self.value, self._with(other), flags=FUSE))
+
     def __gt__(self, other):
         return self.builder.fcmp_ordered(">", self.value, self._with(other))
 
@@ -54,6 +57,11 @@ class Floats:
     def where(self, mask, other):
         """self where the mask holds, else other."""
         return Floats(self.builder, self.builder.select(mask, self.value, self._with(other)))
+
+    def magnitude(self):
+        """|self|, by clearing the sign bit."""
+        bits = self.builder.and_(self.builder.bitcast(self.value, INTS), ir.Constant(INTS, [(1 << 31) - 1] * LANES))
+        return Floats(self.builder, self.builder.bitcast(bits, FLOATS))
 
     def negative_magnitude(self):
         """-|self|, by setting the sign bit."""
@@ -116,6 +124,36 @@ class Memory:
     def scalar(self, index, offset):
         """One element."""
         return self.builder.load(self._at(index, offset))
+
+
+class Sum:
+    """Eight sums that live in a register while code is being generated; LLVM sees through the memory behind them."""
+
+    def __init__(self, builder):
+        with builder.goto_entry_block():
+            self.pointer = builder.alloca(FLOATS)
+        self.builder = builder
+        builder.store(constant(builder, 0.0).value, self.pointer)
+
+    def add(self, floats):
+        """Add to each of the eight."""
+        self.builder.store((Floats(self.builder, self.builder.load(self.pointer)) + floats).value, self.pointer)
+
+    def value(self) -> Floats:
+        """The eight sums."""
+        return Floats(self.builder, self.builder.load(self.pointer))
+
+
+def totals(builder, eight) -> Floats:
+    """The sums over the lanes of each of eight vectors, as one vector: pairs are halved and joined three times."""
+    number = ir.IntType(32)
+    vectors = [v.value for v in eight]
+    while len(vectors) > 1:
+        even, odd = ([2 * i + part for i in range(LANES)] for part in (0, 1))
+        vectors = [builder.fadd(builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, LANES), even)),
+                                builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, LANES), odd)))
+                   for a, b in zip(vectors[::2], vectors[1::2])]
+    return Floats(builder, vectors[0])
 
 
 @intrinsic

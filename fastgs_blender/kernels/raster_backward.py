@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Backward of raster.py: how the loss changes with each splat.
+
+Each tile goes through its list back to front and writes one row of sums for every entry; then the rows of a splat, one per
+tile, are added up in the order of the tiles.  Nothing is shared between threads, so the gradients have the same bytes for any
+number of them.
+
+A pixel holds the transmittance T behind the splats still to come and B, the light that arrives from there.  With
+dot = g . c + g_alpha (alpha is a channel in which every splat is 1) a splat of opacity a has d loss / d a = T (dot - B), and
+then B becomes B + a (dot - B): no differences of large sums, whatever lies in front.
+"""
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numba import float32
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+from . import raster, simd
+from .jit import kernel
+
+TILE, PIXELS = raster.TILE, raster.PIXELS
+
+# columns of an entry's sums over pixels; e: d loss / d log2(alpha) / ln 2, u and v as in raster.py, dx and dy from the centre
+E, EU, EU_X, EU_Y, E_Y, E_YY, ABS_X, ABS_Y, CHANNEL = range(9)
+# planes of a tile's state
+LEFT, BEHIND, LAST, GRADIENT = range(4)
+AHEAD = 8
+"""How many entries ahead memory is asked for."""
+
+
+def columns(channels: int) -> int:
+    """Floats in an entry's row: whole vectors."""
+    return CHANNEL + -(-channels // simd.LANES) * simd.LANES
+
+
+@intrinsic(prefer_literal=True)
+def gather_splat(context, state, box, place, line, slopes, shade, splat, band, rows, entry, channels, smooth):
+    """One splat over its pixels of a tile: take it off their state and write its sums into rows[entry].
+
+    box      (first and last half row, first and last row)
+    place    the splat's place in the tile's list
+    line     (u, v, dx, dy) at the tile's first pixel
+    slopes   (du/dx, du/dy, dv/dy)
+    channels and smooth (0 or 1) are constants of the kernel.
+    """
+    if not isinstance(channels, types.IntegerLiteral) or not isinstance(smooth, types.IntegerLiteral):
+        return None
+    count = channels.literal_value
+    signature = types.void(state, types.UniTuple(types.intp, 4), types.float32, types.UniTuple(types.float32, 4),
+                           types.UniTuple(types.float32, 3), shade, types.intp, types.float32, rows, types.intp, channels, smooth)
+
+    def build(context, b, signature, args):
+        state, shade, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5, 8))
+        half0, half1, row0, row1 = cgutils.unpack_tuple(b, args[1], 4)
+        place = simd.broadcast(b, args[2])
+        u0, v0, dx0, dy0 = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[3], 4))
+        u_x, u_y, v_y = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[4], 3))
+        whole = args[6].type
+        first = b.mul(args[6], whole(raster.CHANNEL + count))
+
+        def column(i):
+            return simd.broadcast(b, shade.scalar(first, i))
+
+        def number(index):
+            return simd.broadcast(b, b.sitofp(index, simd.ir.FloatType()))
+
+        opacity, highest, cut = column(raster.LOG2_OPACITY), column(raster.ALPHA_MAX), column(raster.LOG2_CUT)
+        colour = [column(raster.CHANNEL + c) for c in range(count)]
+        sums = [simd.Sum(b) for _ in range(CHANNEL + count)]
+        one = whole(1)
+        with cgutils.for_range_slice(b, row0, b.add(row1, one), one) as (y, _):
+            yf = number(y)
+            v, dy = v_y * yf + v0, yf + dy0
+            row, u_row = opacity - v * v, u_y * yf + u0
+            line = b.mul(y, whole(TILE))
+            with cgutils.for_range_slice(b, half0, b.add(half1, one), one) as (half, _):
+                x = b.mul(half, whole(simd.LANES))
+                pixel, xf = b.add(line, x), simd.ramp(b) + number(x)
+                u, dx = simd.ramp(b) * u_x + (u_x * number(x) + u_row), xf + dx0  # rounded as in raster.py
+                exponent = row - u * u
+                free = exponent.exp2()
+                clamped = free.min(highest)
+                drawn = b.and_(exponent >= cut, state.floats(pixel, LAST * PIXELS) >= place)
+                alpha = slope = clamped.where(drawn, 0.0)
+                if smooth.literal_value:
+                    factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[7]))
+                    alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
+                left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
+                state.store(pixel, LEFT * PIXELS, left)
+                gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
+                dot = gradient[count]
+                for g, c in zip(gradient, colour):
+                    dot = dot + g * c
+                behind = state.floats(pixel, BEHIND * PIXELS)
+                more = dot - behind
+                state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
+                weight = alpha * left
+                for c in range(count):
+                    sums[CHANNEL + c].add(weight * gradient[c])
+                e = (slope * left * more).where(free < highest, 0.0)
+                eu, ey = e * u, e * dy
+                sums[E].add(e)
+                sums[EU].add(eu)
+                sums[EU_X].add(eu * dx)
+                sums[EU_Y].add(eu * dy)
+                sums[E_Y].add(ey)
+                sums[E_YY].add(ey * dy)
+                sums[ABS_X].add(eu.magnitude())
+                sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude())
+        begin, width = b.mul(args[9], whole(columns(count))), columns(count)
+        values = [s.value() for s in sums] + [simd.constant(b, 0.0)] * (width - len(sums))
+        for i in range(0, width, simd.LANES):
+            rows.store(begin, i, simd.totals(b, values[i:i + simd.LANES]))
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+@cache
+def rasteriser_backward(channels: int, band: float = 0.0):
+    """The kernel for a number of channels; band as in raster.rasteriser."""
+    smooth, band = int(band > 0), float(band)
+    planes = GRADIENT + channels + 1
+
+    def rasterise_backward(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, trace,
+                           grad_out, grad_alpha, ends, rows):
+        """Tiles first..last as in raster.py.
+
+        trace [h, 2 w]: what the forward pass left; grad_out [h, w, C], grad_alpha [h, w]: d loss / d what it drew.
+        rows [entries, columns()]: the sums of each entry of ids, written for each tile's first ends[tile] entries; the others'
+        splats lie behind all that the tile shows.
+        """
+        state = np.empty(planes * PIXELS, np.float32)
+        for tile in range(first, last):
+            left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
+            state[:PIXELS] = float32(1.0)
+            state[PIXELS:] = float32(0.0)
+            state[LAST * PIXELS:GRADIENT * PIXELS] = float32(-1.0)
+            farthest = float32(-1.0)
+            for y in range(max(top, y0), min(top + TILE, bottom)):
+                for x in range(max(left, x0), min(left + TILE, right)):
+                    p, i, j = (y - top) * TILE + x - left, y - y0, x - x0
+                    state[p] = trace[i, j]
+                    final = trace[i, j + right - x0]
+                    state[LAST * PIXELS + p] = final
+                    farthest = final if final > farthest else farthest
+                    for c in range(channels):
+                        state[(GRADIENT + c) * PIXELS + p] = grad_out[i, j, c]
+                    state[(GRADIENT + channels) * PIXELS + p] = grad_alpha[i, j]
+            ends[tile] = int(farthest) + 1
+            for k in range(starts[tile] + ends[tile] - 1, starts[tile] - 1, -1):
+                i = np.intp(ids[k])
+                ahead = np.intp(ids[max(k - AHEAD, starts[tile])])
+                simd.prefetch(geometry, ahead)
+                simd.prefetch(shade, ahead)
+                mx, my = geometry[i, raster.MEAN_X] - left - 0.5, geometry[i, raster.MEAN_Y] - top - 0.5
+                rx, ry = shade[i, raster.RADIUS_X], shade[i, raster.RADIUS_Y]
+                xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
+                yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
+                if not (xl <= xh and yl <= yh):
+                    rows[k] = float32(0.0)
+                    continue
+                u0 = float32(-geometry[i, raster.L11] * mx - geometry[i, raster.L21] * my)
+                v0 = float32(-geometry[i, raster.L22] * my)
+                slopes = (float32(geometry[i, raster.L11]), float32(geometry[i, raster.L21]), float32(geometry[i, raster.L22]))
+                gather_splat(state, (int(xl) // simd.LANES, int(xh) // simd.LANES, int(yl), int(yh)), float32(k - starts[tile]),
+                             (u0, v0, float32(-mx), float32(-my)), slopes, shade, i, float32(band), rows, k, channels, smooth)
+
+    return kernel(rasterise_backward)
+
+
+@kernel
+def collect(splat, begin, end, first_tile, last_tile, cursor, starts, ends, rows, sums):
+    """Add each splat's rows to sums [M, columns()], in the order of the tiles.
+
+    The first six are those of tiles.scatter, and a splat's entries are found as they were written: by walking the same runs.
+    """
+    for k in range(len(splat)):
+        i = np.intp(splat[k])
+        for tile in range(max(begin[k], first_tile), min(end[k], last_tile)):
+            entry = cursor[tile]
+            cursor[tile] += 1
+            if entry - starts[tile] < ends[tile]:
+                simd.prefetch(rows, min(entry + AHEAD, len(rows) - 1))
+                for c in range(rows.shape[1]):
+                    sums[i, c] += rows[entry, c]
+
+
+@kernel
+def finish(first, last, order, geometry, sums, grad_geometry, grad_opacity, grad_channels, absolute):
+    """From the sums of the splats order[first:last] to the gradients of their geometry, log2 opacity and channels."""
+    ln2 = math.log(2.0)
+    for k in range(first, last):
+        i = np.intp(order[k])
+        a, b, c = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+        eu, ey = ln2 * sums[i, EU], ln2 * sums[i, E_Y]
+        grad_geometry[i, raster.MEAN_X] = 2 * a * eu
+        grad_geometry[i, raster.MEAN_Y] = 2 * (b * eu + c * c * ey)
+        grad_geometry[i, raster.L11] = -2 * ln2 * sums[i, EU_X]
+        grad_geometry[i, raster.L21] = -2 * ln2 * sums[i, EU_Y]
+        grad_geometry[i, raster.L22] = -2 * c * ln2 * sums[i, E_YY]
+        grad_opacity[i] = ln2 * sums[i, E]
+        absolute[i, 0] = 2 * abs(a) * ln2 * sums[i, ABS_X]
+        absolute[i, 1] = 2 * ln2 * sums[i, ABS_Y]
+        for channel in range(grad_channels.shape[1]):
+            grad_channels[i, channel] = sums[i, CHANNEL + channel]
