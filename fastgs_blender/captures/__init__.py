@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Multi-view captures: open_capture() reads any layout in LAYOUTS.
+
+A layout is one module with `name` (as users know it), `recognises(path) -> bool` and `load(path, options) -> Capture`; path is a
+folder or a file that exists.  recognises() looks at names and first bytes only and never raises FastGSError; load() raises it.
+"""
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import FastGSError
+from .base import Capture, Options, Points, Shot
+
+LAYOUTS = ("own", "folders")
+"""Modules of this package, asked in this order."""
+__all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layouts", "open_capture"]
+
+
+def layouts() -> list[ModuleType]:
+    """All layouts, in the order in which they are asked."""
+    return [importlib.import_module(f".{name}", __name__) for name in LAYOUTS]
+
+
+def identify(path, layout: str | None = None) -> ModuleType:
+    """The layout of a capture, or the one of that name (its module's or the one users know); raises FastGSError."""
+    path = _existing(path)
+    known = layouts()
+    if layout is not None:
+        for module in known:
+            if layout in {module.name, module.__name__.rpartition(".")[2]}:
+                return module
+        raise FastGSError(f"there is no layout {layout!r}; there are {', '.join(LAYOUTS)}.")
+    for module in known:
+        try:
+            if module.recognises(path):
+                return module
+        except OSError:
+            continue
+    raise FastGSError(f"{path}: this is no capture; give a folder with one folder of pictures or one video per camera, or a data set as "
+                      "docs/captures.md lists them.")
+
+
+def open_capture(path, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
+                 layout: str | None = None) -> Capture:
+    """The capture in a folder (or in a file of a layout that has one).
+
+    scale, frames, held_out  see Options; layout: its name, where it is not to be found out
+    Raises FastGSError where it is none, or its description cannot be read; Capture.check() tells what is wrong with its pictures.
+    """
+    path = _existing(path)
+    options = Options(scale, frames, None if held_out is None else tuple(held_out))
+    try:
+        return identify(path, layout).load(path, options)
+    except (OSError, MemoryError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or "too little memory"
+        raise FastGSError(f"{getattr(error, 'filename', None) or path}: it cannot be read ({reason}); check the file and its permissions."
+                          ) from error
+
+
+def _existing(path) -> Path:
+    path = Path(os.fsdecode(path))
+    try:
+        if not path.exists():
+            raise FastGSError(f"{path}: there is no such capture; check the name and the folder.")
+    except (OSError, ValueError) as error:
+        raise FastGSError(f"{path}: this cannot be the name of a capture ({error}).") from error
+    return path

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From what a layout found (a rig of cameras, or single pictures) to a Capture with the options applied."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FastGSError
+from ..model import Clip
+from .base import Capture, Options, Points, Shot
+from .lens import pinhole_for
+from .sources import Source
+
+MOST_SHOTS = 5_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A picture as a layout describes it, before scale and selection; frame counts from 0, t is None where the layout states no times."""
+
+    view: str
+    frame: int
+    image: Source
+    world_to_camera: np.ndarray | None
+    mask: Source | None = None
+    t: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """A camera that a layout found.
+
+    pictures  one Source per frame, None where it is missing; a rig whose cameras have different numbers of them is unsynchronised
+    pose      world-to-camera [4, 4], or one per frame [F, 4, 4], or None
+    masks     as pictures, or empty
+    """
+
+    name: str
+    pictures: Sequence[Source | None]
+    pose: np.ndarray | None
+    masks: Sequence[Source | None] = ()
+
+
+def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (), **settings) -> Capture:
+    """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them."""
+    count = settings.pop("frame_count", None) or max((len(camera.pictures) for camera in cameras), default=0)
+    chosen = _chosen(count, options.frames, path)
+    entries, gaps = [], []
+    for frame in chosen:
+        for camera in cameras:
+            image = camera.pictures[frame] if frame < len(camera.pictures) else None
+            if image is None:
+                gaps.append((camera.name, frame))
+                continue
+            pose = camera.pose if camera.pose is None or np.ndim(camera.pose) == 2 else camera.pose[frame]
+            entries.append(Entry(camera.name, frame, image, pose, camera.masks[frame] if frame < len(camera.masks) else None))
+    faults = [*faults, *gap_sentences(gaps, settings.get("start_frame", 0))]
+    return from_entries(path, layout, entries, options, frame_count=count, faults=faults, **settings)
+
+
+def from_entries(
+        path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
+        held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,
+        mask_means: str = "foreground", notes: Sequence[str] = (), faults: Sequence[str] = ()) -> Capture:
+    """The capture of these pictures, with the options applied; held_out, scale and focal (see pinhole_for) are the layout's defaults."""
+    if not 1 <= frame_count <= MOST_SHOTS or len(entries) > MOST_SHOTS:
+        raise FastGSError(f"{path}: a capture has 1 to {MOST_SHOTS} pictures, not {frame_count} frames with {len(entries)}.")
+    scale = scale if options.scale is None else options.scale
+    if not (np.isfinite(scale) and 0 < scale <= 1):
+        raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
+    chosen = _chosen(frame_count, options.frames, path)
+    place = {frame: i for i, frame in enumerate(chosen)}
+    entries = [entry for entry in entries if entry.frame in place]
+    if not entries:
+        reason = f": {faults[0]}" if faults else ""
+        raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
+    kept = _held_out(path, entries, held_out, options.held_out)
+    stated = any(entry.t is not None for entry in entries)
+    cameras: dict = {}
+    shots = []
+    for entry in entries:
+        camera = None
+        if entry.world_to_camera is not None:
+            camera = _camera(entry, scale, focal, cameras)
+        frame = place[entry.frame]
+        t = entry.t if stated and entry.t is not None else frame / len(chosen)
+        shots.append(Shot(entry.view, frame, camera, entry.image, entry.mask, entry.view in kept, t))
+    order = {view: i for i, view in enumerate(dict.fromkeys(shot.view for shot in shots))}
+    shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
+    step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
+    clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
+    return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, list(notes), list(faults))
+
+
+def gap_sentences(gaps: Sequence[tuple[str, int]], start_frame: int = 0) -> list[str]:
+    """One clause per view for pictures that are not there; gaps are (view, frame from 0)."""
+    missing: dict[str, list[int]] = {}
+    for view, frame in gaps:
+        missing.setdefault(view, []).append(frame + start_frame)
+    return [f"{view} lacks {'the frame' if len(frames) == 1 else f'{len(frames)} frames:'} {ranges(frames)}"
+            for view, frames in missing.items()]
+
+
+def ranges(numbers: Sequence[int], most: int = 6) -> str:
+    """1-3, 7, 9-12"""
+    parts: list[list[int]] = []
+    for number in sorted(numbers):
+        if parts and number == parts[-1][1] + 1:
+            parts[-1][1] = number
+        else:
+            parts.append([number, number])
+    text = [f"{a}" if a == b else f"{a}-{b}" for a, b in parts[:most]]
+    return ", ".join(text + (["..."] if len(parts) > most else []))
+
+
+def _chosen(count: int, frames: slice | None, path) -> range:
+    chosen = range(count)[frames] if frames is not None else range(count)
+    if frames is not None and chosen.step < 1:
+        raise FastGSError(f"{path}: the frames of a capture are taken forwards, not in steps of {chosen.step}.")
+    if not len(chosen):
+        raise FastGSError(f"{path}: none of its {count} frames lies in the part asked for; frames count from 0.")
+    return chosen
+
+
+def _held_out(path, entries, default, asked) -> set[str]:
+    names = {entry.view for entry in entries}
+    unknown = [] if asked is None else [name for name in asked if name not in names]
+    if unknown:
+        known = ", ".join(list(dict.fromkeys(entry.view for entry in entries))[:12]) + (", ..." if len(names) > 12 else "")
+        raise FastGSError(f"{path}: there is no view {unknown[0]!r} to hold out; the views are {known}.")
+    kept = set(default if asked is None else asked) & names
+    if kept == names and asked is not None:
+        raise FastGSError(f"{path}: all {len(names)} views are held out, so that nothing is left to train on; hold out fewer.")
+    return set() if kept == names else kept
+
+
+def _camera(entry: Entry, scale, focal, known: dict) -> Camera:
+    """The pinhole of an entry; one object for all frames of a camera that stands still."""
+    image = entry.image
+    pose = np.asarray(entry.world_to_camera, np.float64)
+    lens_key = image.lens, image.intrinsics
+    key = *lens_key, pose.tobytes()
+    if key not in known:
+        if lens_key not in known:
+            known[lens_key] = pinhole_for(image.lens, image.intrinsics, np.eye(4), scale, focal)
+        known[key] = replace(known[lens_key], world_to_camera=pose, window=None)
+    return known[key]
