@@ -140,8 +140,8 @@ class Reporter(Silent):
         path = self.folder / LOG
         if not path.exists():
             return
-        kept = [line for line in path.read_text("utf-8", "replace").splitlines() if 0 < _iteration(line) <= iteration]
-        self._safely("the log", lambda: checkpoint.write_aside(path, lambda part: part.write_text("".join(f"{k}\n" for k in kept), "utf-8")))
+        kept = "".join(f"{line}\n" for line in path.read_text("utf-8", "replace").splitlines() if 0 < _iteration(line) <= iteration)
+        self._safely("the log", lambda: checkpoint.write_aside(path, lambda part: part.write_text(kept, "utf-8")))
 
     def _board(self):
         if os.environ.get("FASTGS_NO_TENSORBOARD"):

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""train a model from a multi-view capture
+
+The folder given with --out gets model.safetensors, and while training runs a checkpoint, a log, previews and status.json.
+Ctrl-C saves and stops; --resume goes on exactly where the run was, also after it was killed.
+
+Several processes or machines share the work when torchrun starts them:
+    torchrun --nproc-per-node=2 -m fastgs_blender train CAPTURE --out DIR
+"""
+from __future__ import annotations
+
+from ..errors import FastGSError
+from .shared import note, print_json, use_threads
+
+FLAGS = {
+    "motion": (str, "KIND", "cosine, fourier, fourier+linear, polynomial, keyframes, paper or static (default: cosine)"),
+    "order": (int, "L", "order of the motion: frequencies, cosines, degree or keyframes (default: the usual one)"),
+    "iterations": (int, "N", "steps (default: by the preset)"),
+    "batch": (int, "N", "views per step and process"),
+    "max_gaussians": (int, "N", "never more Gaussians than this (default: by the preset)"),
+    "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.1)"),
+    "density": (str, "KIND", "density control: default or mcmc"),
+    "masks": (str, "USE", "what masks are for: auto, cut, weight, only or off (default: auto)"),
+    "seed": (int, "N", "of everything random (default: 0)"),
+}
+"""Settings with a flag of their own; --set reaches all."""
+
+
+def add_arguments(parser):
+    parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
+    parser.add_argument("--resume", action="store_true", help="go on with the run in that folder")
+    parser.add_argument("--overwrite", action="store_true", help="begin anew where there is a run in that folder")
+    parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long and how large (default: standard)")
+    parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
+    for name, (kind, metavar, text) in FLAGS.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=text)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
+    parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
+    parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
+    parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")
+    parser.add_argument("--held-out", metavar="NAME,NAME", help="views to keep for evaluation (default: the layout's)")
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def run(args):
+    try:
+        import torch  # noqa: F401 (training needs it; said here in one sentence)
+    except ImportError as error:
+        raise FastGSError("training needs PyTorch: pip install torch") from error
+    from ..captures import open_capture
+    from ..training import session
+    from ..training.distributed import joined
+
+    use_threads(args.threads)
+    wanted = options(args)
+    with joined() as group:
+        settings = group.first_does(lambda: session.begin(args.out, wanted, lambda w: make(args, w), args.resume, args.overwrite))
+        settings = session.from_dict(group.share(settings.to_dict() if settings else None))
+        capture = open_capture(args.capture, scale=args.scale, frames=frames_slice(args.frames), layout=args.layout,
+                               held_out=tuple(args.held_out.split(",")) if args.held_out else None)
+        for remark in capture.notes if group.first else ():
+            note(remark)
+        capture.check()
+        report = session.train(capture, capture.frames(session.MEMORY), settings, args.out, group, args.quiet)
+    if group.first:
+        if args.json:
+            print_json(report)
+        else:
+            quality = f", {report['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in report else ""
+            note(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
+
+
+def options(args) -> dict:
+    """The settings that the command line names."""
+    from ..training.settings import option_from_text
+
+    wanted = dict(option_from_text(text) for text in args.set)
+    wanted |= {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
+    if args.basis == "paper":
+        if wanted.get("motion", "paper") != "paper":
+            raise FastGSError("--basis paper is a motion of its own; leave out --motion.")
+        wanted["motion"] = "paper"
+    if args.preset:
+        wanted["preset"] = args.preset
+    return wanted
+
+
+def make(args, wanted: dict):
+    """The settings of a new run."""
+    from ..training.settings import settings
+
+    return settings(**{"preset": "standard", **wanted})
+
+
+def frames_slice(text: str | None) -> slice | None:
+    """The part of the time line that "A:B" means, both ends included as everywhere; "A:B:S" in steps."""
+    if text is None:
+        return None
+    from ..frames import parse_frames
+
+    frames = parse_frames(text)
+    if any(number != int(number) or number < 0 for number in frames):
+        raise FastGSError(f"a capture has whole frames counted from 0, not {text!r}.")
+    step = int(frames.numbers[1] - frames.numbers[0]) if len(frames) > 1 else 1
+    return slice(int(frames.numbers[0]), int(frames.numbers[-1]) + 1, step)

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trainer: render, compare, go down the gradient, control the density; and the whole state in between for checkpoints."""
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..appearance import Features
+from ..errors import FastGSError
+from ..model import GaussianModel
+from ..rendering import render as render_model
+from . import schedule
+from .density import STRATEGIES
+from .differentiable import Statistics, render
+from .distributed import Group
+from .losses import motion_penalty, photometric
+from .model import empty_model
+from .optimiser import Optimiser
+from .targets import target
+
+DECODER = ("w1", "w2")
+
+
+class Trainer:
+    """One training run in memory.
+
+    capture, store  the pictures (captures.base.Capture, FrameStore)
+    settings        Settings
+    model           where to begin: a GaussianModel (model.model_from_points), or None before restore()
+    group           the processes that share the views
+    """
+
+    def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None):
+        self.capture, self.store, self.settings = capture, store, settings
+        self.group = group or Group()
+        self.iteration = 0
+        self.extent = capture.extent
+        self.shots = capture.training
+        if not self.shots:
+            raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
+        self.views = schedule.Views(self.shots, settings.seed)
+        self.template = empty_model(settings, capture.clip, capture.axes)
+        self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template)
+        if model is not None:
+            arrays = dict(model.arrays)
+            if isinstance(model.appearance, Features):
+                arrays |= {name: getattr(model.appearance, name) for name in DECODER}
+            self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()})
+            self.statistics = Statistics(len(model))
+
+    def __len__(self) -> int:
+        return len(self.optimiser.arrays["opacity"])
+
+    def step(self) -> dict:
+        """One step; returns its values for the log."""
+        s, i, group = self.settings, self.iteration, self.group
+        arrays, n = self.optimiser.arrays, len(self)
+        count = s.batch * group.size
+        chosen = self.views.at(i, count)
+        reduction = schedule.reduction(s, i)
+        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in arrays.items()}
+        statistics = self.statistics if group.size == 1 else Statistics(n)
+        seen = np.zeros(n, np.float32)
+        sums = np.zeros(4)
+        for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
+            goal = target(self.capture, self.store, self.shots[chosen[place]], s, reduction, i, place)
+            picture = render(tensors, self.template, goal.camera, goal.t, statistics=statistics, detach_time=not s.free_centre)
+            rgb = picture.rgb
+            if goal.background is not None:
+                rgb = rgb + (1 - picture.alpha)[..., None] * torch.from_numpy(goal.background)
+            loss, l1, ssim = photometric(rgb, goal.rgb, goal.weight, s.dssim)
+            if goal.opaque and s.opaque_weight:
+                loss = loss + s.opaque_weight * (1 - picture.alpha).mean()
+            (loss / count).backward()
+            seen[picture.seen] = 1
+            error = float(np.square(rgb.detach().numpy() - goal.rgb).mean())
+            sums += float(loss.detach()), l1, ssim, error
+        gradients = {name: np.zeros_like(arrays[name]) if tensor.grad is None else tensor.grad.numpy() for name, tensor in tensors.items()}
+        self._join(gradients, seen, sums, statistics)
+        penalty = self._penalise(tensors, gradients)
+        rates = schedule.learning_rates(s, i, self.extent, self.template.basis)
+        self.optimiser.step(gradients, np.flatnonzero(seen), rates)
+        self.iteration += 1
+        if self.strategy.after_step(self.iteration, self.optimiser, self.statistics, rates):
+            self.statistics = Statistics(len(self))
+        loss, l1, ssim, error = sums / count
+        if not np.isfinite(loss):
+            raise FastGSError(f"training diverged at step {self.iteration}: the loss is no number; use lower learning rates.")
+        return {"iteration": self.iteration, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
+                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(seen.sum()), "reduction": reduction}
+
+    def _join(self, gradients, seen, sums, statistics):
+        """Make the sums of this process the sums of all."""
+        if self.group.size == 1:
+            return
+        self.group.total([*gradients.values(), seen, sums, statistics.gradient, statistics.absolute, statistics.seen])
+        self.group.largest(statistics.radius)
+        self.statistics.add(statistics)
+
+    def _penalise(self, tensors, gradients) -> float:
+        """Add the gradients of what does not depend on the views; returns lambda L_M-reg."""
+        s, value = self.settings, 0.0
+        if s.motion_weight and tensors["motion"].numel():
+            motion = tensors["motion"].detach().requires_grad_()
+            penalty = s.motion_weight * motion_penalty(motion, self.template.basis, self.extent, s.regulariser)
+            gradients["motion"] += torch.autograd.grad(penalty, motion)[0].numpy()
+            value = float(penalty.detach())
+        for name, gradient in self.strategy.penalty(self.optimiser.arrays).items():
+            gradients[name] += gradient
+        return value
+
+    def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
+        """The model as it is now; its arrays are those that are being trained."""
+        arrays = dict(self.optimiser.arrays)
+        decoder = {name: arrays.pop(name) for name in DECODER if name in arrays}
+        look = replace(self.template.appearance, **decoder) if decoder else self.template.appearance
+        return replace(self.template, appearance=look, provenance=provenance or {}, **arrays)
+
+    def final_model(self, provenance: dict[str, str]) -> GaussianModel:
+        """The model without the Gaussians that can never be seen."""
+        model = self.model(provenance)
+        peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
+        return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))
+
+    def measure(self, shots) -> tuple[float, float | None, list[tuple[np.ndarray, np.ndarray]]]:
+        """Mean PSNR of shots, that of their foreground where masks show it, and the pictures beside the truth."""
+        from ..evaluation.metrics import psnr
+
+        model = self.model()
+        whole, part, pictures = [], [], []
+        for shot in shots:
+            pixels = self.store.pixels(shot)
+            picture = render_model(model, shot.camera, shot.t, ("rgb",))["rgb"]
+            whole.append(psnr(picture, pixels.rgb))
+            if pixels.mask is not None:
+                part.append(psnr(picture, pixels.rgb, pixels.mask))
+            pictures.append((picture, pixels.rgb))
+        part = [value for value in part if np.isfinite(value)]
+        return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures
+
+    def state(self) -> tuple[dict[str, np.ndarray], dict]:
+        """Everything that the rest of the run depends on: arrays, and JSON values."""
+        arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
+        arrays |= {f"statistics.{name}": array for name, array in self.statistics.state().items()}
+        return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture)}
+
+    def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
+        """Continue from what state() gave; raises FastGSError if it belongs to another capture."""
+        if about["capture"] != fingerprint(self.capture):
+            raise FastGSError(f"this run was begun with another capture than {self.capture.path} "
+                              f"({about['capture']}, not {fingerprint(self.capture)}); train it into a folder of its own.")
+
+        def part(name):
+            return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
+
+        self.iteration = about["iteration"]
+        self.optimiser = Optimiser.restored(part("optimiser"))
+        self.statistics = Statistics(len(self))
+        self.statistics.restore(part("statistics"))
+
+
+def fingerprint(capture) -> dict:
+    """What tells captures apart: their time line and the number and size of the pictures trained on."""
+    first = capture.training[0].camera
+    return {"frames": capture.clip.frame_count, "views": len(capture.views), "pictures": len(capture.training),
+            "size": f"{first.width} x {first.height}"}
+
+
+def run(trainer: Trainer, reporter, save, stop, preview=()) -> bool:
+    """Take all steps that are left; returns whether the run is complete.
+
+    save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds
+    stop()   whether to end early, for example because of Ctrl-C; agreed on by all processes
+    preview  held-out shots to look at now and then
+    """
+    s = trainer.settings
+    saved = time.monotonic()
+    cost = 0.0
+    while trainer.iteration < s.iterations:
+        values = trainer.step()
+        reporter.step(values)
+        i = trainer.iteration
+        if preview and trainer.group.first and s.preview_every and (i % s.preview_every == 0 or i == s.iterations):
+            whole, part, pictures = trainer.measure(preview)
+            measured = {"held_out_psnr": whole} | ({} if part is None else {"held_out_foreground_psnr": part})
+            reporter.preview(i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
+        stopped = _agreed(trainer.group, stop())
+        last = stopped or i == s.iterations
+        if trainer.group.first and (last or time.monotonic() - saved > max(s.checkpoint_seconds, 20 * cost)):
+            began = time.monotonic()
+            save(last)
+            saved = time.monotonic()
+            cost = saved - began
+        if stopped:
+            return i == s.iterations
+    return True
+
+
+def _agreed(group: Group, stop: bool) -> bool:
+    if group.size == 1:
+        return stop
+    flag = np.array([float(stop)])
+    group.total([flag])
+    return bool(flag[0])
