@@ -11,7 +11,9 @@ from ..camera import Camera
 from ..scene import Buffers, Layout, Part
 from . import project, raster, raster_backward, tiles
 from .decode import decode
+from .decode_backward import decode_backward as decode_rows_backward
 from .jit import announce
+from .project_backward import project_backward as project_rows_backward
 from .sort import order_by
 from .threads import ranges, run, thread_count
 
@@ -78,6 +80,21 @@ def project_parts(parts: list[Part], camera: Camera, layout: Layout, progress=No
         done += count
     index = [np.arange(first, first + number, dtype=np.int32) for part in runs for first, number in part]
     return Cloud(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
+
+
+def project_backward(part: Part, camera: Camera, layout: Layout, cloud: Cloud, gradients: RasterGradients,
+                     detach_time: bool = False) -> dict[str, np.ndarray]:
+    """d loss / d the model's arrays by name, of the cloud of this part alone, from d loss / d splats.
+
+    detach_time: mu_tau's gradient comes through the temporal opacity alone, as STG trains.
+    """
+    model = part.model
+    out = {name: np.empty_like(array) for name, array in model.arrays.items()}
+    slopes = (gradients.geometry, gradients.log2_opacity, gradients.channels)
+    rest = (cloud.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(part, camera, layout))
+    pieces = ((first, min(first + CHUNK, len(model)), first, first + count) for first, count in cloud.runs[0])
+    run(lambda *piece: project_rows_backward(*piece, *rest), pieces)
+    return out
 
 
 def _inputs(part: Part, camera: Camera, layout: Layout):
@@ -263,17 +280,34 @@ def _cursors(counts, first: int, last: int):
 
 
 def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
-    """Premultiplied colour [h, w, 3] of blended features [h, w, 9]; see reference.decode_features."""
+    """Premultiplied colour [h, w, 3] of blended features [h, w, C >= 9]; see reference.decode_features."""
+    _, _, width, height = camera.window
+    out, inputs = np.empty((height, width, 3), np.float32), _decoder_inputs(features, weight, part, camera)
+    run(lambda first, last: decode(first, last, *inputs, out), ranges(height, 64))
+    return out
+
+
+def decode_backward(features, weight, part: Part, camera: Camera, grad):
+    """From d loss / d colour [h, w, 3] to that of features [h, w, C], weight [h, w], w1 [6, 12] and w2 [3, 6].
+
+    Every piece of rows has its own sums for the matrices, added in order: the same bytes for any number of threads.
+    """
+    pieces = ranges(camera.window[3], 32)
+    grad_features, grad_weight = np.empty(features.shape, np.float32), np.empty(weight.shape, np.float32)
+    grad_w1, grad_w2 = np.empty((len(pieces), 6, 12)), np.empty((len(pieces), 3, 6))
+    rest = (*_decoder_inputs(features, weight, part, camera), np.ascontiguousarray(grad, np.float32), grad_features, grad_weight)
+    run(lambda i, piece: decode_rows_backward(*piece, *rest, grad_w1[i], grad_w2[i]), enumerate(pieces))
+    return grad_features, grad_weight, grad_w1.sum(0).astype(np.float32), grad_w2.sum(0).astype(np.float32)
+
+
+def _decoder_inputs(features, weight, part, camera):
+    """What decode.decode and its backward pass take between the rows and the picture."""
     appearance: Features = part.model.appearance
-    x0, y0, width, height = camera.window
-    out = np.empty((height, width, 3), np.float32)
+    x0, y0, _, _ = camera.window
     to_model = np.ascontiguousarray(np.concatenate([part.camera_to_model[:3, :3], part.camera_to_model[None, :3, 3]]))
     lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
-    features, weight = np.ascontiguousarray(features), np.ascontiguousarray(weight)
-    run(lambda first, last: decode(first, last, features, weight, appearance.w1, appearance.w2,
-                                   ACTIVATIONS.index(appearance.activation), to_model, lens, x0, y0, camera.orthographic, out),
-        ranges(height, 64))
-    return out
+    return (np.ascontiguousarray(features), np.ascontiguousarray(weight), _plain(appearance.w1), _plain(appearance.w2),
+            ACTIVATIONS.index(appearance.activation), to_model, lens, x0, y0, bool(camera.orthographic))
 
 
 def _weights(basis, t):

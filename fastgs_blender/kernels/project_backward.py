@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Backward of project.py: from gradients of splats to gradients of the model's arrays (rasterisers.md 3.3).
+
+Every row has one Gaussian, so that nothing is added up across rows.  What the forward pass computed is computed again.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import float32
+
+from . import raster
+from .jit import inline, kernel
+from .project import (
+    FEATURES,
+    RADIAL,
+    SCALE,
+    SH,
+    WINDOW,
+    WINDOWED_RADIAL,
+    _axes,
+    _covariance,
+    _direction,
+    _exp,
+    _moved3,
+    _moved4,
+    _project_axis,
+    _quaternion,
+    _shear,
+)
+from .spherical import sh_colour, sh_slope
+
+PER_LN2 = 1.0 / math.log(2.0)
+
+
+@inline
+def _clear(n, gradients):
+    """Zeros for a Gaussian that was not drawn."""
+    position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = gradients
+    zero = float32(0.0)
+    for i in range(3):
+        position[n, i], scale[n, i] = zero, zero
+    for i in range(4):
+        rotation[n, i] = zero
+    for i in range(features.shape[1]):
+        features[n, i] = zero
+    for k in range(motion.shape[1]):
+        for i in range(3):
+            motion[n, k, i] = zero
+    for k in range(rotation_motion.shape[1]):
+        for i in range(4):
+            rotation_motion[n, k, i] = zero
+    for i in range(temporal.shape[1]):
+        temporal[n, i] = zero
+    opacity[n], mu_tau[n] = zero, zero
+
+
+@inline
+def _temporal_slope(code, t, mu_tau, p, g, out):
+    """g is the gradient of the factor's logarithm; writes that of the parameters, returns that of mu_tau."""
+    if code in (RADIAL, WINDOWED_RADIAL):
+        delta, speed = t - mu_tau, _exp(p[0])
+        out[0] = -g * speed * delta * delta
+        if code == WINDOWED_RADIAL:
+            width = _exp(p[3])
+            outside = max(p[1] - t, t - p[2], 0.0) / width
+            before = p[1] - t >= t - p[2]
+            out[1] = -2.0 * g * outside / width if before else 0.0
+            out[2] = 0.0 if before else 2.0 * g * outside / width
+            out[3] = 2.0 * g * outside * outside
+        return 2.0 * g * speed * delta
+    if code == WINDOW:
+        before, after = _exp(p[2]), _exp(p[3])
+        early, late = max(p[0] - t, 0.0) / before, max(t - p[1], 0.0) / after
+        out[0], out[1] = -2.0 * g * early / before, 2.0 * g * late / after
+        out[2], out[3] = 2.0 * g * early * early, 2.0 * g * late * late
+    return 0.0
+
+
+@inline
+def _spread(c, basis, delta, g, out):
+    """Gradient g [D] of a sum of weighted coefficients c [K, D]: writes theirs, returns that of delta."""
+    index, weights, centred = basis
+    slope = 0.0
+    if centred:
+        power = 1.0
+        for k in range(len(c)):
+            dot = 0.0
+            for i in range(len(g)):
+                dot += g[i] * c[k, i]
+                out[k, i] = g[i] * power * delta
+            slope += (k + 1) * power * dot
+            power *= delta
+        return slope
+    m = 0
+    for k in range(len(c)):
+        weight = 0.0
+        if m < len(index) and index[m] == k:
+            weight = weights[m]
+            m += 1
+        for i in range(len(g)):
+            out[k, i] = weight * g[i]
+    return slope
+
+
+@inline
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inline
+def _quaternion_slope(q, g0, g1, g2):
+    """Gradient of a quaternion before it was normalised, from those of the columns of its rotation matrix."""
+    w, x, y, z, norm = q
+    if norm == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    gw = 2.0 * (x * (g1[2] - g2[1]) + y * (g2[0] - g0[2]) + z * (g0[1] - g1[0]))
+    gx = 2.0 * (w * (g1[2] - g2[1]) + y * (g1[0] + g0[1]) + z * (g2[0] + g0[2]) - 2.0 * x * (g1[1] + g2[2]))
+    gy = 2.0 * (w * (g2[0] - g0[2]) + x * (g1[0] + g0[1]) + z * (g2[1] + g1[2]) - 2.0 * y * (g0[0] + g2[2]))
+    gz = 2.0 * (w * (g0[1] - g1[0]) + x * (g2[0] + g0[2]) + y * (g2[1] + g1[2]) - 2.0 * z * (g0[0] + g1[1]))
+    along = gw * w + gx * x + gy * y + gz * z
+    return (gw - along * w) / norm, (gx - along * x) / norm, (gy - along * y) / norm, (gz - along * z) / norm
+
+
+@kernel
+def project_backward(first, last, row, end, source, slopes, detach_time, gradients, arrays, times, view, lens, constants, look):
+    """Gradients of the Gaussians first..last, of which the rows row..end were written; source as project.project gives it.
+
+    slopes       gradients of the splats: geometry [M, 5], log2 of the opacity [M], channels [M, C]
+    detach_time  mu_tau's gradient comes through the temporal opacity alone (STG)
+    gradients    as `arrays`, written in full: zeros for Gaussians that were not drawn
+    arrays ...   see project.project
+    """
+    position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
+    g_position, g_rotation, g_scale, g_opacity, g_features, g_motion, g_rotation_motion, g_mu_tau, g_temporal = gradients
+    g_geometry, g_log2, g_channels = slopes
+    t, temporal_code, moving, turning = times
+    fx, fy, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
+    blur, _, _, antialiased, orthographic = constants
+    appearance, degree, channel, _, depth_channel = look
+    row0, row1, row2, shift, eye = view[0], view[1], view[2], view[3], view[4]
+    terms, colour, g3, g4 = np.empty(25), np.empty(3), np.empty(3), np.empty(4)
+    for n in range(first, last):
+        if row == end or source[row] != n:
+            _clear(n, gradients)
+            continue
+        delta = t - np.float64(mu_tau[n])
+        px, py, pz = _moved3(motion[n], moving, delta)
+        px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
+        y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
+        z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
+        q = _quaternion(rotation[n], _moved4(rotation_motion[n], turning, delta))
+        _, _, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
+        axes = _axes(q[0], q[1], q[2], q[3])
+        u0, v0 = _project_axis(axes[0], row0, row1, row2, a02, a12)
+        u1, v1 = _project_axis(axes[1], row0, row1, row2, a02, a12)
+        u2, v2 = _project_axis(axes[2], row0, row1, row2, a02, a12)
+        size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
+        u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
+        _, s01, s11, sharp, det = _covariance(u, v, blur)
+
+        # opacity
+        g_sigma = PER_LN2 * np.float64(g_log2[row])
+        g_opacity[n] = g_sigma * (1.0 - 1.0 / (1.0 + _exp(-opacity[n])))
+        g_mu = _temporal_slope(temporal_code, t, np.float64(mu_tau[n]), temporal[n], g_sigma, g_temporal[n])
+
+        # the triangle of the inverse covariance: L11 = SCALE sqrt(s11 / det), L21 = -SCALE s01 / sqrt(s11 det), L22 = SCALE / sqrt(s11)
+        root, root_det = math.sqrt(s11), math.sqrt(det)
+        g11 = np.float64(g_geometry[row, raster.L11]) * SCALE * root / root_det
+        g21 = np.float64(g_geometry[row, raster.L21]) * SCALE / (root * root_det)
+        g22 = np.float64(g_geometry[row, raster.L22]) * SCALE / root
+        g_det = -0.5 * (g11 - g21 * s01) / det
+        g_s11 = 0.5 * (g11 + g21 * s01 - g22) / s11
+        g_s01 = -g21
+        g_sharp = 0.0
+        if antialiased:
+            g_det -= 0.5 * g_sigma / det
+            g_sharp = 0.5 * g_sigma / sharp
+        # det = sharp + blur (u.u + v.v) + blur^2, sharp = |u x v|^2
+        g_sharp, g_uu, g_vv = 2.0 * (g_sharp + g_det), 2.0 * blur * g_det, 2.0 * (blur * g_det + g_s11)
+        normal = _cross(u, v)
+        across_u, across_v = _cross(v, normal), _cross(normal, u)
+        gu0, gv0 = g_sharp * across_u[0] + g_uu * u[0] + g_s01 * v[0], g_sharp * across_v[0] + g_vv * v[0] + g_s01 * u[0]
+        gu1, gv1 = g_sharp * across_u[1] + g_uu * u[1] + g_s01 * v[1], g_sharp * across_v[1] + g_vv * v[1] + g_s01 * u[1]
+        gu2, gv2 = g_sharp * across_u[2] + g_uu * u[2] + g_s01 * v[2], g_sharp * across_v[2] + g_vv * v[2] + g_s01 * u[2]
+        scale0, scale1, scale2 = gu0 * u[0] + gv0 * v[0], gu1 * u[1] + gv1 * v[1], gu2 * u[2] + gv2 * v[2]
+        g_scale[n, 0], g_scale[n, 1], g_scale[n, 2] = scale0, scale1, scale2
+
+        # the axes, and through the shear and the depth the position in the camera
+        gu0, gu1, gu2 = gu0 * fx * size0, gu1 * fx * size1, gu2 * fx * size2
+        gv0, gv1, gv2 = gv0 * fy * size0, gv1 * fy * size1, gv2 * fy * size2
+        r0, r1, r2 = row0[0] + a02 * row2[0], row0[1] + a02 * row2[1], row0[2] + a02 * row2[2]
+        s0, s1, s2 = row1[0] + a12 * row2[0], row1[1] + a12 * row2[1], row1[2] + a12 * row2[2]
+        axis0 = (gu0 * r0 + gv0 * s0, gu0 * r1 + gv0 * s1, gu0 * r2 + gv0 * s2)
+        axis1 = (gu1 * r0 + gv1 * s0, gu1 * r1 + gv1 * s1, gu1 * r2 + gv1 * s2)
+        axis2 = (gu2 * r0 + gv2 * s0, gu2 * r1 + gv2 * s1, gu2 * r2 + gv2 * s2)
+        gx, gy = fx * np.float64(g_geometry[row, raster.MEAN_X]), fy * np.float64(g_geometry[row, raster.MEAN_Y])
+        gz = np.float64(g_channels[row, depth_channel]) if depth_channel >= 0 else 0.0
+        if not orthographic:
+            tan_x, tan_y = x / z, y / z
+            deep0 = row2[0] * axes[0][0] + row2[1] * axes[0][1] + row2[2] * axes[0][2]
+            deep1 = row2[0] * axes[1][0] + row2[1] * axes[1][1] + row2[2] * axes[1][2]
+            deep2 = row2[0] * axes[2][0] + row2[1] * axes[2][1] + row2[2] * axes[2][2]
+            if tan_x > low_x and tan_x < high_x:
+                gx -= gu0 * deep0 + gu1 * deep1 + gu2 * deep2
+            if tan_y > low_y and tan_y < high_y:
+                gy -= gv0 * deep0 + gv1 * deep1 + gv2 * deep2
+            gx, gy = gx / z, gy / z
+            gz -= gx * tan_x + gy * tan_y + (scale0 + scale1 + scale2) / z
+        g3[0] = row0[0] * gx + row1[0] * gy + row2[0] * gz
+        g3[1] = row0[1] * gx + row1[1] * gy + row2[1] * gz
+        g3[2] = row0[2] * gx + row1[2] * gy + row2[2] * gz
+
+        # colour
+        g_delta = 0.0
+        if appearance == SH:
+            dx, dy, dz, distance = _direction(px, py, pz, eye, orthographic)
+            sh_colour(features[n], degree, dx, dy, dz, terms, colour)
+            red = np.float64(g_channels[row, channel]) if colour[0] > 0.0 else 0.0
+            green = np.float64(g_channels[row, channel + 1]) if colour[1] > 0.0 else 0.0
+            blue = np.float64(g_channels[row, channel + 2]) if colour[2] > 0.0 else 0.0
+            for b in range((degree + 1) * (degree + 1)):
+                along = red * features[n, 3 * b] + green * features[n, 3 * b + 1] + blue * features[n, 3 * b + 2]
+                g_features[n, 3 * b], g_features[n, 3 * b + 1], g_features[n, 3 * b + 2] = terms[b] * red, terms[b] * green, terms[b] * blue
+                terms[b] = along
+            if not orthographic:
+                hx, hy, hz = sh_slope(degree, dx, dy, dz, terms)
+                along = hx * dx + hy * dy + hz * dz
+                g3[0] += (hx - along * dx) / distance
+                g3[1] += (hy - along * dy) / distance
+                g3[2] += (hz - along * dz) / distance
+        else:
+            for c in range(9 if appearance == FEATURES else 3):
+                g = np.float64(g_channels[row, channel + c])
+                if c >= 6:
+                    g_delta += g * features[n, c]
+                    g *= delta
+                g_features[n, c] = g
+
+        # time
+        g4[0], g4[1], g4[2], g4[3] = _quaternion_slope(q, axis0, axis1, axis2)
+        g_delta += _spread(motion[n], moving, delta, g3, g_motion[n])
+        g_delta += _spread(rotation_motion[n], turning, delta, g4, g_rotation_motion[n])
+        for i in range(3):
+            g_position[n, i] = g3[i]
+        for i in range(4):
+            g_rotation[n, i] = g4[i]
+        g_mu_tau[n] = g_mu if detach_time else g_mu - g_delta
+        row += 1
