@@ -36,7 +36,7 @@ def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
     clip = Clip(obj.fastgs.frame_count, obj.fastgs.fps)
     rate = scene.render.fps / scene.render.fps_base
     at = time.clip_frame(scene.frame_current_final, rate, frame.retime_of(obj), clip)
-    return "Nothing" if at is None else f"Frame {number(at)} of 0 to {clip.frame_count - 1}"
+    return "Nothing" if at is None else f"Frame {number(at)} (of 0 to {clip.frame_count - 1})"
 
 
 def scene_facts(scene: bpy.types.Scene) -> list[tuple[str, str]]:

@@ -24,6 +24,12 @@ def draw_rows(layout, rows):
         split.label(text=value)
 
 
+def draw_trouble(col, context, text):
+    """What is wrong, in as many lines as it takes."""
+    for i, line in enumerate(facts.lines(text, context.region.width, context.preferences.system.ui_scale or 1.0)):
+        col.label(text=line, icon='BLANK1' if i else 'ERROR')
+
+
 def draw_model(layout, context):
     """The file, what is wrong with it, and what is in it."""
     obj = context.object
@@ -37,8 +43,7 @@ def draw_model(layout, context):
         box = layout.box()
         col = box.column(align=True)
         col.alert = True
-        for i, line in enumerate(facts.lines(error, context.region.width, context.preferences.system.ui_scale or 1.0)):
-            col.label(text=line, icon='BLANK1' if i else 'ERROR')
+        draw_trouble(col, context, error)
         box.operator("fastgs.reload", icon='FILE_REFRESH')
     if not obj.fastgs.filepath:
         layout.label(text="No file is chosen", icon='INFO')

@@ -7,7 +7,7 @@ import bpy
 from ..engine import objects
 from ..engine.viewport import spaces
 from . import facts
-from .object_panels import draw_rows
+from .object_panels import draw_rows, draw_trouble
 
 
 class FASTGS_PT_viewport(bpy.types.Panel):
@@ -33,9 +33,7 @@ class FASTGS_PT_viewport(bpy.types.Panel):
         draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
         trouble = spaces.trouble()
         if trouble:
-            col = layout.column(align=True)
-            for i, line in enumerate(facts.lines(trouble, context.region.width)):
-                col.label(text=line, icon='BLANK1' if i else 'ERROR')
+            draw_trouble(layout.column(align=True), context, trouble)
 
 
 CLASSES = (FASTGS_PT_viewport,)

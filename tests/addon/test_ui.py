@@ -108,6 +108,12 @@ def test_broken_file_is_red_once_it_was_tried(panels, obj, tmp_path):
     assert "broken.ply" in "".join(text for kind, text, alert in record if alert and kind == "label")
 
 
+def test_viewports_that_cannot_show_splats_say_so(panels, obj, module, monkeypatch):
+    assert not texts(drawn(panels["FASTGS_PT_viewport"]))[2:]
+    monkeypatch.setattr(module("engine.viewport.spaces"), "trouble", lambda: "the models do not fit into the GPU's textures: too bad.")
+    assert "The models do not fit into" in " ".join(texts(drawn(panels["FASTGS_PT_viewport"])))
+
+
 def test_button_for_the_engine_only_where_another_is_used(panels, obj, scene):
     assert "wm.context_set_enum" not in texts(drawn(panels["FASTGS_PT_object"], engine='FASTGS'), "operator")
     assert "wm.context_set_enum" in texts(drawn(panels["FASTGS_PT_object"], engine='CYCLES'), "operator")
@@ -141,13 +147,13 @@ def test_frame_that_is_shown(module, obj, scene):
     scene.render.fps, scene.render.fps_base = 30, 30 / 29.97
     obj.fastgs.start_frame, obj.fastgs.before = 1, 'HIDE'
     scene.frame_set(11, subframe=0.25)
-    assert shown(obj, scene) == "Frame 10.25 of 0 to 47"
+    assert shown(obj, scene) == "Frame 10.25 (of 0 to 47)"
     scene.frame_set(1)
-    assert shown(obj, scene) == "Frame 0 of 0 to 47"
+    assert shown(obj, scene) == "Frame 0 (of 0 to 47)"
     scene.frame_set(-5)
     assert shown(obj, scene) == "Nothing"
     scene.frame_set(48)
-    assert shown(obj, scene) == "Frame 47 of 0 to 47"
+    assert shown(obj, scene) == "Frame 47 (of 0 to 47)"
 
 
 def test_numbers_in_words(module):
