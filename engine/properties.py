@@ -77,11 +77,18 @@ class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
         update=passes.switched)
 
 
-CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer)
+class FASTGS_PG_camera(bpy.types.PropertyGroup):
+    """A camera that comes from a capture."""
+
+    view: StringProperty(name="View", description="The capture's name for this camera; empty for cameras of one's own")
+
+
+CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),
     (bpy.types.ViewLayer, FASTGS_PG_view_layer),
+    (bpy.types.Camera, FASTGS_PG_camera),
 )
 
 

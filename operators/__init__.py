@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture, bake."""
+"""What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture, bake, move cameras."""
 import bpy
 
-from . import maintenance, menus
+from . import camera_life, camera_moves, keymap, maintenance, menus
 from .bake import FASTGS_OT_bake
 from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
@@ -14,6 +14,8 @@ CLASSES = (
     FASTGS_OT_reload,
     FASTGS_OT_fit_scene,
     FASTGS_OT_bake,
+    *camera_moves.CLASSES,
+    *camera_life.CLASSES,
     *maintenance.CLASSES,
 )
 
@@ -22,9 +24,11 @@ def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     menus.register()
+    keymap.register()
 
 
 def unregister():
+    keymap.unregister()
     menus.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

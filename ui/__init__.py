@@ -3,9 +3,9 @@
 import bpy
 
 from ..engine import settings
-from . import object_panels, preferences, render_panels, viewport_panel
+from . import camera_panel, object_panels, preferences, render_panels, viewport_panel
 
-CLASSES = object_panels.CLASSES + render_panels.CLASSES + viewport_panel.CLASSES + preferences.CLASSES
+CLASSES = object_panels.CLASSES + render_panels.CLASSES + viewport_panel.CLASSES + camera_panel.CLASSES + preferences.CLASSES
 
 
 def register():

@@ -63,7 +63,7 @@ def test_the_snapshot_sees_what_is_left(absent):
     absent.register()
     changed = {key for key, value in traces().items() if value != before[key]}
     absent.unregister()
-    assert changed == {"types", "operators", "properties", "drawn", "engines", "handlers"}
+    assert changed == {"types", "operators", "properties", "drawn", "engines", "handlers", "keymaps"}
 
 
 def test_names_follow_blenders_rules(addon, module):

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What brings a shot to life: bullet time, following a region, a hand that holds the camera, keys from the view."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
+from mathutils import Matrix, Vector
+
+from .. import fastgs_blender as fg
+from ..engine import frame, objects
+from ..engine.time import clip_frame
+from . import camera_keys
+from .camera_moves import subject_of, target_camera
+from .splat_object import sentence
+
+
+def active_splat(context) -> bpy.types.Object | None:
+    """The active object, if it shows splats."""
+    obj = context.object
+    return obj if obj is not None and objects.is_splat(obj) else None
+
+
+class FASTGS_OT_bullet_time(bpy.types.Operator):
+    """Slow the active capture down, or freeze it, while cameras go on moving"""
+
+    bl_idname = "fastgs.bullet_time"
+    bl_label = "Bullet Time"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    start: IntProperty(name="First Frame", description="Scene frame on which the capture begins to slow down", default=1)
+    length: IntProperty(name="Frames", description="How long the slow part lasts, ramps included", min=2, default=48)
+    speed: FloatProperty(
+        name="Speed", description="Speed of the capture in the slow part; 0 freezes it", subtype='FACTOR', min=0.0, max=1.0, default=0.0)
+    ramp: IntProperty(name="Ramp", description="Frames over which it slows down, and speeds up again", min=0, default=6)
+
+    @classmethod
+    def poll(cls, context):
+        return active_splat(context) is not None
+
+    def execute(self, context):
+        obj, scene = active_splat(context), context.scene
+        if not self.properties.is_property_set("start"):
+            self.start = scene.frame_current
+        settings = obj.fastgs
+        path = "fastgs.offset"
+        animation = obj.animation_data
+        if animation and animation.action and camera_keys.curves(obj).find(path):
+            self.report({'ERROR'}, f'"{obj.name}" has an animated offset already; delete its keys first (Object Properties > Time).')
+            return {'CANCELLED'}
+        rate = (settings.fps or 24.0) * scene.render.fps_base / scene.render.fps
+        lost = settings.speed * rate * (1 - self.speed)  # capture frames that each slow frame of the scene takes away
+        ramp = min(self.ramp, self.length / 2)
+        begin, end = float(self.start), float(self.start + self.length)
+        # the speed changes linearly on the ramps, so the offset is a parabola there, which a Bezier segment holds exactly
+        keys = [(begin, 0.0, 0.0)]
+        if ramp:
+            keys.append((begin + ramp, -lost * ramp / 2, -lost))
+        else:
+            keys[0] = (begin, 0.0, -lost)
+        if end - ramp > begin + ramp + 1e-3:
+            keys.append((end - ramp, -lost * (end - begin - 1.5 * ramp), -lost))
+        if ramp:
+            keys.append((end, -lost * (end - begin - ramp), 0.0))
+        frames, values, slopes = (np.array(column) for column in zip(*keys))
+        _key_offset(obj, path, frames, settings.offset + values, slopes)
+        scene.frame_set(scene.frame_current)
+        return {'FINISHED'}
+
+
+def _key_offset(obj, path, frames, values, slopes):
+    """Key the offset; before the first key and after the last it holds, so the capture runs at its own speed."""
+    for at, value in zip(frames, values):
+        obj.fastgs.offset = value
+        obj.keyframe_insert(path, frame=at)
+    points = camera_keys.curves(obj).find(path).keyframe_points
+    for k, point in enumerate(points):
+        before, after = (frames[k] - frames[k - 1]) if k else 1, (frames[k + 1] - frames[k]) if k + 1 < len(frames) else 1
+        point.interpolation = 'BEZIER'
+        point.handle_left_type = point.handle_right_type = 'FREE'
+        point.handle_left = frames[k] - before / 3, values[k] - slopes[k] * before / 3
+        point.handle_right = frames[k] + after / 3, values[k] + slopes[k] * after / 3
+
+
+class FASTGS_OT_follow_region(bpy.types.Operator):
+    """Let the camera follow the Gaussians around the 3D cursor"""
+
+    bl_idname = "fastgs.follow_region"
+    bl_label = "Follow Region"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    radius: FloatProperty(
+        name="Radius", description="Gaussians this near to the 3D cursor on the current frame are followed; 0 chooses by the object's size",
+        subtype='DISTANCE', min=0.0, default=0.0)
+    how: EnumProperty(
+        name="Camera", description="What the camera does",
+        items=(('LOOK', "Look At It", "The camera turns towards the region", 0),
+               ('MOVE', "Move With It", "The camera keeps its distance and its direction", 1),
+               ('NONE', "Nothing", "Only make the empty that follows the region", 2)), default='LOOK')
+    smooth: FloatProperty(name="Smooth", description="Frames over which the motion is averaged", min=0.0, soft_max=20.0, default=2.0)
+    frame_start: IntProperty(name="First Frame", default=1)
+    frame_end: IntProperty(name="Last Frame", default=100)
+
+    @classmethod
+    def poll(cls, context):
+        return active_splat(context) is not None
+
+    def execute(self, context):
+        obj, scene = active_splat(context), context.scene
+        for name in ("frame_start", "frame_end"):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, getattr(scene, name))
+        if self.frame_end <= self.frame_start:
+            self.report({'ERROR'}, "The last frame must come after the first.")
+            return {'CANCELLED'}
+        try:
+            places, frames = self._track(context, obj)
+        except fg.FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        empty = bpy.data.objects.new(f"{obj.name} Region", None)
+        empty.empty_display_type = 'SPHERE'
+        empty.empty_display_size = self._radius(context)
+        scene.collection.objects.link(empty)
+        empty.location = places[0]
+        camera_keys.write(empty, "location", frames, places, np.gradient(places, frames, axis=0))
+        scene.frame_set(scene.frame_current)
+        camera = target_camera(context, False)
+        if camera and self.how == 'LOOK':
+            track = camera.constraints.new('TRACK_TO')
+            track.target, track.track_axis, track.up_axis = empty, 'TRACK_NEGATIVE_Z', 'UP_Y'
+        elif camera and self.how == 'MOVE':
+            world = camera.matrix_world.copy()
+            camera.parent = empty
+            camera.matrix_parent_inverse = Matrix.Translation(-Vector(empty.matrix_world.translation))
+            camera.matrix_world = world
+        elif self.how != 'NONE':
+            self.report({'WARNING'}, "The scene has no camera; the empty that follows the region was made.")
+        return {'FINISHED'}
+
+    def _radius(self, context):
+        return self.radius or 0.1 * subject_of(context)[1]
+
+    def _track(self, context, obj) -> tuple[np.ndarray, np.ndarray]:
+        """The region's middle in the world [F, 3] on each frame [F]."""
+        scene = context.scene
+        model = objects.load_model(objects.abspath(obj))
+        fps = scene.render.fps / scene.render.fps_base
+        retime, world = frame.retime_of(obj), np.array(obj.matrix_world)
+
+        def seen(at, subset):
+            shown = clip_frame(at, fps, retime, model.clip)
+            s = fg.slice_model(subset, model.clip.t_of_frame(shown or 0.0), cull=False)
+            return s.position @ world[:3, :3].T + world[:3, 3], s.opacity
+
+        position, opacity = seen(scene.frame_current, model)
+        near = np.linalg.norm(position - np.array(scene.cursor.location), axis=1) <= self._radius(context)
+        near &= opacity >= 0.1
+        if not near.any():
+            raise fg.FastGSError("there are no visible Gaussians around the 3D cursor; place it on what is to be followed (Shift + right "
+                                 "click) or enlarge the radius.")
+        chosen = model.take(np.flatnonzero(near))
+        frames = np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64)
+        middles = []
+        for at in frames:
+            position, opacity = seen(at, chosen)
+            weight = opacity + 1e-6
+            middles.append((position * weight[:, None]).sum(0) / weight.sum())
+        places = np.array(middles)
+        if self.smooth > 0:
+            reach = np.arange(len(frames))
+            bell = np.exp(-0.5 * ((reach[:, None] - reach) / max(self.smooth / 2, 1e-3)) ** 2)
+            places = bell @ places / bell.sum(1, keepdims=True)
+        return places, frames
+
+
+class FASTGS_OT_handheld(bpy.types.Operator):
+    """Let the scene's camera shake as if a hand held it; the shake lies on top of its other animation"""
+
+    bl_idname = "fastgs.handheld"
+    bl_label = "Handheld"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    sway: FloatProperty(name="Sway", description="How far the camera wanders", subtype='DISTANCE', min=0.0, default=0.02)
+    turn: FloatProperty(name="Turn", description="How far it turns", subtype='ANGLE', min=0.0, default=0.008)
+    period: FloatProperty(name="Period", description="Seconds of one swing", min=0.05, default=1.2)
+    seed: IntProperty(name="Seed", min=0, default=0)
+    remove: BoolProperty(name="Remove", description="Take an earlier shake away", default=False, options={'SKIP_SAVE'})
+
+    @classmethod
+    def poll(cls, context):
+        return target_camera(context, False) is not None
+
+    def execute(self, context):
+        camera, scene = target_camera(context, False), context.scene
+        quaternion = camera.rotation_mode == 'QUATERNION'
+        turning = "delta_rotation_quaternion" if quaternion else "delta_rotation_euler"
+        _clear(camera, ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion"))
+        if self.remove:
+            return {'FINISHED'}
+        rng = np.random.default_rng(self.seed)
+        scale = self.period * scene.render.fps / scene.render.fps_base
+        for path, size in (("delta_location", self.sway), (turning, self.turn * (0.5 if quaternion else 1.0))):
+            camera.keyframe_insert(path, frame=scene.frame_start)
+            for curve in [c for c in camera_keys.curves(camera) if c.data_path == path]:
+                if path == "delta_rotation_quaternion" and curve.array_index == 0:
+                    continue
+                noise = curve.modifiers.new('NOISE')
+                noise.scale, noise.strength, noise.depth = scale, 2 * size, 1
+                noise.phase = float(rng.uniform(1, 1000))
+        return {'FINISHED'}
+
+
+def _clear(camera, paths):
+    if not (camera.animation_data and camera.animation_data.action):
+        return
+    found = camera_keys.curves(camera)
+    shaken = {c.data_path for c in found if c.data_path in paths and any(m.type == 'NOISE' for m in c.modifiers)}
+    for curve in [c for c in found if c.data_path in shaken]:
+        found.remove(curve)
+    for path, rest in (("delta_location", (0, 0, 0)), ("delta_rotation_euler", (0, 0, 0)), ("delta_rotation_quaternion", (1, 0, 0, 0))):
+        if not any(c.data_path == path for c in found):
+            setattr(camera, path, rest)
+
+
+class FASTGS_OT_key_from_view(bpy.types.Operator):
+    """Put the scene's camera where the 3D view looks from, and key it on the current frame"""
+
+    bl_idname = "fastgs.key_from_view"
+    bl_label = "Key Camera from View"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        return context.space_data is not None and context.space_data.type == 'VIEW_3D' and context.region_data is not None
+
+    def execute(self, context):
+        camera = target_camera(context, False) or target_camera(context, True)
+        view = context.region_data
+        if view.view_perspective != 'CAMERA':
+            camera.matrix_world = view.view_matrix.inverted()
+            # a view shows, at the same focal length, twice what a camera with Blender's standard sensor does
+            camera.data.lens = context.space_data.lens * camera.data.sensor_width / 72.0
+        channels = {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}
+        for owner, name in ((camera, "location"), (camera, channels.get(camera.rotation_mode, "rotation_euler")), (camera.data, "lens")):
+            owner.keyframe_insert(name, frame=context.scene.frame_current)
+        self.report({'INFO'}, f'"{camera.name}" is keyed on frame {context.scene.frame_current}.')
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_bullet_time, FASTGS_OT_follow_region, FASTGS_OT_handheld, FASTGS_OT_key_from_view)

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves that become ordinary keyframes: orbit, dolly, a smooth path through cameras."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
+from mathutils import Vector
+
+from ..engine import objects
+from ..fastgs_blender import moves
+from ..fastgs_blender.errors import FastGSError
+from . import camera_keys
+from .splat_object import sentence
+
+
+def target_camera(context, make: bool) -> bpy.types.Object | None:
+    """The scene's camera; with `make`, a new one takes its place."""
+    scene = context.scene
+    if scene.camera and scene.camera.type == 'CAMERA' and not make:
+        return scene.camera
+    if not make:
+        return None
+    camera = bpy.data.objects.new("Camera Move", bpy.data.cameras.new("Camera Move"))
+    if scene.camera and scene.camera.type == 'CAMERA':
+        camera.data.lens, camera.data.sensor_width = scene.camera.data.lens, scene.camera.data.sensor_width
+    camera.rotation_mode = 'QUATERNION'
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    return camera
+
+
+def subject_of(context) -> tuple[Vector, float]:
+    """Middle and radius of what the move is about: the selected splats, else the active object, else the 3D cursor."""
+    chosen = [o for o in context.selected_objects if objects.is_splat(o)]
+    chosen = chosen or [o for o in [context.object] if o is not None and o.type != 'CAMERA']
+    chosen = chosen or [o for o in context.scene.objects if objects.is_splat(o)]
+    corners = [o.matrix_world @ Vector(c) for o in chosen for c in o.bound_box]
+    if not corners:
+        return context.scene.cursor.location.copy(), 2.0
+    low, high = (Vector(f(c[i] for c in corners) for i in range(3)) for f in (min, max))
+    return (low + high) / 2, max((high - low).length / 2, 1e-3)
+
+
+def capture_cameras(scene) -> list[bpy.types.Object]:
+    """The cameras of captures that were imported into the scene."""
+    return [o for o in scene.objects if o.type == 'CAMERA' and o.data.fastgs.view]
+
+
+class _Move:
+    """What all moves have in common: a range, an ease, a preview, keeping to what the capture saw."""
+
+    bl_options = {'REGISTER', 'UNDO'}
+
+    frame_start: IntProperty(name="First Frame", description="Frame on which the move begins", default=1)
+    frame_end: IntProperty(name="Last Frame", description="Frame on which the move ends", default=100)
+    ease: FloatProperty(
+        name="Ease", description="Share of the time spent on starting and stopping; 0 is constant speed", subtype='FACTOR',
+        min=0.0, max=1.0, default=0.0)
+    spacing: IntProperty(
+        name="Key Every", description="Frames between keyframes: fewer keys are easier to edit, more follow the path closer",
+        min=1, soft_max=50, default=10)
+    new_camera: BoolProperty(name="New Camera", description="Animate a new camera and make it the scene's", default=False)
+    stay_inside: BoolProperty(
+        name="Stay Inside Capture", description="Keep the camera within the region that the capture's cameras span", default=False)
+    margin: FloatProperty(
+        name="Margin", description="How far beyond the capture's cameras the camera may go", subtype='DISTANCE', min=0.0, default=0.25)
+    preview: BoolProperty(
+        name="Preview as Curve", description="Show the path as a curve and leave the camera alone", default=False, options={'SKIP_SAVE'})
+
+    @classmethod
+    def poll(cls, context):
+        return context.mode == 'OBJECT'
+
+    def fitting(self, context) -> dict:
+        """Values that depend on the scene, for properties that nobody has set."""
+        return {"frame_start": context.scene.frame_start, "frame_end": context.scene.frame_end}
+
+    def move(self, context, camera):
+        """The function from shares of the way [M] to a moves.Path; camera may be None.  Raises FastGSError."""
+        raise NotImplementedError
+
+    def execute(self, context):
+        for name, value in self.fitting(context).items():
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+        if self.frame_end <= self.frame_start:
+            self.report({'ERROR'}, "The last frame must come after the first.")
+            return {'CANCELLED'}
+        fresh = self.new_camera or not (context.scene.camera and context.scene.camera.type == 'CAMERA')
+        try:
+            move = self.move(context, target_camera(context, False))
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        cameras = np.array([c.matrix_world.translation for c in capture_cameras(context.scene)])
+
+        def at(frames):
+            share = moves.ease((frames - self.frame_start) / (self.frame_end - self.frame_start), self.ease)
+            path = move(share)
+            return moves.held_inside(path, cameras, self.margin) if self.stay_inside and len(cameras) else path
+
+        every = at(np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64))
+        if len(cameras):
+            beyond = moves.inside(every, cameras, self.margin + 1e-4)
+            if beyond.any():
+                first = self.frame_start + int(np.flatnonzero(beyond)[0])
+                self.report({'WARNING'}, f"From frame {first} on the camera leaves the region that the capture covers, by up to "
+                                         f"{beyond.max():.3g}; expect holes there.")
+        if self.preview:
+            camera_keys.show(context, every)
+            return {'FINISHED'}
+        camera_keys.hide(context)
+        camera = target_camera(context, fresh)
+        camera_keys.animate(camera, at, camera_keys.key_frames(self.frame_start, self.frame_end, self.spacing))
+        if any(c.enabled for c in camera.constraints):
+            self.report({'WARNING'}, f'"{camera.name}" has constraints, which change where it goes.')
+        context.scene.frame_set(context.scene.frame_current)
+        return {'FINISHED'}
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        own = [name for name in type(self).__annotations__ if name not in _Move.__annotations__]
+        for name in [*own, "frame_start", "frame_end", "ease", "spacing", "new_camera"]:
+            layout.prop(self, name)
+        if capture_cameras(context.scene):
+            layout.prop(self, "stay_inside")
+            layout.prop(self, "margin")
+        layout.prop(self, "preview")
+
+
+class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
+    """Move the camera around the selected splats, the active object or the 3D cursor"""
+
+    bl_idname = "fastgs.camera_orbit"
+    bl_label = "Orbit"
+
+    turns: FloatProperty(name="Turns", description="How often around; negative goes clockwise", default=1.0, soft_min=-4.0, soft_max=4.0)
+    radius: FloatProperty(name="Distance", description="From the subject's middle", subtype='DISTANCE', min=1e-3, default=5.0)
+    elevation: FloatProperty(name="Elevation", description="Angle above the horizon at the beginning", subtype='ANGLE', default=0.35)
+    rise: FloatProperty(name="Rise", description="By how much the elevation changes along the way", subtype='ANGLE', default=0.0)
+    start: FloatProperty(name="Start", description="Angle around the subject at the beginning", subtype='ANGLE', default=-np.pi / 2)
+
+    def fitting(self, context):
+        centre, size = subject_of(context)
+        camera = target_camera(context, False)
+        away = camera.matrix_world.translation - centre if camera else Vector((0, -1, 0.35)) * size * 2.5
+        return {**super().fitting(context), "radius": max(away.length, 1e-3), "start": float(np.arctan2(away.y, away.x)),
+                "elevation": float(np.arctan2(away.z, away.xy.length))}
+
+    def move(self, context, camera):
+        centre, _ = subject_of(context)
+        lens = camera.data.lens if camera else 50.0
+        return lambda s: moves.orbit(s, np.array(centre), self.radius, self.elevation, self.start, self.turns, lens, self.rise)
+
+
+class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):
+    """Move the scene's camera straight on, or make a dolly zoom"""
+
+    bl_idname = "fastgs.camera_dolly"
+    bl_label = "Dolly"
+
+    axis: EnumProperty(
+        name="Direction", description="Which way the camera goes, as it sees it",
+        items=(('FORWARD', "Forward", "Into the picture", 0), ('RIGHT', "Right", "To the right", 1), ('UP', "Up", "Upwards", 2)),
+        default='FORWARD')
+    distance: FloatProperty(name="Distance", description="How far; negative goes the other way", subtype='DISTANCE', default=1.0)
+    zoom: BoolProperty(
+        name="Keep Subject's Size", description="Change the focal length so that the subject stays as large as it is (a dolly zoom)",
+        default=False)
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and target_camera(context, False) is not None
+
+    def move(self, context, camera):
+        context.scene.frame_set(self.frame_start)
+        position, rotation = camera_keys.pose(camera)
+        axes = np.array(camera.matrix_world.to_3x3().normalized())
+        direction = {'FORWARD': -axes[:, 2], 'RIGHT': axes[:, 0], 'UP': axes[:, 1]}[self.axis]
+        subject = None
+        if self.zoom and self.axis == 'FORWARD':
+            subject = float(np.dot(np.array(subject_of(context)[0]) - position, direction))
+        moves.dolly(np.ones(1), position, rotation, direction, self.distance, camera.data.lens, subject)  # complains at once
+        lens = camera.data.lens
+        return lambda s: moves.dolly(s, position, rotation, direction, self.distance, lens, subject)
+
+
+class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
+    """Move a camera smoothly through the selected cameras, in the order of their names"""
+
+    bl_idname = "fastgs.camera_through"
+    bl_label = "Path Through Cameras"
+
+    closed: BoolProperty(name="Closed", description="Come back to the first camera", default=False)
+    new_camera: BoolProperty(name="New Camera", description="Animate a new camera and make it the scene's", default=True)
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and sum(o.type == 'CAMERA' for o in context.selected_objects) > 1
+
+    def move(self, context, camera):
+        chosen = [o for o in context.selected_objects if o.type == 'CAMERA' and (self.new_camera or o != camera)]
+        chosen.sort(key=lambda o: o.name)
+        poses = [camera_keys.pose(o) for o in chosen]
+        sensor = camera.data.sensor_width if camera else 36.0  # the fields of view count, whatever the sensors
+        given = moves.Path(np.array([p for p, _ in poses]), np.array([q for _, q in poses]),
+                           np.array([o.data.lens * sensor / o.data.sensor_width for o in chosen]))
+        moves.through(np.zeros(1), given, self.closed)  # complains at once
+        return lambda s: moves.through(s, given, self.closed)
+
+
+CLASSES = (FASTGS_OT_camera_orbit, FASTGS_OT_camera_dolly, FASTGS_OT_camera_through)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves in Blender: smooth between their keys, ordinary keyframes, undone by deleting them."""
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def bpy(addon):
+    import bpy
+
+    return bpy
+
+
+@pytest.fixture
+def cube(scene, bpy):
+    """A mesh of size 2 around (1, 2, 3): what a move is about."""
+    mesh = bpy.data.meshes.new("Cube")
+    mesh.from_pydata([(x, y, z) for x in (0, 2) for y in (1, 3) for z in (2, 4)], [], [])
+    obj = bpy.data.objects.new("Cube", mesh)
+    scene.collection.objects.link(obj)
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.context.view_layer.update()
+    return obj
+
+
+def track(scene, obj, steps=8):
+    """Positions, view directions and focal lengths of a camera, `steps` times a frame."""
+    rows = []
+    for at in np.arange(scene.frame_start, scene.frame_end + 1e-9, 1 / steps):
+        scene.frame_set(int(at), subframe=float(at % 1))
+        matrix = np.array(obj.matrix_world)
+        rows.append([*matrix[:3, 3], *(-matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])), obj.data.lens])
+    return np.array(rows)
+
+
+def assert_smooth(rows, bound=0.1):
+    """Neither position, direction nor their speeds jump: no step's change is more than a share of the largest step."""
+    for part in (rows[:, :3], rows[:, 3:6]):
+        step = np.diff(part, axis=0)
+        assert np.linalg.norm(np.diff(step, axis=0), axis=1).max() <= bound * np.linalg.norm(step, axis=1).max() + 1e-6
+
+
+def keyed(module, obj):
+    return module("operators.camera_keys").curves(obj)
+
+
+def test_an_orbit_is_a_circle_of_ordinary_keys(bpy, scene, module, cube, add_camera):
+    camera = add_camera(location=(1, -4, 3), rotation=(90, 0, 0))
+    bpy.context.view_layer.update()
+    scene.frame_start, scene.frame_end = 1, 61
+    assert bpy.ops.fastgs.camera_orbit(turns=1.0, spacing=6) == {'FINISHED'}
+    rows = track(scene, camera)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, :3] - [1, 2, 3], axis=1), 6, rtol=2e-3)
+    away = ([1, 2, 3] - rows[:, :3]) / 6
+    assert (rows[:, 3:6] * away).sum(1).min() > 0.9995
+    assert_smooth(rows)
+    frames = sorted({point.co.x for curve in keyed(module, camera) for point in curve.keyframe_points})
+    assert frames == [1, 7, 13, 19, 25, 31, 37, 43, 49, 55, 61]
+
+
+def test_eased_orbits_start_and_stop_gently(bpy, scene, cube, add_camera):
+    camera = add_camera(location=(1, -4, 3))
+    scene.frame_start, scene.frame_end = 1, 61
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(turns=0.5, ease=1.0, spacing=4)
+    speed = np.linalg.norm(np.diff(track(scene, camera)[:, :3], axis=0), axis=1)
+    assert speed[0] < 0.05 * speed.max() > speed[-1]
+
+
+def test_a_preview_is_a_curve_and_nothing_else(bpy, scene, cube, add_camera):
+    camera = add_camera()
+    bpy.ops.fastgs.camera_orbit(preview=True)
+    curve = [o for o in scene.objects if o.type == 'CURVE']
+    assert len(curve) == 1 and curve[0].hide_render and camera.animation_data is None
+    bpy.ops.fastgs.camera_orbit()
+    assert not [o for o in scene.objects if o.type == 'CURVE'] and camera.animation_data is not None
+
+
+@pytest.mark.parametrize("mode", ['XYZ', 'QUATERNION', 'AXIS_ANGLE'])
+def test_a_path_goes_through_the_selected_cameras(bpy, scene, module, add_camera, mode):
+    scene.frame_start, scene.frame_end = 1, 91
+    poses = []
+    for i in range(4):
+        camera = add_camera(location=(4 * np.cos(i), 4 * np.sin(i), 0.5 * i), rotation=(90, 0, 90 + np.degrees(i)), lens=35 + 5 * i)
+        camera.name = f"cam{i}"
+        camera.select_set(True)
+        poses.append(camera)
+    scene.camera.rotation_mode = mode
+    bpy.context.view_layer.update()
+    assert bpy.ops.fastgs.camera_through(spacing=3) == {'FINISHED'}
+    moving = scene.camera
+    assert moving not in poses
+    rows = track(scene, moving)
+    assert_smooth(rows)
+    for camera in poses:
+        nearest = np.linalg.norm(rows[:, :3] - np.array(camera.location), axis=1).argmin()
+        np.testing.assert_allclose(rows[nearest, :3], camera.location, atol=0.03)
+        assert rows[nearest, 3:6] @ -np.array(camera.matrix_world)[:3, 2] > 0.999 and abs(rows[nearest, 6] - camera.data.lens) < 0.5
+    speed = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
+    assert speed.max() / speed.min() < 1.2
+
+
+def test_keys_outside_the_range_stay_and_those_within_are_replaced(bpy, scene, module, cube, add_camera):
+    camera = add_camera(location=(1, -4, 3))
+    for at, x in ((0, 5.0), (20, 9.0), (200, 7.0)):
+        camera.location.x = x
+        camera.keyframe_insert("location", frame=at)
+    bpy.ops.fastgs.camera_orbit(frame_start=10, frame_end=40, spacing=10)
+    points = {p.co.x: p.co.y for p in keyed(module, camera).find("location", index=0).keyframe_points}
+    assert sorted(points) == [0, 10, 20, 30, 40, 200] and points[0] == 5 and points[200] == 7 and points[20] != 9
+
+
+def test_a_parented_camera_goes_the_same_way(bpy, scene, cube, add_camera):
+    scene.frame_start, scene.frame_end = 1, 31
+    camera = add_camera(location=(1, -4, 3))
+    parent = bpy.data.objects.new("Parent", None)
+    parent.location, parent.rotation_euler = (3, 1, -2), (0.4, 0.2, 1.0)
+    scene.collection.objects.link(parent)
+    camera.parent = parent
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(radius=6.0, frame_start=1, frame_end=31, spacing=3)
+    rows = track(scene, camera)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, :3] - [1, 2, 3], axis=1), 6, rtol=2e-3)
+
+
+def test_leaving_the_capture_warns_and_can_be_forbidden(bpy, scene, module, cube, add_camera):
+    for i in range(6):
+        camera = add_camera(location=(1 + 3 * np.cos(i), 2 + 3 * np.sin(i), 3 + 0.2 * i))
+        camera.data.fastgs.view = f"cam{i}"
+    moving = add_camera(location=(1, -4, 3))
+    bpy.context.view_layer.update()
+    scene.frame_start, scene.frame_end = 1, 41
+    options = dict(radius=6.0, elevation=0.0, frame_start=1, frame_end=41, margin=0.5)
+    bpy.ops.fastgs.camera_orbit(**options)
+    assert np.linalg.norm(track(scene, moving)[:, :3] - [1, 2, 3], axis=1).min() > 5.9
+    bpy.ops.fastgs.camera_orbit(stay_inside=True, spacing=2, **options)
+    assert np.linalg.norm(track(scene, moving)[:, :3] - [1, 2, 3], axis=1).max() < 4.0
+
+
+def test_a_dolly_zoom_keeps_the_subject(bpy, scene, cube, add_camera):
+    camera = add_camera(location=(1, -4, 3), lens=40)
+    bpy.context.view_layer.update()
+    scene.frame_start, scene.frame_end = 1, 25
+    bpy.ops.fastgs.camera_dolly(distance=3.0, zoom=True, spacing=4)
+    rows = track(scene, camera)
+    np.testing.assert_allclose(rows[:, 6] / (2 - rows[:, 1]), 40 / 6, rtol=5e-3)
+    np.testing.assert_allclose(rows[-1, :3], (1, -1, 3), atol=1e-4)
+    with pytest.raises(RuntimeError, match="reach its subject"):
+        bpy.ops.fastgs.camera_dolly(distance=30.0, zoom=True)
+
+
+@pytest.fixture
+def moving_splat(bpy, scene, make_model, model_file, splat_object, fg):
+    """A cloud that moves along x by 4 during a clip of 48 frames at 24 fps, and a cloud that stays."""
+    model = make_model(60, spread=0.3, opacity=np.full(60, 3.0))
+    model.position[30:, 2] += 5
+    motion = np.zeros((60, 1, 3))
+    motion[:30, 0, 0] = 4.0
+    from dataclasses import replace
+
+    path = model_file(replace(model, motion=motion, basis=fg.Polynomial(1), clip=fg.Clip(48, 24.0)))
+    obj = splat_object(path)
+    obj.fastgs.fps, obj.fastgs.frame_count, obj.fastgs.start_frame = 24, 48, 1
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.context.view_layer.update()
+    return obj
+
+
+def shown(module, scene, obj, at):
+    import bpy
+
+    scene.frame_set(int(at), subframe=float(at % 1))
+    settings = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    retime = module("engine.frame").retime_of(settings)
+    return module("engine.time").clip_frame(at, scene.render.fps, retime, module("engine.objects").load_model(obj.fastgs.filepath).clip)
+
+
+@pytest.mark.parametrize(("speed", "ramp"), [(0.0, 6), (0.25, 6), (0.0, 0)])
+def test_bullet_time_slows_and_goes_on_without_a_jump(bpy, scene, module, moving_splat, speed, ramp):
+    scene.render.fps = 24
+    assert bpy.ops.fastgs.bullet_time(start=11, length=20, speed=speed, ramp=ramp) == {'FINISHED'}
+    frames = np.arange(1, 45, 0.25)
+    clip = np.array([shown(module, scene, moving_splat, at) for at in frames])
+    rate = np.diff(clip) / 0.25
+    np.testing.assert_allclose(rate[frames[:-1] < 11], 1, atol=1e-3)
+    np.testing.assert_allclose(rate[(frames[:-1] >= 11 + ramp) & (frames[:-1] < 31 - ramp)], speed, atol=1e-2)
+    np.testing.assert_allclose(rate[frames[:-1] >= 31], 1, atol=1e-3)
+    if ramp:
+        assert np.abs(np.diff(rate)).max() < 0.06
+    with pytest.raises(RuntimeError, match="animated offset already"):
+        bpy.ops.fastgs.bullet_time(start=40, length=5)
+
+
+@pytest.mark.parametrize("how", ['LOOK', 'MOVE'])
+def test_following_a_region(bpy, scene, moving_splat, add_camera, how):
+    scene.render.fps = 24
+    camera = add_camera(location=(0, -5, 0))
+    bpy.context.view_layer.objects.active = moving_splat
+    bpy.context.view_layer.update()
+    scene.cursor.location = (0, 0, 0)
+    scene.frame_set(1)
+    bpy.ops.fastgs.follow_region(radius=1.0, how=how, frame_start=1, frame_end=41, smooth=2.0)
+    rows = []
+    for at in range(4, 39):
+        scene.frame_set(at)
+        matrix = np.array(camera.matrix_world)
+        middle = np.array([4 * (at - 1) / 48, 0, 0])
+        if how == 'LOOK':
+            aim = middle - matrix[:3, 3]
+            assert -matrix[:3, 2] @ aim / np.linalg.norm(aim) > 0.995
+        rows.append(matrix[:3, 3] - middle)
+    assert how == 'LOOK' or np.ptp(rows, axis=0).max() < 0.02
+    scene.cursor.location = (0, 0, 90)
+    with pytest.raises(RuntimeError, match="no visible Gaussians"):
+        bpy.ops.fastgs.follow_region(radius=1.0)
+
+
+@pytest.mark.parametrize("mode", ['XYZ', 'QUATERNION'])
+def test_a_hand_shakes_the_camera_and_lets_go(bpy, scene, add_camera, mode):
+    camera = add_camera()
+    camera.rotation_mode = mode
+    scene.frame_start, scene.frame_end = 1, 121
+    still = track(scene, camera, 1)
+    bpy.ops.fastgs.handheld(sway=0.05, turn=0.02, seed=3)
+    shaken = track(scene, camera, 4)
+    off = np.abs(shaken[:, :3] - still[0, :3])
+    assert 0.005 < off.max() < 0.2 and np.abs(shaken[:, 3:6] - still[0, 3:6]).max() > 0.002
+    assert_smooth(shaken, 0.6)
+    bpy.ops.fastgs.handheld(sway=0.05, turn=0.02, seed=3)
+    np.testing.assert_allclose(track(scene, camera, 4), shaken, atol=1e-6)  # the same seed, the same hand; once, not twice
+    bpy.ops.fastgs.handheld(remove=True)
+    np.testing.assert_allclose(track(scene, camera, 1), still, atol=1e-6)

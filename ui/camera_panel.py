@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves, in the sidebar of the 3D view."""
+import bpy
+
+
+class FASTGS_PT_camera(bpy.types.Panel):
+    bl_label = "Camera Moves"
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        layout = self.layout
+        col = layout.column(align=True)
+        col.operator("fastgs.camera_orbit", icon='ORIENTATION_GIMBAL')
+        col.operator("fastgs.camera_dolly", icon='TRACKING_FORWARDS_SINGLE')
+        col.operator("fastgs.camera_through", icon='CURVE_PATH')
+        col.operator("fastgs.key_from_view", icon='KEYFRAME_HLT')
+        col = layout.column(align=True)
+        col.operator("fastgs.handheld", icon='VIEW_PAN')
+        col.operator("fastgs.follow_region", icon='CON_TRACKTO')
+        col.operator("fastgs.bullet_time", icon='TIME')
+
+
+CLASSES = (FASTGS_PT_camera,)
