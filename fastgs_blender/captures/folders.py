@@ -57,7 +57,8 @@ def _videos(path: Path) -> list[Path]:
 
 
 def _folders(path: Path) -> list[Path]:
-    return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".") and p.name not in NOT_CAMERAS and _holds_pictures(p))
+    return sorted(p for p in path.iterdir()
+                  if p.is_dir() and not p.name.startswith(".") and p.name not in NOT_CAMERAS and _holds_pictures(p))
 
 
 def _holds_pictures(folder: Path) -> bool:

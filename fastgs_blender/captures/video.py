@@ -105,7 +105,7 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
     want, count = next(left), -1
     with _opened(path) as container:
         stream = container.streams.video[0]
-        stream.thread_type = "AUTO"
+        stream.thread_type, stream.codec_context.thread_count = "AUTO", 2  # more cost memory: several videos are read at once
         if not from_start:
             container.seek(known.stamps[want], stream=stream, backward=True, any_frame=False)
         try:
