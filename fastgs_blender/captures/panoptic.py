@@ -89,7 +89,7 @@ def _entry(folder, where, view, t, k, w2c, fn, size, gain) -> Entry:
         raise FastGSError(f"{where}: its fn must name a picture in ims/, not {fn!r}.")
     mask = folder / "seg" / picture.with_suffix(".png")
     return Entry(view, t, Source(folder / "ims" / picture, intrinsics=given), poses.rigid(w2c, f"{where}: its w2c"),
-                 Source(mask, intrinsics=given, colour="linear", gain=gain) if gain and mask.is_file() else None)
+                 Source(mask, gain=gain) if gain and mask.is_file() else None)
 
 
 def _mask_gain(folder: Path) -> float:
