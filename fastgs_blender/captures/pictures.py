@@ -35,9 +35,10 @@ def graded(rgb: np.ndarray, source: Source, linear: bool = False) -> np.ndarray:
 
 
 def read_grey(source: Source) -> np.ndarray:
-    """A mask [H, W] as read() gives colours: its red, times its alpha where it has any."""
+    """A mask [H, W] as read() gives colours: its red times the source's gain, times its alpha where it has any."""
     rgb, alpha = _exr(source.path) if source.path.suffix.lower() == ".exr" else _pillow(source.path)
-    grey = np.clip(rgb[..., 0], 0, 1) if rgb.dtype == np.float32 else rgb[..., 0]
+    most = 1 if rgb.dtype == np.float32 else 255
+    grey = np.clip(rgb[..., 0] * np.float32(source.gain), 0, most).astype(rgb.dtype)
     if alpha is None:
         return grey
     return grey * alpha if grey.dtype == np.float32 else (grey.astype(np.uint16) * alpha // 255).astype(np.uint8)
