@@ -28,55 +28,55 @@ def _exp(x):
 
 
 @inline
-def _temporal_factor(code, t, mu_tau, p):
-    """Temporal opacity; p [P] are the Gaussian's parameters (temporal.py)."""
+def _temporal_factor(code, t, mu_tau, p, n):
+    """Temporal opacity; p[n] are the Gaussian's parameters (temporal.py)."""
     if code == RADIAL:
         delta = t - mu_tau
-        return _exp(-_exp(p[0]) * delta * delta)
+        return _exp(-_exp(p[n, 0]) * delta * delta)
     if code == WINDOW:
-        early, late = max(p[0] - t, 0.0) / _exp(p[2]), max(t - p[1], 0.0) / _exp(p[3])
+        early, late = max(p[n, 0] - t, 0.0) / _exp(p[n, 2]), max(t - p[n, 1], 0.0) / _exp(p[n, 3])
         return _exp(-early * early - late * late)
     if code == WINDOWED_RADIAL:
-        delta, outside = t - mu_tau, max(p[1] - t, t - p[2], 0.0) / _exp(p[3])
-        return _exp(-_exp(p[0]) * delta * delta - outside * outside)
+        delta, outside = t - mu_tau, max(p[n, 1] - t, t - p[n, 2], 0.0) / _exp(p[n, 3])
+        return _exp(-_exp(p[n, 0]) * delta * delta - outside * outside)
     return 1.0
 
 
 @inline
-def _moved3(c, basis, delta):
-    """Sum of the weighted coefficients c [K, 3]: with powers of delta, or of those listed, with their weights."""
+def _moved3(c, n, basis, delta):
+    """Sum of the weighted coefficients c[n] [K, 3]: with powers of delta, or of those listed, with their weights."""
     index, weights, centred = basis
     x, y, z = 0.0, 0.0, 0.0
     if centred:
-        for k in range(len(c) - 1, -1, -1):
-            x, y, z = (x + c[k, 0]) * delta, (y + c[k, 1]) * delta, (z + c[k, 2]) * delta
+        for k in range(c.shape[1] - 1, -1, -1):
+            x, y, z = (x + c[n, k, 0]) * delta, (y + c[n, k, 1]) * delta, (z + c[n, k, 2]) * delta
     else:
         for m in range(len(index)):
             w, k = weights[m], index[m]
-            x, y, z = x + w * c[k, 0], y + w * c[k, 1], z + w * c[k, 2]
+            x, y, z = x + w * c[n, k, 0], y + w * c[n, k, 1], z + w * c[n, k, 2]
     return x, y, z
 
 
 @inline
-def _moved4(c, basis, delta):
-    """The same for c [K, 4]."""
+def _moved4(c, n, basis, delta):
+    """The same for c[n] [K, 4]."""
     index, weights, centred = basis
     a, x, y, z = 0.0, 0.0, 0.0, 0.0
     if centred:
-        for k in range(len(c) - 1, -1, -1):
-            a, x, y, z = (a + c[k, 0]) * delta, (x + c[k, 1]) * delta, (y + c[k, 2]) * delta, (z + c[k, 3]) * delta
+        for k in range(c.shape[1] - 1, -1, -1):
+            a, x, y, z = (a + c[n, k, 0]) * delta, (x + c[n, k, 1]) * delta, (y + c[n, k, 2]) * delta, (z + c[n, k, 3]) * delta
     else:
         for m in range(len(index)):
             w, k = weights[m], index[m]
-            a, x, y, z = a + w * c[k, 0], x + w * c[k, 1], y + w * c[k, 2], z + w * c[k, 3]
+            a, x, y, z = a + w * c[n, k, 0], x + w * c[n, k, 1], y + w * c[n, k, 2], z + w * c[n, k, 3]
     return a, x, y, z
 
 
 @inline
-def _quaternion(constant, turn):
-    """The unit quaternion of constant + turn, and the length of the sum; the identity and 0 where that vanishes."""
+def _quaternion(constant, n, turn):
+    """The unit quaternion of constant[n] + turn, and the length of the sum; the identity and 0 where that vanishes."""
     qw, qx, qy, qz = turn
-    qw, qx, qy, qz = qw + constant[0], qx + constant[1], qy + constant[2], qz + constant[3]
+    qw, qx, qy, qz = qw + constant[n, 0], qx + constant[n, 1], qy + constant[n, 2], qz + constant[n, 3]
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     if norm <= 1e-12:
         return 1.0, 0.0, 0.0, 0.0, 0.0
@@ -152,11 +152,11 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
     log2_cut = math.log2(alpha_cut)
     out = first
     for n in range(first, last):
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal[n]) / (1.0 + _exp(-opacity[n]))
+        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= alpha_cut):
             continue
         delta = t - np.float64(mu_tau[n])
-        px, py, pz = _moved3(motion[n], moving, delta)
+        px, py, pz = _moved3(motion, n, moving, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
@@ -164,7 +164,7 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         if not (z > near and z < np.inf):
             continue
 
-        qw, qx, qy, qz, _ = _quaternion(rotation[n], _moved4(rotation_motion[n], turning, delta))
+        qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, turning, delta))
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
         axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
@@ -188,7 +188,7 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
 
         if appearance == SH:
             dx, dy, dz, _ = _direction(px, py, pz, eye, orthographic)
-            sh_colour(features[n], degree, dx, dy, dz, terms, colour)
+            sh_colour(features, n, degree, dx, dy, dz, terms, colour)
         good = True
         for c in range(raster.CHANNEL, shade.shape[1]):
             shade[out, c] = float32(0.0)

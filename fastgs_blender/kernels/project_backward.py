@@ -57,50 +57,66 @@ def _clear(n, gradients):
 
 
 @inline
-def _temporal_slope(code, t, mu_tau, p, g, out):
+def _temporal_slope(code, t, mu_tau, p, n, g, out):
     """g is the gradient of the factor's logarithm; writes that of the parameters, returns that of mu_tau."""
     if code in (RADIAL, WINDOWED_RADIAL):
-        delta, speed = t - mu_tau, _exp(p[0])
-        out[0] = -g * speed * delta * delta
+        delta, speed = t - mu_tau, _exp(p[n, 0])
+        out[n, 0] = -g * speed * delta * delta
         if code == WINDOWED_RADIAL:
-            width = _exp(p[3])
-            outside = max(p[1] - t, t - p[2], 0.0) / width
-            before = p[1] - t >= t - p[2]
-            out[1] = -2.0 * g * outside / width if before else 0.0
-            out[2] = 0.0 if before else 2.0 * g * outside / width
-            out[3] = 2.0 * g * outside * outside
+            width = _exp(p[n, 3])
+            outside = max(p[n, 1] - t, t - p[n, 2], 0.0) / width
+            before = p[n, 1] - t >= t - p[n, 2]
+            out[n, 1] = -2.0 * g * outside / width if before else 0.0
+            out[n, 2] = 0.0 if before else 2.0 * g * outside / width
+            out[n, 3] = 2.0 * g * outside * outside
         return 2.0 * g * speed * delta
     if code == WINDOW:
-        before, after = _exp(p[2]), _exp(p[3])
-        early, late = max(p[0] - t, 0.0) / before, max(t - p[1], 0.0) / after
-        out[0], out[1] = -2.0 * g * early / before, 2.0 * g * late / after
-        out[2], out[3] = 2.0 * g * early * early, 2.0 * g * late * late
+        before, after = _exp(p[n, 2]), _exp(p[n, 3])
+        early, late = max(p[n, 0] - t, 0.0) / before, max(t - p[n, 1], 0.0) / after
+        out[n, 0], out[n, 1] = -2.0 * g * early / before, 2.0 * g * late / after
+        out[n, 2], out[n, 3] = 2.0 * g * early * early, 2.0 * g * late * late
     return 0.0
 
 
 @inline
-def _spread(c, basis, delta, g, out):
-    """Gradient g [D] of a sum of weighted coefficients c [K, D]: writes theirs, returns that of delta."""
+def _spread3(c, n, basis, delta, gx, gy, gz, out):
+    """From the gradient of project._moved3 to that of c, written to out[n]; returns that of delta."""
     index, weights, centred = basis
     slope = 0.0
     if centred:
         power = 1.0
-        for k in range(len(c)):
-            dot = 0.0
-            for i in range(len(g)):
-                dot += g[i] * c[k, i]
-                out[k, i] = g[i] * power * delta
-            slope += (k + 1) * power * dot
+        for k in range(c.shape[1]):
+            slope += (k + 1) * power * (gx * c[n, k, 0] + gy * c[n, k, 1] + gz * c[n, k, 2])
             power *= delta
-        return slope
-    m = 0
-    for k in range(len(c)):
-        weight = 0.0
-        if m < len(index) and index[m] == k:
-            weight = weights[m]
-            m += 1
-        for i in range(len(g)):
-            out[k, i] = weight * g[i]
+            out[n, k, 0], out[n, k, 1], out[n, k, 2] = gx * power, gy * power, gz * power
+    else:
+        if len(index) < c.shape[1]:
+            for k in range(c.shape[1]):
+                out[n, k, 0], out[n, k, 1], out[n, k, 2] = 0.0, 0.0, 0.0
+        for m in range(len(index)):
+            w, k = weights[m], index[m]
+            out[n, k, 0], out[n, k, 1], out[n, k, 2] = w * gx, w * gy, w * gz
+    return slope
+
+
+@inline
+def _spread4(c, n, basis, delta, gw, gx, gy, gz, out):
+    """The same of project._moved4."""
+    index, weights, centred = basis
+    slope = 0.0
+    if centred:
+        power = 1.0
+        for k in range(c.shape[1]):
+            slope += (k + 1) * power * (gw * c[n, k, 0] + gx * c[n, k, 1] + gy * c[n, k, 2] + gz * c[n, k, 3])
+            power *= delta
+            out[n, k, 0], out[n, k, 1], out[n, k, 2], out[n, k, 3] = gw * power, gx * power, gy * power, gz * power
+    else:
+        if len(index) < c.shape[1]:
+            for k in range(c.shape[1]):
+                out[n, k, 0], out[n, k, 1], out[n, k, 2], out[n, k, 3] = 0.0, 0.0, 0.0, 0.0
+        for m in range(len(index)):
+            w, k = weights[m], index[m]
+            out[n, k, 0], out[n, k, 1], out[n, k, 2], out[n, k, 3] = w * gw, w * gx, w * gy, w * gz
     return slope
 
 
@@ -140,18 +156,18 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     blur, _, _, antialiased, orthographic = constants
     appearance, degree, channel, _, depth_channel = look
     row0, row1, row2, shift, eye = view[0], view[1], view[2], view[3], view[4]
-    terms, colour, g3, g4 = np.empty(25), np.empty(3), np.empty(3), np.empty(4)
+    terms, colour = np.empty(25), np.empty(3)
     for n in range(first, last):
         if row == end or source[row] != n:
             _clear(n, gradients)
             continue
         delta = t - np.float64(mu_tau[n])
-        px, py, pz = _moved3(motion[n], moving, delta)
+        px, py, pz = _moved3(motion, n, moving, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        q = _quaternion(rotation[n], _moved4(rotation_motion[n], turning, delta))
+        q = _quaternion(rotation, n, _moved4(rotation_motion, n, turning, delta))
         _, _, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         axes = _axes(q[0], q[1], q[2], q[3])
         u0, v0 = _project_axis(axes[0], row0, row1, row2, a02, a12)
@@ -164,7 +180,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
         # opacity
         g_sigma = PER_LN2 * np.float64(g_log2[row])
         g_opacity[n] = g_sigma * (1.0 - 1.0 / (1.0 + _exp(-opacity[n])))
-        g_mu = _temporal_slope(temporal_code, t, np.float64(mu_tau[n]), temporal[n], g_sigma, g_temporal[n])
+        g_mu = _temporal_slope(temporal_code, t, np.float64(mu_tau[n]), temporal, n, g_sigma, g_temporal)
 
         # the triangle of the inverse covariance: L11 = SCALE sqrt(s11 / det), L21 = -SCALE s01 / sqrt(s11 det), L22 = SCALE / sqrt(s11)
         root, root_det = math.sqrt(s11), math.sqrt(det)
@@ -209,15 +225,14 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
                 gy -= gv0 * deep0 + gv1 * deep1 + gv2 * deep2
             gx, gy = gx / z, gy / z
             gz -= gx * tan_x + gy * tan_y + (scale0 + scale1 + scale2) / z
-        g3[0] = row0[0] * gx + row1[0] * gy + row2[0] * gz
-        g3[1] = row0[1] * gx + row1[1] * gy + row2[1] * gz
-        g3[2] = row0[2] * gx + row1[2] * gy + row2[2] * gz
+        gx, gy, gz = (row0[0] * gx + row1[0] * gy + row2[0] * gz, row0[1] * gx + row1[1] * gy + row2[1] * gz,
+                      row0[2] * gx + row1[2] * gy + row2[2] * gz)
 
         # colour
         g_delta = 0.0
         if appearance == SH:
             dx, dy, dz, distance = _direction(px, py, pz, eye, orthographic)
-            sh_colour(features[n], degree, dx, dy, dz, terms, colour)
+            sh_colour(features, n, degree, dx, dy, dz, terms, colour)
             red = np.float64(g_channels[row, channel]) if colour[0] > 0.0 else 0.0
             green = np.float64(g_channels[row, channel + 1]) if colour[1] > 0.0 else 0.0
             blue = np.float64(g_channels[row, channel + 2]) if colour[2] > 0.0 else 0.0
@@ -228,9 +243,9 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
             if not orthographic:
                 hx, hy, hz = sh_slope(degree, dx, dy, dz, terms)
                 along = hx * dx + hy * dy + hz * dz
-                g3[0] += (hx - along * dx) / distance
-                g3[1] += (hy - along * dy) / distance
-                g3[2] += (hz - along * dz) / distance
+                gx += (hx - along * dx) / distance
+                gy += (hy - along * dy) / distance
+                gz += (hz - along * dz) / distance
         else:
             for c in range(9 if appearance == FEATURES else 3):
                 g = np.float64(g_channels[row, channel + c])
@@ -240,12 +255,10 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
                 g_features[n, c] = g
 
         # time
-        g4[0], g4[1], g4[2], g4[3] = _quaternion_slope(q, axis0, axis1, axis2)
-        g_delta += _spread(motion[n], moving, delta, g3, g_motion[n])
-        g_delta += _spread(rotation_motion[n], turning, delta, g4, g_rotation_motion[n])
-        for i in range(3):
-            g_position[n, i] = g3[i]
-        for i in range(4):
-            g_rotation[n, i] = g4[i]
+        g_position[n, 0], g_position[n, 1], g_position[n, 2] = gx, gy, gz
+        g_delta += _spread3(motion, n, moving, delta, gx, gy, gz, g_motion)
+        qw, qx, qy, qz = _quaternion_slope(q, axis0, axis1, axis2)
+        g_rotation[n, 0], g_rotation[n, 1], g_rotation[n, 2], g_rotation[n, 3] = qw, qx, qy, qz
+        g_delta += _spread4(rotation_motion, n, turning, delta, qw, qx, qy, qz, g_rotation_motion)
         g_mu_tau[n] = g_mu if detach_time else g_mu - g_delta
         row += 1

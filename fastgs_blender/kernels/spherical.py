@@ -62,13 +62,13 @@ def sh_slope(degree, x, y, z, h):
 
 
 @inline
-def sh_colour(c, degree, x, y, z, terms, colour):
-    """colour [3] = max(0, 0.5 + sum_b Y_b(x, y, z) c[3 b + channel]) for a unit direction and coefficients c [3 B].
+def sh_colour(c, n, degree, x, y, z, terms, colour):
+    """colour [3] = max(0, 0.5 + sum_b Y_b(x, y, z) c[3 b + channel]) for a unit direction and coefficients c[n] [3 B].
 
     terms [25]: room to work; holds the Y_b afterwards.
     """
     sh_terms(degree, x, y, z, terms)
     red, green, blue = 0.5, 0.5, 0.5
     for b in range((degree + 1) * (degree + 1)):
-        red, green, blue = red + terms[b] * c[3 * b], green + terms[b] * c[3 * b + 1], blue + terms[b] * c[3 * b + 2]
+        red, green, blue = red + terms[b] * c[n, 3 * b], green + terms[b] * c[n, 3 * b + 1], blue + terms[b] * c[n, 3 * b + 2]
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)

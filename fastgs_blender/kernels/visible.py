@@ -35,10 +35,10 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
     for n in range(first, last):
         if len(ranks) > 0 and not (ranks[n] < limit):
             continue
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal[n]) / (1.0 + _exp(-opacity[n]))
+        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= cut):
             continue
-        px, py, pz = _moved3(motion[n], moving, t - np.float64(mu_tau[n]))
+        px, py, pz = _moved3(motion, n, moving, t - np.float64(mu_tau[n]))
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z < np.inf):
