@@ -11,6 +11,7 @@ film of each view with the truth beside the render.
 """
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import FastGSError
@@ -36,7 +37,7 @@ def run(args):
     from .. import formats
     from ..captures import open_capture
     from ..evaluation import report
-    from ..evaluation.evaluate import evaluate, make_folder
+    from ..evaluation.evaluate import chosen, evaluate, make_folder
 
     use_threads(args.threads)
     file = model_file(args.model)
@@ -46,19 +47,22 @@ def run(args):
     model = formats.load(file)
     capture = open_capture(args.capture, scale=args.scale)
     views = _views(args.views, capture)
-    with tqdm(unit="frame", desc="evaluating", disable=args.quiet) as bar:
+    shots = chosen(capture, views, frames)
+    replace(capture, shots=shots, faults=[]).check()
+    store = capture.frames(0)
+    try:
+        with tqdm(total=len(shots), unit="frame", desc="decoding", disable=args.quiet or not store.missing(shots)) as bar:
+            store.fill(lambda done, total: _advance(bar, done, total), shots)
+        with tqdm(total=len(shots), unit="frame", desc="evaluating", disable=args.quiet) as bar:
 
-        def show(done, total, row):
-            bar.total = total
-            bar.set_postfix_str(f"{row['view']} {row['psnr']:.2f} dB" if row["psnr"] is not None else row["view"], refresh=False)
-            bar.update(done - bar.n)
+            def show(done, total, row):
+                bar.set_postfix_str(f"{row['view']} {row['psnr']:.2f} dB" if row["psnr"] is not None else row["view"], refresh=False)
+                _advance(bar, done, total)
 
-        try:
-            result = evaluate(model, capture, capture.frames(), views=views, frames=frames, out=out, images=args.images,
-                              backend=args.backend, lpips=not args.no_lpips, progress=show)
-        except KeyboardInterrupt:
-            bar.close()
-            raise KeyboardInterrupt(f"stopped; no results are written to {out}.") from None
+            result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=args.backend,
+                              lpips=not args.no_lpips, progress=show)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; no measures are written to {out}.") from None
     result = {"model": str(file), "file_bytes": file.stat().st_size, **result}
     result["files"] += [str(path) for path in report.write(result, out)]
     for text in result["notes"]:
@@ -67,7 +71,12 @@ def run(args):
         print_json(result)
     else:
         print(report.table(result))
-        print(f"\n{facts(result)}\n{out}: " + ", ".join(Path(path).name for path in result["files"]))
+        print(f"\n{facts(result)}\n{_files(out, result['files'])}")
+
+
+def _advance(bar, done, total):
+    bar.total = total
+    bar.update(done - bar.n)
 
 
 def facts(result: dict) -> str:
@@ -75,6 +84,13 @@ def facts(result: dict) -> str:
     count = f"{result['gaussians']:,}".replace(",", " ")
     return (f"{count} Gaussians, {human_bytes(result['file_bytes'])} on disk, "
             f"{result['fps']:.1f} frames per second at {result['width']} x {result['height']}")
+
+
+def _files(out, files) -> str:
+    kinds = [Path(path).suffix for path in files]
+    counts = {"picture": kinds.count(".png"), "film": kinds.count(".mp4")}
+    words = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
+    return f"{out}: " + ", ".join([Path(path).name for path in files if Path(path).suffix in {".json", ".csv"}] + words)
 
 
 def model_file(path) -> Path:

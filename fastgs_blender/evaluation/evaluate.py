@@ -64,19 +64,21 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
             gallery = _Gallery(stack, Path(out), view, group, images, capture.clip.fps, files) if out is not None else None
             before = None
             for shot in group:
-                pixels = store.pixels(shot)
+                truth, foreground, valid = _truth(capture, store, shot)
                 began = time.perf_counter()
                 picture = _picture(model, shot.camera, clock(shot), backend)
                 spent = time.perf_counter() - began
                 seconds += spent
+                if valid is not None:
+                    picture = picture * valid[..., None]
                 row = {"view": view, "frame": shot.frame, "t": clock(shot), "milliseconds": round(1000 * spent, 3),
-                       **_measures(picture, pixels, perceptual)}
+                       **_measures(picture, truth, foreground, valid, perceptual)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
-                    row["flicker"] = metrics.temporal_error(picture, before[1], pixels.rgb, before[2])
-                before = shot.frame, picture, pixels.rgb
+                    row["flicker"] = metrics.temporal_error(picture, before[1], truth, before[2])
+                before = shot.frame, picture, truth
                 rows.append(row)
                 if gallery:
-                    gallery.add(shot, picture, pixels.rgb, row)
+                    gallery.add(shot, picture, truth, row)
                 if progress:
                     progress(len(rows), len(covered), row)
     exact = sum(row["psnr"] is None for row in rows)
@@ -102,10 +104,10 @@ def make_folder(folder: Path):
 
 def chosen(capture, views=None, frames=None) -> list:
     """The shots of those views (default: held out) and frames (default: all), view by view in the order of time."""
-    names = list(dict.fromkeys(shot.view for shot in capture.shots))
+    names = capture.views
     listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     if views is None:
-        shots = [shot for shot in capture.shots if shot.held_out]
+        shots = capture.held_out
         if not shots:
             raise FastGSError(f"{capture.path} holds out no view to evaluate with; choose views with --views (there are {listed}).")
     else:
@@ -118,20 +120,24 @@ def chosen(capture, views=None, frames=None) -> list:
         shots = [shot for shot in shots if shot.frame in wanted]
         if not shots:
             raise FastGSError(f"{capture.path} has none of the frames to evaluate; it has the frames 0 to {capture.clip.frame_count - 1}.")
+    if any(shot.camera is None for shot in shots):
+        raise FastGSError(f"{capture.path} does not say where its cameras are, so a model cannot be compared with its pictures.")
     return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
 
 
 def _clock(model, capture):
     """Gives (model time of a shot or None outside of the model's clip, notes).
 
-    A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame.
+    A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame; one of every
+    n-th frame by its frame rate.
     """
     whole, part = capture.clip, model.clip
     if part.frame_count in (1, whole.frame_count):
         return (lambda shot: shot.t), []
+    step = max(round(whole.fps / part.fps), 1)
 
     def time_of(shot):
-        frame = whole.start_frame + shot.t * whole.frame_count - part.start_frame
+        frame = (whole.start_frame + shot.t * whole.frame_count - part.start_frame) / step
         return frame / part.frame_count if -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
 
     clips = (f"{clip.frame_count} frames from {clip.start_frame}" for clip in (part, whole))
@@ -144,13 +150,33 @@ def _picture(model, camera, t, backend) -> np.ndarray:
     return image["rgb"] if model.colour_space == "srgb" else colour.linear_to_srgb(image["rgb"])
 
 
-def _measures(picture, pixels, perceptual) -> dict:
-    truth, mask = pixels.rgb, pixels.mask
-    values = {"psnr": metrics.psnr(picture, truth), "psnr_foreground": None if mask is None else metrics.psnr(picture, truth, mask),
-              "dssim1": metrics.dssim1(picture, truth), "dssim2": metrics.dssim2(picture, truth), "lpips": None, "lpips_normalised": None}
+def _truth(capture, store, shot):
+    """What a shot should look like, [h, w, 3]; the masks [h, w] of its foreground and of its valid pixels, None where there is none.
+
+    Transparent pictures are judged over black, as models are.  What is not valid (beyond the lens' picture, or ruled out by the
+    capture's masks) is black on both sides, and no part of the PSNR.
+    """
+    pixels = store.pixels(shot)
+    rgb, mask, valid = pixels.rgb, pixels.mask, pixels.valid
+    if mask is not None and shot.mask is None:
+        rgb = rgb * mask[..., None]
+    elif mask is not None and capture.mask_means == "valid":
+        mask, valid = None, (mask >= metrics.FOREGROUND) & (True if valid is None else valid)
+    if valid is not None:
+        rgb = rgb * valid[..., None]
+        mask = None if mask is None else mask * valid
+    return rgb, mask, valid
+
+
+def _measures(picture, truth, foreground, valid, perceptual) -> dict:
+    values = dict.fromkeys(MEASURES)
+    values["psnr"] = metrics.psnr(picture, truth, valid)
+    if foreground is not None:
+        values["psnr_foreground"] = metrics.psnr(picture, truth, foreground)
+    values["dssim1"], values["dssim2"] = metrics.dssim1(picture, truth), metrics.dssim2(picture, truth)
     if perceptual:
         values["lpips"], values["lpips_normalised"] = perceptual(picture, truth)
-    return {**{name: value if value is None or np.isfinite(value) else None for name, value in values.items()}, "flicker": None}
+    return {name: value if value is None or np.isfinite(value) else None for name, value in values.items()}
 
 
 def _means(rows) -> dict:

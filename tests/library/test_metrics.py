@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fastgs_blender import FastGSError
@@ -43,6 +43,7 @@ def gaussian_weights():
     return weights / weights.sum()
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.5), st.integers(7, 14), st.integers(7, 14))
 def test_ssim_is_what_plain_loops_say(seed, noise, height, width):
     rng = np.random.default_rng(seed)

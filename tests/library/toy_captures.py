@@ -49,16 +49,19 @@ def toy_cameras(views: int) -> list[fg.Camera]:
 class Pixels:
     rgb: np.ndarray
     mask: np.ndarray | None = None
+    valid: np.ndarray | None = None
 
 
 class MemoryStore:
-    """The pixels of shots, by view and frame; mask: give the picture's alpha too."""
+    """The pixels of shots, by view and frame; with mask: straight colour, and the picture's alpha as mask."""
 
     def __init__(self, model, shots, mask=False):
         self.pictures = {}
         for shot in shots:
             image = fg.render(model, shot.camera, shot.t)
-            self.pictures[shot.view, shot.frame] = Pixels(np.clip(image["rgb"], 0, 1), image["alpha"] if mask else None)
+            rgb, alpha = np.clip(image["rgb"], 0, 1), image["alpha"]
+            straight = rgb / np.maximum(alpha, 1e-6)[..., None]
+            self.pictures[shot.view, shot.frame] = Pixels(straight, alpha) if mask else Pixels(rgb)
 
     def pixels(self, shot):
         return self.pictures[shot.view, shot.frame]
