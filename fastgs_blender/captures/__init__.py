@@ -15,7 +15,7 @@ from types import ModuleType
 from ..errors import FastGSError
 from .base import Capture, Options, Points, Shot
 
-LAYOUTS = ("own", "panoptic", "immersive", "n3v", "technicolor", "qualisys", "folders")
+LAYOUTS = ("own", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
 """Modules of this package, asked in this order."""
 __all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layouts", "open_capture"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import FastGSError
 from .base import Capture, Options
 from .rigs import RigCamera, from_rig
-from .sources import PICTURES, VIDEOS, Source, numbered_pictures, video_frames
+from .sources import PICTURES, VIDEOS, Source, frame_range, numbered_pictures, video_frames
 
 name = "folders without poses"
 NOT_CAMERAS = ("masks", "mask")
@@ -28,11 +28,7 @@ def load(path: Path, options: Options) -> Capture:
     faults: list[str] = []
     folders = {folder.name: numbered_pictures(folder) for folder in _folders(path)}
     if len(folders) > 1:
-        start = min(min(found) for found in folders.values())
-        count = max(max(found) for found in folders.values()) - start + 1
-        if count > 1000 + 10 * max(map(len, folders.values())):
-            raise FastGSError(f"{path}: the pictures' numbers go from {start} to {start + count - 1} with most of them missing; number the "
-                              "frames of all cameras alike.")
+        start, count = frame_range(folders.values(), path)
         cameras = [RigCamera(view, [Source(found[n]) if n in found else None for n in range(start, start + count)], None,
                              _masks(path, view, start, count)) for view, found in folders.items()]
         return from_rig(path, name, cameras, options, start_frame=start, frame_count=count, faults=faults)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -53,6 +53,22 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
             raise FastGSError(f"{folder}: {found[number].name} and {path.name} both are picture {number}; leave one of them.")
         found[number] = path
     return found
+
+
+def frame_range(numbered: Iterable[dict[int, Path]], where: Path) -> tuple[int, int]:
+    """First number and count of frames of a rig, from its cameras' numbered_pictures(); (0, 0) where there are none.
+
+    Raises FastGSError where nearly all would be missing, as with numbers that count something else.
+    """
+    numbered = [found for found in numbered if found]
+    if not numbered:
+        return 0, 0
+    start = min(map(min, numbered))
+    count = max(map(max, numbered)) - start + 1
+    if count > 1000 + 10 * max(map(len, numbered)):
+        raise FastGSError(f"{where}: the pictures' numbers go from {start} to {start + count - 1} with most of them missing; number the "
+                          "frames of all cameras alike.")
+    return start, count
 
 
 def video_frames(path: Path, problems: list[str], **settings) -> tuple[Sequence[Source], float | None]:

@@ -181,7 +181,8 @@ class FrameStore:
                               "free; free some, use a smaller scale or fewer frames, or set FASTGS_CACHE_DIR to a folder on another disk.")
 
     def _cannot_write(self, error: OSError) -> FastGSError:
-        reason = "the disk is full" if error.errno in {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)} else error.strerror or str(error)
+        full = error.errno in {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+        reason = "the disk is full" if full else error.strerror or str(error)
         return FastGSError(f"{self.folder}: decoded frames cannot be written there ({reason}), those so far are kept; free some space or "
                            "set FASTGS_CACHE_DIR to another folder.")
 
