@@ -26,8 +26,13 @@ STATUS_SECONDS = 1.0
 class Silent:
     """Tells nobody: for the processes that are not the first, and for programs that only want the result."""
 
+    iterations = 0
+
     def say(self, text):
         pass
+
+    def fill(self, store, shots):
+        store.fill(shots=shots)
 
     def step(self, values):
         pass
@@ -72,6 +77,14 @@ class Reporter(Silent):
         self.bar.clear()
         print(f"fastgs: {text}", file=sys.stderr)
         self.bar.refresh()
+
+    def fill(self, store, shots):
+        """Decode the pictures that are not in the cache yet, with a bar of their own."""
+        from tqdm import tqdm
+
+        missing = store.missing(shots)
+        with tqdm(total=len(missing), unit="picture", desc="decoding", disable=self.bar.disable or not missing, leave=False) as bar:
+            store.fill(lambda done, of: bar.update(done - bar.n), missing)
 
     def step(self, values):
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""

@@ -5,14 +5,17 @@
     checkpoint.safetensors  the state to go on from
     run.json                the capture and the settings
     report.json             what came of it
+    segments/               of a long capture: the same for each segment
     status.json, log.jsonl, loss.png, previews/, tensorboard/   see progress.py
 """
 from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import signal
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +24,11 @@ from .. import formats
 from ..errors import FastGSError
 from ..formats.base import generator
 from . import checkpoint
-from .progress import Reporter, Silent
+from .progress import LOG, STATUS, Reporter, Silent
 from .settings import Settings, from_dict
 
 MODEL, RUN, REPORT = "model.safetensors", "run.json", "report.json"
+SEGMENTS, SEGMENT_MODEL, DONE = "segments", "segment.safetensors", "done.json"
 PREVIEW_SHOTS = 4
 MEMORY = 768 << 20
 """Bytes of pictures kept in memory."""
@@ -46,7 +50,8 @@ def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> S
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FastGSError(f"{out}: the folder for the model cannot be made ({error.strerror}).") from error
-    checkpoint.remove_leftovers(out)
+    for folder in (out, *(out / SEGMENTS).glob("*")):
+        checkpoint.remove_leftovers(folder)
     old = _earlier(out / RUN)
     if old is not None and resume:
         settings = from_dict(old)
@@ -59,30 +64,35 @@ def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> S
         raise FastGSError(f"there is a training run in {out} already; --resume goes on with it, --overwrite begins anew.")
     settings = make(wanted)
     if not resume:
-        for name in (checkpoint.NAME, MODEL, REPORT, "log.jsonl", "status.json"):
+        for name in (checkpoint.NAME, MODEL, REPORT, LOG, STATUS):
             (out / name).unlink(missing_ok=True)
+        shutil.rmtree(out / SEGMENTS, ignore_errors=True)
     checkpoint.write_json(out / RUN, {"settings": settings.to_dict()})
     return settings
 
 
 def train(capture, store, settings: Settings, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
-    """Train, or go on with, the run in a folder; returns the report.
+    """Train, or go on with, the run in a folder; returns the report, in the first process.
 
     capture, store  see captures.base; settings  what begin() gave; group  distributed.Group
     Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.
     """
     from .distributed import Group
+    from .segments import spans
 
     group = group or Group()
     out = Path(out)
-    found = group.first_does(lambda: checkpoint.load(out))
-    done, elapsed = group.share((found[1]["iteration"], found[1].get("elapsed", 0.0)) if found else (0, 0.0))
-    reporter = Silent()
+    cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
+    if len(cuts) > 1 and settings.motion == "keyframes":
+        raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
+                          "motion, or --set segment_frames=0.")
+    reporter: Silent = Silent()
     if group.first:
-        reporter = reporter_type(out, settings.iterations, done, elapsed, quiet, settings.log_every)
+        done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
+        reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     try:
         with _stop_flag() as stop:
-            return _train(capture, store, settings, out, group, reporter, found, stop)
+            return _train(capture, store, settings, out, group, reporter, stop, cuts)
     except Stopped as stopped:
         reporter.status("stopped", reason=str(stopped))
         raise
@@ -93,19 +103,47 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
         reporter.close()
 
 
-def _train(capture, store, settings, out, group, reporter, found, stop) -> dict:
+def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
     import torch
 
-    from .trainer import Trainer, run
+    from .segments import joined_model, part
 
     torch.set_num_threads(1)  # the kernels have threads of their own; and sums do not depend on the machine
     reporter.status("preparing")
-    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found)
+    group.first_does(lambda: reporter.fill(store, capture.shots))
+    about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
+             "settings": json.dumps(settings.to_dict(), allow_nan=False)}
+    if len(cuts) == 1:
+        model = _segment(capture, store, settings, out, group, reporter, stop, None, 0)
+    else:
+        models = []
+        for number, cut in enumerate(cuts):
+            folder = segment_folder(out, number)
+            group.first_does(lambda folder=folder: folder.mkdir(parents=True, exist_ok=True))
+            reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
+            decoder = models[0] if models else None
+            models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number))
+        model = joined_model(models, cuts, capture.clip, {})
+    return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
+
+
+def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number):
+    """The model of one segment, or of a whole short capture: trained, gone on with, or finished already.
+
+    decoder  the model whose decoder it shares, None: it learns its own
+    """
+    from .trainer import Trainer, run
+
+    name = folder / SEGMENT_MODEL
+    if group.share(name.exists() if group.first else None):
+        return formats.load(name)
+    found = group.first_does(lambda: checkpoint.load(folder))
+    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found, decoder)
 
     def save(last: bool):
         arrays, about = trainer.state()
         try:
-            checkpoint.save(out, arrays, {**about, "elapsed": getattr(reporter, "elapsed", 0.0)})
+            checkpoint.save(folder, arrays, {**about, "elapsed": getattr(reporter, "elapsed", 0.0)})
         except FastGSError as error:
             if last:
                 raise
@@ -113,52 +151,72 @@ def _train(capture, store, settings, out, group, reporter, found, stop) -> dict:
 
     if found is None:
         group.first_does(lambda: save(False))
-    complete = run(trainer, reporter, save, stop, preview_shots(capture))
-    if not complete:
+    if not run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations):
         raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume goes on from there.")
-    return group.first_does(lambda: _finish(trainer, capture, settings, out, reporter)) or {}
+    model = trainer.final_model({})
+    if folder.parent.name == SEGMENTS:
+        group.first_does(lambda: _keep_segment(model, folder, reporter))
+    return model
 
 
-def _trainer(kind, capture, store, settings, group, reporter, found):
+def _keep_segment(model, folder, reporter):
+    """The finished segment's model takes the place of its checkpoint."""
+    checkpoint.write_json(folder / DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
+    formats.save(model, folder / SEGMENT_MODEL)
+    (folder / checkpoint.NAME).unlink(missing_ok=True)
+
+
+def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
     """The trainer at its first step, or where the checkpoint left it; the first process tells the others."""
     about = group.share(found[1] if found else None)
     if about is not None:
-        trainer = kind(capture, store, settings, None, group)
+        trainer = kind(capture, store, settings, None, group, decoder)
         trainer.restore(group.share_arrays(found[0] if found else {}), about)
         return trainer
+    from ..captures.base import Points
+    from .initial import initial_points
     from .model import model_from_points
 
-    points = group.first_does(lambda: _points(capture, store, settings, reporter))
-    arrays = {} if points is None else {"xyz": np.asarray(points.xyz), "rgb": np.asarray(points.rgb)}
-    if points is not None and points.t is not None:
-        arrays["t"] = np.asarray(points.t)
+    points = group.first_does(lambda: initial_points(capture, store, settings, reporter.say))
+    arrays = {} if points is None else {name: np.asarray(getattr(points, name)) for name in ("xyz", "rgb", "t")
+                                        if getattr(points, name) is not None}
     arrays = group.share_arrays(arrays)
-    from ..captures.base import Points
-
     points = Points(arrays["xyz"], arrays["rgb"], arrays.get("t"))
-    return kind(capture, store, settings, model_from_points(points, settings, capture.clip, capture.axes, capture.extent), group)
+    model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
+    return kind(capture, store, settings, model, group, decoder)
 
 
-def _points(capture, store, settings, reporter):
-    from .initial import initial_points
+def _finish(model, capture, store, settings, out, group, reporter) -> dict:
+    from .trainer import measure
 
-    return initial_points(capture, store, settings, reporter.say)
-
-
-def _finish(trainer, capture, settings, out, reporter) -> dict:
-    about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(trainer.iteration),
-             "settings": json.dumps(settings.to_dict(), allow_nan=False)}
-    model = trainer.final_model(about)
     formats.save(model, out / MODEL)
-    report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": trainer.iteration, "extent": capture.extent,
+    report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
               "model_bytes": (out / MODEL).stat().st_size, "seconds": round(getattr(reporter, "elapsed", 0.0), 1),
-              "peak_memory_bytes": peak_memory(), "processes": trainer.group.size, "settings": settings.to_dict()}
+              "peak_memory_bytes": peak_memory(), "processes": group.size, "settings": settings.to_dict()}
     if capture.held_out:
-        whole, part, _ = trainer.measure(capture.held_out)
-        report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": part}
+        whole, foreground, _ = measure(model, capture, store, settings, capture.held_out)
+        report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
     checkpoint.write_json(out / REPORT, report)
-    reporter.status("finished", iteration=trainer.iteration, **{k: v for k, v in report.items() if k.startswith("held_out_psnr")})
+    reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
     return report
+
+
+def segment_folder(out: Path, number: int) -> Path:
+    """Where a segment of a long capture is trained."""
+    return out / SEGMENTS / f"{number:03d}"
+
+
+def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, float]:
+    """Steps and seconds of the run in a folder; raises FastGSError where a checkpoint cannot be used."""
+    done, elapsed = 0, 0.0
+    for folder in [out] if segments == 1 else [segment_folder(out, k) for k in range(segments)]:
+        if (folder / SEGMENT_MODEL).exists():
+            done += iterations
+            with contextlib.suppress(OSError, ValueError, KeyError):
+                elapsed = json.loads((folder / DONE).read_text("utf-8"))["elapsed"]
+        elif (found := checkpoint.load(folder)) is not None:
+            done, elapsed = done + found[1]["iteration"], found[1].get("elapsed", 0.0)
+    return done, elapsed
 
 
 def preview_shots(capture) -> list:

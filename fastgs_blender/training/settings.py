@@ -80,6 +80,10 @@ class Settings:
 
     Resolution
       warm_up         fractions of the run that see pictures at a quarter and at half the size end here
+    Long captures (segments.py)
+      segment_frames  clips with more frames are cut into segments of at most this many, 0: never
+      segment_overlap frames that neighbouring segments share
+
     Bookkeeping (without influence on the result)
       checkpoint_seconds, log_every, preview_every (0: none)
     """
@@ -145,6 +149,9 @@ class Settings:
 
     warm_up: tuple[float, ...] = (0.05, 0.2)
 
+    segment_frames: int = 120
+    segment_overlap: int = 8
+
     checkpoint_seconds: float = 15.0
     log_every: int = 20
     preview_every: int = 500
@@ -174,7 +181,9 @@ LIMITS = (
     ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
-    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1), ("motion_rate", 0, 1),
+    ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
+    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
+    ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""
 

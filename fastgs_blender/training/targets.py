@@ -53,6 +53,9 @@ def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
         weight = 1 + (settings.foreground_weight - 1) * mask
     elif use == "only":
         weight = mask
+    if pixels.valid is not None:
+        inside = smaller(pixels.valid.astype(np.float32), reduction)
+        weight = inside if weight is None else weight * inside
     return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
                   None if weight is None else np.ascontiguousarray(weight, np.float32),
                   background if background is not None and background.any() else None, use in ("off", "weight"))

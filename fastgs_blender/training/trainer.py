@@ -19,7 +19,7 @@ from .distributed import Group
 from .losses import motion_penalty, photometric
 from .model import empty_model
 from .optimiser import Optimiser
-from .targets import target
+from .targets import target, use_of_mask
 
 DECODER = ("w1", "w2")
 
@@ -31,12 +31,15 @@ class Trainer:
     settings        Settings
     model           where to begin: a GaussianModel (model.model_from_points), or None before restore()
     group           the processes that share the views
+    decoder         a model whose decoder is used as it is; None: the decoder is trained
     """
 
-    def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None):
+    def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
+                 decoder: GaussianModel | None = None):
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
         self.iteration = 0
+        self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.shots = capture.training
         if not self.shots:
@@ -47,7 +50,7 @@ class Trainer:
         if model is not None:
             arrays = dict(model.arrays)
             if isinstance(model.appearance, Features):
-                arrays |= {name: getattr(model.appearance, name) for name in DECODER}
+                arrays |= {name: getattr((decoder or model).appearance, name) for name in DECODER}
             self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()})
             self.statistics = Statistics(len(model))
 
@@ -82,6 +85,7 @@ class Trainer:
         self._join(gradients, seen, sums, statistics)
         penalty = self._penalise(tensors, gradients)
         rates = schedule.learning_rates(s, i, self.extent, self.template.basis)
+        rates |= dict.fromkeys(self.fixed, 0.0)
         self.optimiser.step(gradients, np.flatnonzero(seen), rates)
         self.iteration += 1
         if self.strategy.after_step(self.iteration, self.optimiser, self.statistics, rates):
@@ -125,21 +129,9 @@ class Trainer:
         peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
         return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))
 
-    def measure(self, shots) -> tuple[float, float | None, list[tuple[np.ndarray, np.ndarray]]]:
-        """Mean PSNR of shots, that of their foreground where masks show it, and the pictures beside the truth."""
-        from ..evaluation.metrics import psnr
-
-        model = self.model()
-        whole, part, pictures = [], [], []
-        for shot in shots:
-            pixels = self.store.pixels(shot)
-            picture = render_model(model, shot.camera, shot.t, ("rgb",))["rgb"]
-            whole.append(psnr(picture, pixels.rgb))
-            if pixels.mask is not None:
-                part.append(psnr(picture, pixels.rgb, pixels.mask))
-            pictures.append((picture, pixels.rgb))
-        part = [value for value in part if np.isfinite(value)]
-        return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures
+    def measure(self, shots):
+        """measure() of the model as it is now."""
+        return measure(self.model(), self.capture, self.store, self.settings, shots)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict]:
         """Everything that the rest of the run depends on: arrays, and JSON values."""
@@ -162,6 +154,24 @@ class Trainer:
         self.statistics.restore(part("statistics"))
 
 
+def measure(model, capture, store, settings, shots) -> tuple[float, float | None, list[tuple[np.ndarray, np.ndarray]]]:
+    """Mean PSNR of shots, that of their foreground where masks show it, and (picture, truth) of each, over black."""
+    from ..evaluation.metrics import psnr
+
+    whole, part, pictures = [], [], []
+    for shot in shots:
+        pixels = store.pixels(shot)
+        picture = render_model(model, shot.camera, shot.t, ("rgb",))["rgb"]
+        cut = use_of_mask(settings, capture, shot, pixels.mask) == "cut"
+        truth = pixels.rgb * pixels.mask[..., None] if cut else pixels.rgb
+        whole.append(psnr(picture, truth))
+        if pixels.mask is not None:
+            part.append(psnr(picture, truth, pixels.mask))
+        pictures.append((picture, truth))
+    part = [value for value in part if np.isfinite(value)]
+    return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures
+
+
 def fingerprint(capture) -> dict:
     """What tells captures apart: their time line and the number and size of the pictures trained on."""
     first = capture.training[0].camera
@@ -169,24 +179,25 @@ def fingerprint(capture) -> dict:
             "size": f"{first.width} x {first.height}"}
 
 
-def run(trainer: Trainer, reporter, save, stop, preview=()) -> bool:
+def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> bool:
     """Take all steps that are left; returns whether the run is complete.
 
     save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds
     stop()   whether to end early, for example because of Ctrl-C; agreed on by all processes
     preview  held-out shots to look at now and then
+    before   steps of earlier segments, by which the reporter counts on
     """
     s = trainer.settings
     saved = time.monotonic()
     cost = 0.0
     while trainer.iteration < s.iterations:
         values = trainer.step()
-        reporter.step(values)
+        reporter.step({**values, "iteration": before + values["iteration"]})
         i = trainer.iteration
         if preview and trainer.group.first and s.preview_every and (i % s.preview_every == 0 or i == s.iterations):
             whole, part, pictures = trainer.measure(preview)
             measured = {"held_out_psnr": whole} | ({} if part is None else {"held_out_foreground_psnr": part})
-            reporter.preview(i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
+            reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
         stopped = _agreed(trainer.group, stop())
         last = stopped or i == s.iterations
         if trainer.group.first and (last or time.monotonic() - saved > max(s.checkpoint_seconds, 20 * cost)):

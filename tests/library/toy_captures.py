@@ -66,6 +66,12 @@ class MemoryStore:
     def pixels(self, shot):
         return self.pictures[shot.view, shot.frame]
 
+    def missing(self, shots):
+        return []
+
+    def fill(self, progress=None, shots=()):
+        pass
+
 
 def toy_capture(frames: int = 6, views: int = 5, mask: bool = False):
     """(capture, store, points): the first view is held out; points lie near the Gaussians of the truth."""
