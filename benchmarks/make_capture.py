@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A multi-view capture of an animated Blender scene, rendered with Cycles: ground truth from an independent renderer.
+
+    python benchmarks/make_capture.py --scene robot --out captures/robot
+    python benchmarks/make_capture.py --scene procedural --out captures/procedural
+    python benchmarks/make_capture.py --scene my.glb --action Walk --cameras 24 --frames 60 --size 640x480 --out captures/mine
+
+Writes cameras.json, camNN/0001.png ... and masks/camNN/0001.png (white: what moves); cam00 is held out and stands among the others.
+A file without lights gets a floor, surroundings and light.  Pictures that are there already are kept, so a stopped run goes on.
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+
+import capture_scenes as scenes  # noqa: E402
+
+from fastgs_blender import colour  # noqa: E402
+from fastgs_blender.formats.outputs import replacing  # noqa: E402
+
+ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
+PRESETS = {"robot": dict(cameras=18, frames=40, size="480x360", samples=8, angle=42.0, distance=0.9),
+           "procedural": dict(cameras=14, frames=30, size="320x240", samples=8, angle=42.0, distance=0.78)}
+
+
+def main():
+    options = parse()
+    if options.scene == "procedural":
+        scenes.procedural(options.frames)
+    else:
+        scenes.open_file(options.file, options.action)
+    scene = bpy.context.scene
+    first, last = scene.frame_start, scene.frame_end
+    step = 1.0 if options.scene == "procedural" else max((last - first) / options.frames, 1e-3)
+    times = first + step * np.arange(options.frames)
+    moving = scenes.moving_meshes(times)
+    centre, radius, floor = scenes.extent(moving, times)
+    subject = scenes.with_companions(moving)
+    if options.scene == "procedural":
+        floor = 0.0
+    distance = options.distance * radius / np.sin(np.radians(options.angle) / 2)
+    if not any(o.type == 'LIGHT' for o in scene.objects):
+        scenes.stage(centre, radius, floor, 1.7 * distance)
+
+    width, height = (int(x) for x in options.size.split("x"))
+    focal = height / 2 / np.tan(np.radians(options.angle) / 2)
+    eyes = centre + distance * directions(options)
+    poses = {f"cam{k:02}": look_at(eye, centre) for k, eye in enumerate(eyes)}
+    write_description(options, poses, (width, height, focal), scene.render.fps / step)
+    render(options, set_up(scene, width, height, focal, options), poses, times, {o.name for o in subject})
+
+
+def parse():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", default="robot", help="robot, procedural, or a .blend or .glb file")
+    parser.add_argument("--robot", type=Path, default=ROBOT, help="where RobotExpressive.blend lies")
+    parser.add_argument("--action", help="which action the rigs do; for the robot Robot_Dance")
+    parser.add_argument("--cameras", type=int)
+    parser.add_argument("--frames", type=int, help="spread evenly over the animation")
+    parser.add_argument("--size", help="of a picture, as 480x360")
+    parser.add_argument("--samples", type=int, help="of Cycles, for each pixel; denoised")
+    parser.add_argument("--rig", choices=("dome", "arc"), default="dome")
+    parser.add_argument("--angle", type=float, help="vertical angle of view in degrees")
+    parser.add_argument("--distance", type=float, help="of the cameras; 1: the subject's sphere just fits")
+    parser.add_argument("--only-frames", type=int, help="stop after so many pictures (to look at them first); every n-th is taken")
+    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    for name, value in PRESETS.get(options.scene, PRESETS["robot"]).items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
+    options.file = options.robot if options.scene == "robot" else Path(options.scene)
+    options.action = options.action or ("Robot_Dance" if options.scene == "robot" else None)
+    if options.scene != "procedural" and not options.file.is_file():
+        parser.error(f"{options.file} is not there; give a .blend or .glb file, robot or procedural")
+    return options
+
+
+# The rig
+
+
+def directions(options) -> np.ndarray:
+    """Unit vectors [cameras, 3] from the subject to the cameras: z up, the first among the others, in front (-y)."""
+    k = np.arange(options.cameras) + 0.5
+    if options.rig == "arc":
+        azimuth = np.radians(-90 + 110 * (k / options.cameras - 0.5))
+        rise = np.radians(22 + 10 * np.cos(np.pi * (k - 0.5)))
+    else:
+        low, high = np.sin(np.radians((10, 55)))
+        rise = np.arcsin(low + (high - low) * k / options.cameras)
+        azimuth = np.pi * (3 - np.sqrt(5)) * k
+    middle = options.cameras // 2
+    order = [middle, *(i for i in range(options.cameras) if i != middle)]
+    azimuth = (azimuth - (azimuth[middle] + np.pi / 2) * (options.rig == "dome"))[order]
+    rise = rise[order]
+    return np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)], 1)
+
+
+def look_at(eye, target) -> np.ndarray:
+    """World-to-camera [4, 4] in OpenCV axes of a camera that stands upright at eye."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = right, np.cross(forward, right), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ eye
+    return matrix
+
+
+def write_description(options, poses, lens, fps):
+    """cameras.json; and make_capture.json, by which a run that goes on knows that it continues the same capture."""
+    width, height, focal = lens
+    pinhole = dict(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    cameras = [dict(name=name, **pinhole, world_to_camera=matrix.tolist()) for name, matrix in poses.items()]
+    made = {"scene": options.file.name if options.scene != "procedural" else "procedural", "action": options.action,
+            "rig": options.rig, "samples": options.samples, "blender": bpy.app.version_string}
+    files = {"cameras.json": {"format": "fast-gs capture", "version": 1, "fps": fps, "start_frame": 1, "frame_count": options.frames,
+                              "axes": "RFU", "held_out": ["cam00"], "cameras": cameras},
+             "make_capture.json": made}
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        text, path = json.dumps(content, indent=1), options.out / name
+        if path.exists() and path.read_text(encoding="utf-8") != text:
+            raise SystemExit(f"{path} belongs to a capture with other settings; choose another folder or remove this one.")
+        with replacing([path]) as (part,):
+            part.write_text(text, encoding="utf-8")
+
+
+# Pictures
+
+
+def set_up(scene, width, height, focal, options):
+    """Cycles with few samples and a fast denoiser, the same noise in every picture; returns the camera."""
+    scene.render.engine = 'CYCLES'
+    cycles, render = scene.cycles, scene.render
+    cycles.device, cycles.samples, cycles.use_adaptive_sampling = 'CPU', options.samples, False
+    cycles.seed, cycles.use_animated_seed = 0, False
+    cycles.use_denoising, cycles.denoiser, cycles.denoising_prefilter = True, 'OPENIMAGEDENOISE', 'FAST'
+    cycles.max_bounces = 4
+    render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1
+    render.use_border = render.use_motion_blur = render.film_transparent = False
+    render.use_persistent_data, render.use_compositing, render.use_sequencer = True, False, False
+    if options.threads:
+        render.threads_mode, render.threads = 'FIXED', options.threads
+    if hasattr(render.image_settings, "media_type"):
+        render.image_settings.media_type = 'MULTI_LAYER_IMAGE'
+    render.image_settings.file_format, render.image_settings.color_depth = 'OPEN_EXR_MULTILAYER', '32'
+    for layer in scene.view_layers:
+        layer.use_pass_cryptomatte_object, layer.pass_cryptomatte_depth = True, 6
+    camera = bpy.data.objects.new("Capture", bpy.data.cameras.new("Capture"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    camera.data.sensor_fit, camera.data.sensor_width, camera.data.lens_unit = 'HORIZONTAL', 36, 'MILLIMETERS'
+    camera.data.lens, camera.data.clip_start, camera.data.clip_end = 36 * focal / width, 0.01, 1e4
+    return camera
+
+
+def render(options, camera, poses, times, subject):
+    from mathutils import Matrix
+
+    work = [(frame, name) for frame in range(options.frames) for name in poses]
+    if options.only_frames:
+        work = work[:: max(1, len(work) // options.only_frames)]
+    for name in poses:
+        (options.out / name).mkdir(exist_ok=True)
+        (options.out / "masks" / name).mkdir(parents=True, exist_ok=True)
+    bar = tqdm(work, unit="picture", smoothing=0.05)
+    last = None
+    with tempfile.TemporaryDirectory() as folder:
+        bpy.context.scene.render.filepath = str(Path(folder, "picture.exr"))
+        for frame, name in bar:
+            picture = options.out / name / f"{frame + 1:04}.png"
+            mask = options.out / "masks" / name / picture.name
+            if picture.exists() and mask.exists():
+                continue
+            if frame != last:
+                scenes.go_to(times[frame])
+                last = frame
+            camera.matrix_world = Matrix((np.linalg.inv(poses[name]) @ np.diag([1, -1, -1, 1])).tolist())
+            bpy.ops.render.render(write_still=True)
+            save(bpy.context.scene.render.filepath, subject, picture, mask)
+
+
+def save(path, subject, picture, mask):
+    """The denoised image as sRGB (view transform Standard), and how much of each pixel the subject covers."""
+    import OpenEXR
+    from PIL import Image
+
+    with OpenEXR.File(path, separate_channels=True) as file:
+        header = dict(file.header())
+        planes = {name.split(".", 1)[-1]: channel.pixels for k in range(len(file.parts)) for name, channel in file.channels(k).items()}
+    rgb = np.stack([planes[f"Combined.{c}"] for c in "RGB"], -1)
+    hashes = json.loads(next(value for name, value in header.items() if name.startswith("cryptomatte/") and name.endswith("/manifest")))
+    wanted = np.array([int(code, 16) for name, code in hashes.items() if name in subject], np.uint32)
+    cover = np.zeros(rgb.shape[:2], np.float32)
+    for level in range(3):
+        for identity, share in ("rg", "ba"):
+            ids, part = (planes[f"CryptoObject{level:02}.{c}"] for c in (identity, share))
+            cover += np.where(np.isin(ids.view(np.uint32), wanted), part, 0)
+    images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), np.clip(cover, 0, 1)]
+    with replacing([picture, mask]) as parts:
+        for part, image in zip(parts, images):
+            with part.open("wb") as file:
+                Image.fromarray(np.floor(image * 255 + 0.5).astype(np.uint8)).save(file, format="PNG")
+
+
+if __name__ == "__main__":
+    main()
