@@ -91,7 +91,7 @@ def _reshaped(shot, scale, rgb, alpha, mask):
         a = _unit(alpha)
         share = move(a)
         colours = move(_unit(rgb) * a[..., None]) / np.maximum(share, 1e-6)[..., None]
-    colours = _bytes(colours if colours.dtype == np.uint8 or deep or alpha is not None else colours / 255, deep)
+    colours = _bytes(colours / 255 if rgb.dtype == np.uint8 and colours.dtype != np.uint8 and alpha is None else colours, deep)
     if mask is None:
         return np.ascontiguousarray(colours)
     return np.concatenate([colours, _bytes(move(_unit(mask)), deep)[..., None]], -1)
@@ -114,14 +114,22 @@ def shrink(plane: np.ndarray, target: tuple[int, int]) -> np.ndarray:
 
     height, width = plane.shape[:2]
     factor = round(width / target[1]), round(height / target[0])
-    if (target[1] * factor[0], target[0] * factor[1]) == (width, height):
-        resize = lambda picture: picture.reduce(factor)  # noqa: E731
-    else:
-        resize = lambda picture: picture.resize((target[1], target[0]), Image.Resampling.BOX)  # noqa: E731
-        plane = plane.astype(np.float32)  # pillow rounds bytes twice, once for each axis
-    if plane.dtype == np.uint8 or plane.ndim == 2:
-        return np.asarray(resize(Image.fromarray(plane)))
-    return np.stack([np.asarray(resize(Image.fromarray(np.ascontiguousarray(p)))) for p in np.moveaxis(plane, -1, 0)], -1)
+    if plane.dtype == np.uint8 and (target[1] * factor[0], target[0] * factor[1]) == (width, height):
+        return np.asarray(Image.fromarray(plane).reduce(factor))  # the same, many times faster
+    return _narrow(_narrow(plane, target[0], 0), target[1], 1)
+
+
+def _narrow(plane, count, axis):
+    """Means over `count` equal parts of an axis, whose ends may lie within pixels; float32."""
+    length = plane.shape[axis]
+    ends = np.arange(count + 1) * (length / count)
+    first = np.floor(ends[:-1] + 1e-9).astype(int)
+    out = np.zeros([count if i == axis else n for i, n in enumerate(plane.shape)], np.float32)
+    for k in range(int(np.ceil(length / count)) + 1):
+        share = np.clip(np.minimum(first + k + 1, ends[1:]) - np.maximum(first + k, ends[:-1]), 0, None) * (count / length)
+        weights = share.astype(np.float32).reshape([-1 if i == axis else 1 for i in range(plane.ndim)])
+        out += np.take(plane, np.minimum(first + k, length - 1), axis) * weights
+    return out
 
 
 def warp(shot: Shot) -> np.ndarray | None:

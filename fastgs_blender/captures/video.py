@@ -57,7 +57,7 @@ def _index(path: Path, _size: int, _changed: int) -> Index:
     stamps.sort()
     gaps = np.diff(stamps) * float(base)
     fps = 1 / gaps.mean() if len(gaps) else float(rate or 30)
-    if rate and abs(fps - float(rate)) < 0.002 * fps:
+    if rate and abs(gaps.sum() - len(gaps) / float(rate)) <= 2 * float(base) + 0.001 * gaps.sum():  # stamps are rounded
         fps = float(rate)
     constant = not len(gaps) or float(np.abs(gaps - np.median(gaps)).max()) <= max(0.1 / fps, 1.5 * float(base))
     return Index(len(stamps), *size, fps, float(stamps[0] * base), constant, tuple(stamps))
