@@ -54,10 +54,9 @@ def load(path: Path, options: Options) -> Capture:
         if serial not in places:
             lost.append(serial)
             continue
-        pose, lens = _pose(camera, where), _lens(camera, where)
         given = _intrinsics(camera, places[serial], where)
-        pictures, fps = _pictures(places[serial], faults, lens=lens, intrinsics=given)
-        rig.append(RigCamera(serial, pictures, pose))
+        pictures, fps = _pictures(places[serial], faults, lens=_lens(camera, where), intrinsics=given)
+        rig.append(RigCamera(serial, pictures, _pose(camera, where)))
         rates += [fps] if fps else []
     if not rig:
         raise FastGSError(f"{file}: there is no video of any of its cameras ({', '.join(lost[:8])}) beside it; the name of a video must "
