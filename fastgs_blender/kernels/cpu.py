@@ -24,8 +24,8 @@ TILES = 64
 """Tiles in one piece of work."""
 ENTRIES = 48_000_000
 """Tile entries held at once; a picture with more is rasterised in bands."""
-BACKWARD_BYTES = 256 << 20
-"""Bytes of tile entries' gradients held at once; a picture with more goes backward in bands."""
+BACKWARD_BYTES = 24 << 20
+"""Bytes of tile entries' gradients held at once; a picture with more goes backward in bands.  Fresh memory costs more than bands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,15 +232,17 @@ def rasterise_backward(drawn: Drawn, grad_channels, grad_alpha) -> RasterGradien
     sums = np.zeros((rows, width), np.float32)
     ends = np.zeros(listing.counts.shape[1], np.int64)
     kernel = raster_backward.rasteriser_backward(channels, drawn.band)
-    bands = listing.bands(BACKWARD_BYTES // (4 * width))
+    bands = listing.bands(min(BACKWARD_BYTES // (4 * width), ENTRIES))
+    totals = listing.counts.sum(0)
+    entries = np.empty((max(totals[first:last].sum() for first, last in bands), width), np.float32)
     for first, last in bands:
-        again = drawn.lists is None or len(bands) > 1
-        starts, ids = list_tiles(listing.segments, listing.counts, first, last) if again else drawn.lists
-        entries = np.empty((len(ids), width), np.float32)
-        rest = (*listing.frame, starts, ids, drawn.geometry, drawn.shade, drawn.trace, grad_channels, grad_alpha, ends, entries)
+        starts, ids = drawn.lists or list_tiles(listing.segments, listing.counts, first, last)
+        begin, end = starts[first], starts[last]
+        rest = (*listing.frame, starts - begin, ids[begin:end], drawn.geometry, drawn.shade, drawn.trace, grad_channels, grad_alpha,
+                ends, entries)
         run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last))
-        _, cursors = _cursors(listing.counts, first, last)
-        rest = (starts, ends, entries, sums)
+        band_starts, cursors = _cursors(listing.counts, first, last)
+        rest = (band_starts, ends, entries, sums)
         run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(*segment, *span, cursor, *rest),
             zip(listing.segments, cursors))
     result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
