@@ -22,6 +22,13 @@ SCALE = math.sqrt(0.5 * math.log2(math.e))
 
 
 @inline
+def rows_of(view):
+    """The rows of view [5, 3] as numbers: arrays would be read again after every write."""
+    return ((view[0, 0], view[0, 1], view[0, 2]), (view[1, 0], view[1, 1], view[1, 2]), (view[2, 0], view[2, 1], view[2, 2]),
+            (view[3, 0], view[3, 1], view[3, 2]), (view[4, 0], view[4, 1], view[4, 2]))
+
+
+@inline
 def _exp(x):
     """exp in float32 (enough for what comes from float32), as float64."""
     return np.float64(math.exp(np.float32(x)))
@@ -43,9 +50,8 @@ def _temporal_factor(code, t, mu_tau, p, n):
 
 
 @inline
-def _moved3(c, n, basis, delta):
+def _moved3(c, n, index, weights, centred, delta):
     """Sum of the weighted coefficients c[n] [K, 3]: with powers of delta, or of those listed, with their weights."""
-    index, weights, centred = basis
     x, y, z = 0.0, 0.0, 0.0
     if centred:
         for k in range(c.shape[1] - 1, -1, -1):
@@ -58,9 +64,8 @@ def _moved3(c, n, basis, delta):
 
 
 @inline
-def _moved4(c, n, basis, delta):
+def _moved4(c, n, index, weights, centred, delta):
     """The same for c[n] [K, 4]."""
-    index, weights, centred = basis
     a, x, y, z = 0.0, 0.0, 0.0, 0.0
     if centred:
         for k in range(c.shape[1] - 1, -1, -1):
@@ -144,11 +149,11 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
     source     int32: which Gaussian each row is
     """
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
-    t, temporal_code, moving, turning = times
+    t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, _, _, _, _, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
     appearance, degree, channel, weight_channel, depth_channel = look
-    terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), (view[0], view[1], view[2], view[3], view[4])
+    terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut = math.log2(alpha_cut)
     out = first
     for n in range(first, last):
@@ -156,7 +161,7 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         if not (sigma >= alpha_cut):
             continue
         delta = t - np.float64(mu_tau[n])
-        px, py, pz = _moved3(motion, n, moving, delta)
+        px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
@@ -164,7 +169,7 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         if not (z > near and z < np.inf):
             continue
 
-        qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, turning, delta))
+        qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
         axis0, axis1, axis2 = _axes(qw, qx, qy, qz)

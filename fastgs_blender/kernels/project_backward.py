@@ -28,6 +28,7 @@ from .project import (
     _project_axis,
     _quaternion,
     _shear,
+    rows_of,
 )
 from .spherical import sh_colour, sh_slope
 
@@ -79,9 +80,8 @@ def _temporal_slope(code, t, mu_tau, p, n, g, out):
 
 
 @inline
-def _spread3(c, n, basis, delta, gx, gy, gz, out):
+def _spread3(c, n, index, weights, centred, delta, gx, gy, gz, out):
     """From the gradient of project._moved3 to that of c, written to out[n]; returns that of delta."""
-    index, weights, centred = basis
     slope = 0.0
     if centred:
         power = 1.0
@@ -100,9 +100,8 @@ def _spread3(c, n, basis, delta, gx, gy, gz, out):
 
 
 @inline
-def _spread4(c, n, basis, delta, gw, gx, gy, gz, out):
+def _spread4(c, n, index, weights, centred, delta, gw, gx, gy, gz, out):
     """The same of project._moved4."""
-    index, weights, centred = basis
     slope = 0.0
     if centred:
         power = 1.0
@@ -151,23 +150,23 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     g_position, g_rotation, g_scale, g_opacity, g_features, g_motion, g_rotation_motion, g_mu_tau, g_temporal = gradients
     g_geometry, g_log2, g_channels = slopes
-    t, temporal_code, moving, turning = times
+    t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
     blur, _, _, antialiased, orthographic = constants
     appearance, degree, channel, _, depth_channel = look
-    row0, row1, row2, shift, eye = view[0], view[1], view[2], view[3], view[4]
+    row0, row1, row2, shift, eye = rows_of(view)
     terms, colour = np.empty(25), np.empty(3)
     for n in range(first, last):
         if row == end or source[row] != n:
             _clear(n, gradients)
             continue
         delta = t - np.float64(mu_tau[n])
-        px, py, pz = _moved3(motion, n, moving, delta)
+        px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        q = _quaternion(rotation, n, _moved4(rotation_motion, n, turning, delta))
+        q = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
         _, _, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         axes = _axes(q[0], q[1], q[2], q[3])
         u0, v0 = _project_axis(axes[0], row0, row1, row2, a02, a12)
@@ -256,9 +255,25 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
 
         # time
         g_position[n, 0], g_position[n, 1], g_position[n, 2] = gx, gy, gz
-        g_delta += _spread3(motion, n, moving, delta, gx, gy, gz, g_motion)
+        g_delta += _spread3(motion, n, m_index, m_weights, m_centred, delta, gx, gy, gz, g_motion)
         qw, qx, qy, qz = _quaternion_slope(q, axis0, axis1, axis2)
         g_rotation[n, 0], g_rotation[n, 1], g_rotation[n, 2], g_rotation[n, 3] = qw, qx, qy, qz
-        g_delta += _spread4(rotation_motion, n, turning, delta, qw, qx, qy, qz, g_rotation_motion)
+        g_delta += _spread4(rotation_motion, n, r_index, r_weights, r_centred, delta, qw, qx, qy, qz, g_rotation_motion)
         g_mu_tau[n] = g_mu if detach_time else g_mu - g_delta
         row += 1
+
+
+@kernel
+def observe(first, last, source, g_geometry, g_absolute, shade, size, gradient, absolute, seen, radius):
+    """Add the rows first..last of one view to the statistics of training (training/statistics.py), one number per Gaussian each.
+
+    size: of the whole image, in pixels.
+    """
+    half_x, half_y = 0.5 * size[0], 0.5 * size[1]
+    longest = np.float64(max(size[0], size[1]))
+    for row in range(first, last):
+        n = source[row]
+        gradient[n] += math.hypot(g_geometry[row, raster.MEAN_X] * half_x, g_geometry[row, raster.MEAN_Y] * half_y)
+        absolute[n] += math.hypot(g_absolute[row, 0] * half_x, g_absolute[row, 1] * half_y)
+        seen[n] += float32(1.0)
+        radius[n] = max(radius[n], float32(max(shade[row, raster.RADIUS_X], shade[row, raster.RADIUS_Y]) / longest))

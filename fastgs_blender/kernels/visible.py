@@ -16,7 +16,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
 
     offset     added to the indices that are written
     arrays     position, scale, opacity, motion, mu_tau, temporal of the model
-    times      (t, temporal code, (index, weights, centred) of the motion)
+    times      (t, temporal code, (terms, weights, centred) of the motion)
     view       [4, 3] float64: rows 0-2 model to camera, row 3 its translation
     lens       (fx, fy, cx, cy, near, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
@@ -26,7 +26,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
     Returns the number of rows written.
     """
     position, scale, opacity, motion, mu_tau, temporal = arrays
-    t, temporal_code, moving = times
+    t, temporal_code, (terms, weights, centred) = times
     fx, fy, cx, cy, near, right, bottom, spread_x, spread_y = lens
     blur, cut, orthographic = constants
     limit, ranks = rank
@@ -38,7 +38,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
         sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= cut):
             continue
-        px, py, pz = _moved3(motion, n, moving, t - np.float64(mu_tau[n]))
+        px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z < np.inf):

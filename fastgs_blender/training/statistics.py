@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import raster
+from ..kernels.project_backward import observe
+from ..kernels.threads import run
 
 
 class Statistics:
@@ -21,13 +22,9 @@ class Statistics:
 
     def observe(self, cloud, gradients, camera) -> None:
         """Add one view: a kernels.cpu.Cloud of one part and its RasterGradients."""
-        rows, half = cloud.index, np.array([camera.width, camera.height], np.float32) / 2
-        who = cloud.source[rows]
-        self.gradient[who] += _length(gradients.geometry[rows, :2] * half)
-        self.absolute[who] += _length(gradients.absolute[rows] * half)
-        self.seen[who] += 1
-        radius = cloud.shade[rows, raster.RADIUS_X:raster.RADIUS_Y + 1].max(1) / max(camera.width, camera.height)
-        self.radius[who] = np.maximum(self.radius[who], radius)
+        rest = (cloud.source, gradients.geometry, gradients.absolute, cloud.shade, (camera.width, camera.height),
+                self.gradient, self.absolute, self.seen, self.radius)
+        run(lambda first, count: observe(first, first + count, *rest), cloud.runs[0])
 
     def add(self, other: Statistics) -> None:
         """Add what was seen in other views."""
@@ -49,7 +46,3 @@ class Statistics:
         """Continue from what state() gave."""
         for name in self.state():
             setattr(self, name, np.array(arrays[name], np.float32))
-
-
-def _length(pairs):
-    return np.hypot(pairs[:, 0], pairs[:, 1]).astype(np.float32)
