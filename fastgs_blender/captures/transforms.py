@@ -97,7 +97,8 @@ def _read(file: Path, split: str) -> list[Picture]:
     values = poses.table(poses.read_json(file), f"{file}: it")
     if "frames" not in values:
         raise FastGSError(f"{file}: it lacks frames, the list of its pictures.")
-    splits = {str(name): part for part in SPLITS for name in values.get(f"{part}_filenames") or ()}
+    splits = {str(name): part for part in SPLITS
+              for name in poses.listed(values.get(f"{part}_filenames") or [], f"{file}: its {part}_filenames", 0)}
     sizes: dict[Path, Intrinsics] = {}
     pictures = []
     for i, frame in enumerate(poses.listed(values["frames"], f"{file}: its frames")):
@@ -169,7 +170,7 @@ def _focal(given, key, side, where):
 
 def _lens(given: dict, where: str) -> Lens:
     stated = given.get("camera_model", "OPENCV_FISHEYE" if given.get("is_fisheye") else "OPENCV")
-    if stated not in LENSES:
+    if not isinstance(stated, str) or stated not in LENSES:
         raise FastGSError(f"{where} has the camera_model {stated!r}; only {', '.join(LENSES)} are known, so undistort the pictures first.")
     model = LENSES[stated]
     names = COEFFICIENTS[model]
