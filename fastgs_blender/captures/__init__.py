@@ -17,7 +17,7 @@ from .base import Capture, Options, Points, Shot
 
 LAYOUTS = ("own", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
 """Modules of this package, asked in this order."""
-__all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layouts", "open_capture"]
+__all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layouts", "open_capture", "recognised"]
 
 
 def layouts() -> list[ModuleType]:
@@ -28,20 +28,27 @@ def layouts() -> list[ModuleType]:
 def identify(path, layout: str | None = None) -> ModuleType:
     """The layout of a capture, or the one of that name (its module's or the one users know); raises FastGSError."""
     path = _existing(path)
-    known = layouts()
     if layout is not None:
-        for module in known:
+        for module in layouts():
             if layout in {module.name, module.__name__.rpartition(".")[2]}:
                 return module
         raise FastGSError(f"there is no layout {layout!r}; there are {', '.join(LAYOUTS)}.")
-    for module in known:
+    found = recognised(path)
+    if found is not None:
+        return found
+    raise FastGSError(f"{path}: this is no capture; give a folder with one folder of pictures or one video per camera, or a data set as "
+                      "docs/captures.md lists them.")
+
+
+def recognised(path: Path) -> ModuleType | None:
+    """The first layout that recognises a path that exists; None where none does."""
+    for module in layouts():
         try:
             if module.recognises(path):
                 return module
         except OSError:
             continue
-    raise FastGSError(f"{path}: this is no capture; give a folder with one folder of pictures or one video per camera, or a data set as "
-                      "docs/captures.md lists them.")
+    return None
 
 
 def open_capture(path, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,

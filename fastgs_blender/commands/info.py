@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""what a model file holds
+"""what a model file or a capture holds
 
-Prints the format, the number of Gaussians, how they move, fade and look, the clip, the rasteriser constants, the axes and the
-bounds.  --json gives the same for scripts.
+Of a model: the format, the number of Gaussians, how they move, fade and look, the clip, the rasteriser constants, the axes and the
+bounds.  Of a capture (a folder, or a file such as transforms.json): the layout, cameras, frames, what is held out, masks, points, and
+everything that is wrong with its files.  --json gives the same for scripts.
 """
 from __future__ import annotations
 
@@ -12,18 +13,38 @@ from pathlib import Path
 from .shared import human_bytes, print_json
 
 CHUNK = 65_536
+CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
 
 
 def add_arguments(parser):
-    parser.add_argument("file", metavar="FILE", help="the model")
+    parser.add_argument("file", metavar="FILE", help="the model, or the capture's folder or file")
+    parser.add_argument("--layout", metavar="NAME", help="a capture's layout, where it is not recognised")
 
 
 def run(args):
-    facts = describe(args.file)
+    if args.layout is not None or is_capture(args.file):
+        from ..captures import describe as captured
+        from ..captures import open_capture
+
+        facts, to_text = captured.describe(open_capture(args.file, layout=args.layout)), captured.text
+    else:
+        facts, to_text = describe(args.file), text
     if args.json:
         print_json(facts)
     else:
-        print(text(facts))
+        print(to_text(facts))
+
+
+def is_capture(path) -> bool:
+    """Whether a path is to be read as a capture: any folder, and files that a layout of captures knows."""
+    path = Path(path)
+    if path.is_dir():
+        return True
+    if path.suffix.lower() not in CAPTURE_FILES or not path.is_file():
+        return False
+    from ..captures import recognised
+
+    return recognised(path) is not None
 
 
 def describe(path) -> dict:
