@@ -68,3 +68,31 @@ def _shift_unit(fit: str, width: int, height: int, aspect_x: float, aspect_y: fl
     tall = height * aspect_y / aspect_x
     horizontal = fit == 'HORIZONTAL' or (fit == 'AUTO' and width >= tall)
     return width if horizontal else tall
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What Blender's camera and render settings must hold to project as a library camera does; sensor_fit is 'HORIZONTAL'."""
+
+    lens: float
+    sensor_width: float
+    shift_x: float
+    shift_y: float
+    pixel_aspect_x: float
+    pixel_aspect_y: float
+
+
+def optics_of(camera: fg.Camera, sensor_width: float = 36.0) -> Optics:
+    """The inverse of camera_of(): the numbers in Blender's panels for a perspective camera, at the camera's own picture size."""
+    lens = camera.fx / camera.width * sensor_width
+    if lens < 1:  # the shortest that Blender takes
+        lens, sensor_width = 1.0, camera.width / camera.fx
+    tall = camera.fx / camera.fy  # height of a pixel in widths of a pixel
+    return Optics(
+        lens, sensor_width, (camera.width / 2 - camera.cx) / camera.width, (camera.cy - camera.height / 2) * tall / camera.width,
+        pixel_aspect_x=max(1 / tall, 1.0), pixel_aspect_y=max(tall, 1.0))
+
+
+def pose_of(camera: fg.Camera) -> np.ndarray:
+    """Camera-to-world [4, 4] of a library camera in Blender's camera axes: what a Blender camera's matrix must be."""
+    return np.linalg.inv(camera.world_to_camera) @ OPENCV

@@ -6,6 +6,13 @@ import bpy
 def draw_import(self, context):
     """File > Import."""
     self.layout.operator("import_scene.fastgs", text="4D Gaussians (.safetensors/.ply/.splatv)")
+    self.layout.operator("fastgs.import_capture", text="Capture Cameras")
+    self.layout.operator("fastgs.import_camera_path", text="Camera Path (.json/.ssproj/COLMAP)")
+
+
+def draw_export(self, context):
+    """File > Export."""
+    self.layout.operator("fastgs.export_camera_path", text="Camera Path (.json/COLMAP)")
 
 
 def draw_bake(self, context):
@@ -16,6 +23,7 @@ def draw_bake(self, context):
 
 MENUS = (
     (bpy.types.TOPBAR_MT_file_import, draw_import),
+    (bpy.types.TOPBAR_MT_file_export, draw_export),
     (bpy.types.VIEW3D_MT_object, draw_bake),
 )
 

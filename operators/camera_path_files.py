@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera paths of other programs: into keyframes, and from any animated camera into a file."""
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..engine import camera as cameras
+from ..fastgs_blender.camera_paths import FORMATS, CameraPath, Picture, format_named, load_path, save_path
+from ..fastgs_blender.errors import FastGSError
+from . import camera_space
+from .capture_cameras import animate, set_optics, set_pose, use_render_size
+from .fit_scene import frame_rate
+from .splat_object import sentence
+
+AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
+"""Of the formats that do not live in COLMAP's axes."""
+FORMAT_ITEMS = tuple((module.name.upper().replace("-", "_").replace(".", "_"), module.label, "", i) for i, module in enumerate(FORMATS))
+NAMES = {item[0]: module.name for item, module in zip(FORMAT_ITEMS, FORMATS)}
+
+
+def picture_of(scene) -> Picture:
+    """What the scene gives to files that state no size or frame rate."""
+    frame = cameras.frame_of(scene.render)
+    return Picture(frame.width, frame.height, scene.render.fps / scene.render.fps_base)
+
+
+def _reported(operator, work):
+    """What work() gives; what gets lost on the way is reported."""
+    with warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always")
+        result = work()
+    for text in dict.fromkeys(str(remark.message) for remark in remarks):
+        operator.report({'WARNING'}, sentence(text))
+    return result
+
+
+class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
+    """Import a camera path as an animated camera: ours, Nerfstudio, instant-ngp, SuperSplat, cameras.json or COLMAP"""
+
+    bl_idname = "fastgs.import_camera_path"
+    bl_label = "Import Camera Path"
+    bl_options = {'REGISTER', 'UNDO', 'PRESET'}
+
+    filter_glob: StringProperty(default="*.json;*.ssproj;*.txt;*.bin", options={'HIDDEN'})
+    directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
+
+    space: EnumProperty(name="Place", description="Where the path's world lies in the scene", items=camera_space.ITEMS, default='AUTO')
+    keys: EnumProperty(
+        name="Keyframes", description="Which frames get a key",
+        items=(
+            ('FRAMES', "Every Frame", "Exactly the path that the other program plays", 0),
+            ('KEYS', "The File's Own", "Fewer keys, easier to edit; Blender's curves run between them", 1),
+        ), default='FRAMES')
+    new_camera: BoolProperty(name="New Camera", description="Make a new camera, or else animate the scene's", default=True)
+    keep_speed: BoolProperty(
+        name="Keep Speed", description="Stretch the path where its frame rate differs from the scene's; else one frame is one frame",
+        default=False)
+    set_scene: BoolProperty(
+        name="Set Scene", description="Give the scene the path's length, frame rate and picture size", default=False)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for name in ("space", "keys", "new_camera", "keep_speed", "set_scene"):
+            layout.prop(self, name)
+
+    def execute(self, context):
+        file = bpy.path.abspath(self.filepath or self.directory)
+        scene = context.scene
+        try:
+            if not file:
+                raise FastGSError("no file was chosen; choose a camera path.")
+            path = _reported(self, lambda: load_path(file, picture_of(scene)))
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        if context.mode != 'OBJECT':
+            bpy.ops.object.mode_set(mode='OBJECT')
+        if self.set_scene and path.fps:
+            scene.render.fps, scene.render.fps_base = frame_rate(path.fps)
+        numbers, shown = self._keys(path)
+        rate = scene.render.fps / scene.render.fps_base
+        frames = scene.frame_start + numbers * (rate / path.fps if self.keep_speed and path.fps else 1.0)
+        splat = camera_space.splat_of(context, self.space)
+        try:
+            shown = [camera_space.out_of(camera, camera_space.world_matrix(splat, path.axes)) for camera in shown]
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        obj = self._camera(context, Path(file).stem)
+        obj.animation_data_clear()
+        obj.data.animation_data_clear()
+        if obj.parent:
+            obj.parent = None
+            self.report({'WARNING'}, f'"{obj.name}" is no longer parented: the path says where it is.')
+        set_optics(obj.data, shown[0])
+        set_pose(obj, shown[0])
+        animate(obj, shown, frames)
+        scene.camera = obj
+        if self.set_scene:
+            scene.frame_end = max(scene.frame_start, round(frames[-1]))
+            use_render_size(scene, obj)
+        self._tell_aspect(scene, shown[0])
+        scene.frame_set(scene.frame_current)
+        self.report({'INFO'}, f"Imported {len(shown)} keys, {len(path)} frames")
+        return {'FINISHED'}
+
+    def _keys(self, path):
+        if self.keys == 'KEYS' and path.keys:
+            return np.array([number for number, _ in path.keys], np.float64), [camera for _, camera in path.keys]
+        return np.arange(len(path), dtype=np.float64), list(path.cameras)
+
+    def _camera(self, context, name):
+        scene = context.scene
+        if not self.new_camera and scene.camera and scene.camera.type == 'CAMERA':
+            return scene.camera
+        obj = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        scene.collection.objects.link(obj)
+        return obj
+
+    def _tell_aspect(self, scene, camera):
+        frame, render = cameras.frame_of(scene.render), scene.render
+        here = frame.width * render.pixel_aspect_x / (frame.height * render.pixel_aspect_y)
+        there = camera.width / camera.fx * camera.fy / camera.height
+        if abs(here / there - 1) > 1e-3:
+            self.report({'WARNING'}, f"The path was made for pictures of {camera.width} x {camera.height}; the scene's have another shape, "
+                                     "so less or more is seen above and below (Render as Filmed sets that size).")
+
+
+class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
+    """Export the animated camera, frame by frame, for other programs"""
+
+    bl_idname = "fastgs.export_camera_path"
+    bl_label = "Export Camera Path"
+    bl_options = {'PRESET'}
+
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json", options={'HIDDEN'})
+    format: EnumProperty(name="Format", description="The program that is to read the path", items=FORMAT_ITEMS, default='OWN')
+    space: EnumProperty(name="World", description="The world to write the cameras in", items=camera_space.ITEMS, default='AUTO')
+    use_range: BoolProperty(name="Own Range", description="Other frames than the scene's", default=False)
+    frame_start: IntProperty(name="First Frame", default=1)
+    frame_end: IntProperty(name="Last Frame", default=100)
+
+    @classmethod
+    def poll(cls, context):
+        return _source(context) is not None
+
+    def check(self, context):
+        if NAMES[self.format] == "colmap":  # a folder
+            return False
+        return super().check(context)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for name in ("format", "space", "use_range"):
+            layout.prop(self, name)
+        if self.use_range:
+            layout.prop(self, "frame_start")
+            layout.prop(self, "frame_end")
+
+    def execute(self, context):
+        scene, name = context.scene, NAMES[self.format]
+        first, last = (self.frame_start, self.frame_end) if self.use_range else (scene.frame_start, scene.frame_end)
+        file = bpy.path.abspath(self.filepath)
+        try:
+            if not file:
+                raise FastGSError("no file was chosen; give the camera path a name.")
+            if last < first:
+                raise FastGSError("the last frame must not come before the first.")
+            splat = camera_space.splat_of(context, self.space)
+            axes = camera_space.axes_of(splat, AXES.get(name, "RDF"))
+            shots = self._shots(context, splat, axes, range(first, last + 1))
+            path = CameraPath(shots, scene.render.fps / scene.render.fps_base, first, axes)
+            _reported(self, lambda: save_path(path, file, name))
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        self.report({'INFO'}, f"Exported {len(path)} frames to {file} ({format_named(name).label})")
+        return {'FINISHED'}
+
+    def _shots(self, context, splat, axes, frames):
+        scene, obj = context.scene, _source(context)
+        now, sub = scene.frame_current, scene.frame_subframe
+        frame, shots = cameras.frame_of(scene.render), []
+        try:
+            for number in frames:
+                scene.frame_set(number)
+                depsgraph = context.evaluated_depsgraph_get()
+                evaluated = obj.evaluated_get(depsgraph)
+                world = camera_space.world_matrix(splat.evaluated_get(depsgraph) if splat else None, axes)
+                shots.append(camera_space.into(cameras.camera_of(evaluated, frame, depsgraph), world))
+        finally:
+            scene.frame_set(now, subframe=sub)
+        return shots
+
+
+def _source(context):
+    """The camera to export: the active one, else the scene's."""
+    for obj in (context.object, context.scene.camera):
+        if obj is not None and obj.type == 'CAMERA':
+            return obj
+    return None
+
+
+CLASSES = (FASTGS_OT_import_camera_path, FASTGS_OT_export_camera_path)
