@@ -247,7 +247,7 @@ def rasterise_backward(drawn: Drawn, grad_channels, grad_alpha) -> RasterGradien
             zip(listing.segments, cursors))
     result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
                              np.zeros((rows, 2), np.float32))
-    rest = (drawn.order, drawn.geometry, sums, result.geometry, result.log2_opacity, result.channels, result.absolute)
+    rest = (np.sort(drawn.order), drawn.geometry, sums, result.geometry, result.log2_opacity, result.channels, result.absolute)
     run(lambda a, b: raster_backward.finish(a, b, *rest), ranges(len(drawn.order), CHUNK))
     return result
 

@@ -85,32 +85,33 @@ def gather_splat(context, state, box, place, line, slopes, shade, splat, band, r
                 free = exponent.exp2()
                 clamped = free.min(highest)
                 drawn = b.and_(exponent >= cut, state.floats(pixel, LAST * PIXELS) >= place)
-                alpha = slope = clamped.where(drawn, 0.0)
-                if smooth.literal_value:
-                    factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[7]))
-                    alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
-                left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
-                state.store(pixel, LEFT * PIXELS, left)
-                gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
-                dot = gradient[count]
-                for g, c in zip(gradient, colour):
-                    dot = dot + g * c
-                behind = state.floats(pixel, BEHIND * PIXELS)
-                more = dot - behind
-                state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
-                weight = alpha * left
-                for c in range(count):
-                    sums[CHANNEL + c].add(weight * gradient[c])
-                e = (slope * left * more).where(free < highest, 0.0)
-                eu, ey = e * u, e * dy
-                sums[E].add(e)
-                sums[EU].add(eu)
-                sums[EU_X].add(eu * dx)
-                sums[EU_Y].add(eu * dy)
-                sums[E_Y].add(ey)
-                sums[E_YY].add(ey * dy)
-                sums[ABS_X].add(eu.magnitude())
-                sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude())
+                with b.if_then(simd.any_of(b, drawn)):
+                    alpha = slope = clamped.where(drawn, 0.0)
+                    if smooth.literal_value:
+                        factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[7]))
+                        alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
+                    left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
+                    state.store(pixel, LEFT * PIXELS, left)
+                    gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
+                    dot = gradient[count]
+                    for g, c in zip(gradient, colour):
+                        dot = dot + g * c
+                    behind = state.floats(pixel, BEHIND * PIXELS)
+                    more = dot - behind
+                    state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
+                    weight = alpha * left
+                    for c in range(count):
+                        sums[CHANNEL + c].add(weight * gradient[c])
+                    e = (slope * left * more).where(free < highest, 0.0)
+                    eu, ey = e * u, e * dy
+                    sums[E].add(e)
+                    sums[EU].add(eu)
+                    sums[EU_X].add(eu * dx)
+                    sums[EU_Y].add(eu * dy)
+                    sums[E_Y].add(ey)
+                    sums[E_YY].add(ey * dy)
+                    sums[ABS_X].add(eu.magnitude())
+                    sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude())
         begin, width = b.mul(args[9], whole(columns(count))), columns(count)
         values = [s.value() for s in sums] + [simd.constant(b, 0.0)] * (width - len(sums))
         for i in range(0, width, simd.LANES):

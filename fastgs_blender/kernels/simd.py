@@ -95,6 +95,12 @@ def ramp(builder) -> Floats:
     return Floats(builder, ir.Constant(FLOATS, [float(i) for i in range(LANES)]))
 
 
+def any_of(builder, mask):
+    """Whether the mask holds in any lane."""
+    bits = ir.IntType(LANES)
+    return builder.icmp_unsigned("!=", builder.bitcast(mask, bits), bits(0))
+
+
 def broadcast(builder, scalar) -> Floats:
     """A float32 of the running program in every lane."""
     one = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
