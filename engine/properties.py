@@ -81,6 +81,10 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     """A camera that comes from a capture."""
 
     view: StringProperty(name="View", description="The capture's name for this camera; empty for cameras of one's own")
+    width: IntProperty(name="Width", description="Width of the pictures that it filmed, in pixels; 0 if unknown", min=0)
+    height: IntProperty(name="Height", description="Height of the pictures that it filmed, in pixels", min=0)
+    pixel_aspect_x: FloatProperty(name="Pixel Width", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
+    pixel_aspect_y: FloatProperty(name="Pixel Height", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
 
 
 CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
