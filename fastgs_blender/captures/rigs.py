@@ -50,8 +50,8 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
     count = settings.pop("frame_count", None) or max((len(camera.pictures) for camera in cameras), default=0)
     chosen = _chosen(count, options.frames, path)
     entries, gaps = [], []
-    for frame in chosen:
-        for camera in cameras:
+    for camera in cameras:
+        for frame in chosen:
             image = camera.pictures[frame] if frame < len(camera.pictures) else None
             if image is None:
                 gaps.append((camera.name, frame))
