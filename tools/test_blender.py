@@ -30,12 +30,12 @@ def roots(suites: list[str]) -> dict[str, str]:
 
 
 def zips() -> dict[str, str]:
-    """The zip that users get, and one for a platform that numba does not know."""
+    """The zip that users get, and a repository with one for a platform that numba does not know."""
     bundled = wheels.download("linux-x64", ROOT / "build" / "wheels" / "linux-x64")
     full = build_extension.build("linux-x64", bundled, OUTPUT / "zips")
-    build_extension.index([full], full.parent)
     light = build_extension.build("linux-x64", [w for w in bundled if w.name.startswith("safetensors")], OUTPUT / "zips" / "without-numba")
-    return {"FASTGS_ZIP": str(full), "FASTGS_ZIP_WITHOUT_NUMBA": str(light)}
+    build_extension.index([light], light.parent)
+    return {"FASTGS_ZIP": str(full), "FASTGS_REPOSITORY_WITHOUT_NUMBA": str(light.parent)}
 
 
 def main() -> int:

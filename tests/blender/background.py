@@ -20,13 +20,14 @@ def environment():
     import numpy as np
 
     places = {}
-    for name in ("numba", "safetensors"):
+    for name in ("numba", "safetensors", "OpenEXR"):
         try:
             places[name] = __import__(name).__file__
         except ImportError:
             places[name] = None
     versions = {"version": list(bpy.app.version), "python": sys.version.split()[0], "numpy": np.__version__}
-    return {**versions, "places": places, "enabled": ADDON in bpy.context.preferences.addons,
+    enabled = any(name.endswith(".fastgs_blender") for name, _ in bpy.context.preferences.addons.items())
+    return {**versions, "places": places, "enabled": enabled,
             "engine": bpy.types.RenderEngine.bl_rna_get_subclass_py("FASTGS") is not None}
 
 

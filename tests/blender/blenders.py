@@ -38,8 +38,8 @@ class User:
         shutil.copytree(self.folder / self.home, self.folder / home, symlinks=True)
         return User(self.root, self.folder, home)
 
-    def run(self, *command, limit=120, expect=0) -> str:
-        """Run a command in the root and return what it printed."""
+    def run(self, *command, limit=300, expect=0) -> str:
+        """Run a command in the root and return what it printed.  Limits are for what hangs, not for machines that are slow."""
         number = next(_numbers)
         log = self.folder / f"log-{number:03}-{Path(command[0]).name}.txt"
         (self.folder / self.home).mkdir(exist_ok=True)
@@ -62,7 +62,14 @@ class User:
         shutil.copy(file, self.folder)
         return self.blender("--command", "extension", "install-file", "-r", "user_default", "-e", file.name)
 
-    def story(self, name: str, *arguments, window=False, limit=200, complaints=(), **facts):
+    def install_from(self, repository: Path) -> str:
+        """Add an extension repository, a folder with zips and their index, and install the extension from it."""
+        folder = self.folder / f"repository-{self.home}"
+        shutil.copytree(repository, folder)
+        self.blender("--command", "extension", "repo-add", "--url", f"file:///mnt/{folder.name}/index.json", "--name", "Ours", "ours")
+        return self.blender("--online-mode", "--command", "extension", "install", "--sync", "-e", "ours.fastgs_blender")
+
+    def story(self, name: str, *arguments, window=False, limit=600, complaints=(), **facts):
         """Run a story of the modules beside this file (see inside.py).
 
         arguments   further ones for Blender, such as a .blend file

@@ -20,6 +20,11 @@ OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
 """Where logs, files and screenshots stay."""
 
 
+def pytest_addoption(parser):
+    parser.addoption("--monkey-minutes", type=float, default=0.5, help="how long the monkey does anything in any order")
+    parser.addoption("--monkey-seed", type=int, default=1, help="another seed, other things in another order")
+
+
 @pytest.fixture(scope="session")
 def newcomer() -> User:
     """Somebody who has just installed Blender."""

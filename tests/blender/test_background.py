@@ -74,10 +74,12 @@ def test_a_saved_file_knows_its_model(rendered, user, model):
 
 
 def test_without_numba_the_picture_is_the_same(newcomer, model, reference):
-    """A platform without numba: NumPy renders, slowly, and the log says so."""
+    """A platform without numba, installed from a repository: NumPy renders, slowly, and the log says so."""
     plain = User(newcomer.root, newcomer.folder, "home-plain")
-    plain.install(Path(os.environ["FASTGS_ZIP_WITHOUT_NUMBA"]))
-    assert plain.story("background.environment")["places"]["numba"] is None
+    plain.install_from(Path(os.environ["FASTGS_REPOSITORY_WITHOUT_NUMBA"]))
+    facts = plain.story("background.environment")
+    assert facts["enabled"]
+    assert facts["places"]["numba"] is None
     facts = plain.story("background.picture", model=model[1], output="plain.png", width=80, height=60, frame=11)
     log = max(newcomer.folder.glob("log-*-blender.txt")).read_text()
     assert "numba is not installed" in log

@@ -60,39 +60,70 @@ def test_panels_draw(user, model):
         assert labels
 
 
-@pytest.fixture(scope="module")
-def viewports(user, model):
-    """Screenshots of the 3D view through the camera, one pixel for each of the picture's."""
+@pytest.fixture
+def crops(user, reference, model):
+    """crops(facts): a function of a screenshot's name, the camera's picture in it, one pixel for each of the picture's.
+
+    `facts` are of the story's through_camera; its first screenshot tells where the picture is.
+    """
+    def crops(facts):
+        wanted = black_behind(reference(model[0], facts["camera"], facts["frame"] - facts["start"]))
+        height, width = wanted.shape[:2]
+        assert np.allclose(facts["box"][2:], (width, height), atol=0.01)
+        # Blender's outline of the picture lies on its edge, and the outline's corner is drawn to a pixel
+        quality, (x, y) = found_in(wanted[INNER], read_png(user.folder / "anchor.png")[..., :3])
+        assert quality > 40
+        assert np.abs(np.array([x, y]) - EDGE - facts["box"][:2]).max() <= 1.01
+        return lambda name: read_png(user.folder / f"{name}.png")[y:y + height - 2 * EDGE, x:x + width - 2 * EDGE, :3]
+
+    return crops
+
+
+@pytest.fixture
+def library(model, reference):
+    """library(facts, frame): what the library draws of that frame, cut as crops are, RGBA premultiplied."""
+    return lambda facts, frame: reference(model[0], facts["camera"], frame - facts["start"])[INNER]
+
+
+def test_rendered_and_solid_shading(user, model, crops, library):
+    """Rendered shading is F12's picture.  Solid shows splats among meshes: with the model's colours where they are opaque, and
+    nothing of what a mesh hides."""
     facts = user.story("window.viewports", window=True, model=model[1])
-    final = read_png(user.folder / "rendered-f12.png")[..., :3]
-    height, width = final.shape[:2]
-    assert np.allclose(facts["box"][2:], (width, height), atol=0.01)
-    # Blender's outline of the picture lies on its edge, and the outline's corner is drawn to a pixel
-    _, (x, y) = found_in(final[INNER], read_png(user.folder / "rendered-12.png")[..., :3])
-    assert np.abs(np.array([x, y]) - EDGE - facts["box"][:2]).max() <= 1.01
-
-    def crop(name):
-        return read_png(user.folder / f"{name}.png")[y:y + height - 2 * EDGE, x:x + width - 2 * EDGE, :3]
-
-    return facts, crop, final[INNER]
-
-
-def test_rendered_shading_is_what_f12_shows(viewports, model, reference):
-    facts, crop, final = viewports
-    wanted = black_behind(reference(model[0], facts["camera"], 25 - facts["start"]))[INNER]
-    print("Rendered against F12:", psnr(crop("rendered-12"), final), "and the library:", psnr(crop("rendered-25"), wanted), "dB")
-    assert psnr(crop("rendered-12"), final) >= 40
-    assert psnr(crop("rendered-25"), wanted) >= 40
+    crop, final = crops(facts), read_png(user.folder / "rendered-f12.png")[..., :3][INNER]
+    wanted = library(facts, 25)
+    print("Rendered against F12:", psnr(crop("anchor"), final), "and the library:", psnr(crop("rendered-25"), black_behind(wanted)), "dB")
+    assert psnr(crop("anchor"), final) >= 40
+    assert psnr(crop("rendered-25"), black_behind(wanted)) >= 40
     assert psnr(crop("rendered-25"), final) < 30  # the frame was another
 
-
-def test_solid_shading_shows_splats_among_meshes(viewports, model, reference):
-    """Where splats are opaque they have the model's colours; what a mesh hides of them is hidden."""
-    facts, crop, _ = viewports
-    wanted = reference(model[0], facts["camera"], 25 - facts["start"])[INNER]
     opaque = wanted[..., 3] > 0.99
     assert np.abs(crop("solid-25") - wanted[..., :3])[opaque].mean() < 0.02
     walled = crop("solid-wall")
     column = np.broadcast_to(np.arange(opaque.shape[1]) - opaque.shape[1] / 2, opaque.shape)
     assert np.abs(walled - wanted[..., :3])[opaque & (column > 5)].mean() < 0.02
     assert np.ptp(walled[column < -5].reshape(-1, 3), axis=0).max() < 0.1
+
+
+def test_playback(user, model, crops, library):
+    """Frame after frame is drawn; in between and at the end there is one of the clip's, and little is sent to the GPU."""
+    facts = user.story("window.playing", window=True, model=model[1])
+    crop = crops(facts)
+    drawn = list(dict.fromkeys(facts["drawn"]))
+    print("Playback:", len(facts["drawn"]), "redraws of", len(drawn), "frames,", facts["bytes"] / 1e6, "MB each")
+    assert drawn == list(range(drawn[0], drawn[0] + len(drawn)))
+    assert facts["bytes"] < 3e6
+    best = max(psnr(crop("playing"), black_behind(library(facts, frame))) for frame in drawn)
+    assert best > 30  # the order of the splats may be that of the frame before
+    assert psnr(crop("stopped"), black_behind(library(facts, facts["stopped"]))) >= 40
+
+
+def test_engine_and_extension_go_while_they_draw(user, model, crops, library):
+    facts = user.story("window.switching", window=True, model=model[1])
+    crop, wanted = crops(facts), library(facts, 12)
+    opaque = wanted[..., 3] > 0.99
+    assert np.abs(crop("other-engine") - wanted[..., :3])[opaque].mean() < 0.02
+    # without the extension there is the proxy, of which nothing was seen before
+    points = np.abs(crop("without-extension") - crop("nothing")).max(-1) > 0.02
+    assert points.mean() > 0.02
+    assert np.abs(crop("without-extension") - wanted[..., :3])[opaque].mean() > 0.05
+    assert psnr(crop("back"), black_behind(wanted)) >= 40

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
+from importlib import import_module
 
+import addon_utils
 import bpy
-from background import bring, look
+from background import ADDON, bring, look
 from mathutils import Euler, Vector
 
 
@@ -18,12 +21,21 @@ def shot(name):
     subprocess.run(["import", "-window", "root", "-define", "png:exclude-chunks=date,time", f"{name}.png"], check=True)
 
 
-def settled(name, limit=90.0):
-    """A screenshot of when two in a row, a second apart, were the same."""
+def under_way():
+    """Whether viewports wait for anything, such as a file or an order of the splats, that the extension's thread works on."""
+    spaces = sys.modules.get(f"{ADDON}.engine.viewport.spaces")
+    return spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces._views.values())
+
+
+def settled(name, limit=300.0):
+    """A screenshot of when two in a row, a second apart, were the same, and nothing more was under way."""
     before, waited = None, 0.0
     while waited < limit:
         yield 1.0
         waited += 1.0
+        if under_way():
+            before = None
+            continue
         shot(name)
         with open(f"{name}.png", "rb") as file:
             now = file.read()
@@ -56,7 +68,7 @@ def press(key, area):
     yield 0.3
 
 
-def until(condition, limit=60.0):
+def until(condition, limit=200.0):
     """Wait for something; False where it does not come to be."""
     waited = 0.0
     while not condition() and waited < limit:
@@ -71,7 +83,7 @@ def f12(area):
     bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
     bpy.context.preferences.view.render_display_type = 'AREA'
     yield from press('F12', area)
-    finished = yield from until(lambda: done, 240)
+    finished = yield from until(lambda: done, 400)
     yield 1.0
     if not finished:
         raise AssertionError("F12 did not finish")
@@ -156,20 +168,27 @@ def properties(model):
     return taken
 
 
-def viewports(model):
-    """Rendered and Solid shading through the camera, two frames of each, and F12 of the same."""
+def through_camera(model, frame):
+    """Rendered shading under our engine, one pixel of the picture on one of the screen: (area, facts for `crops`)."""
     scene = bring(model)
     area = area_of()
     region = next(region for region in area.regions if region.type == 'WINDOW')
     # in the middle of the region, the picture's pixels are the screen's if both sizes are even or odd
     camera = look(scene, 640 + region.width % 2, 420 + region.height % 2)
     scene.render.film_transparent = False
-    space = area.spaces.active
-    scene.frame_set(12)
-    space.shading.type = 'RENDERED'
+    scene.frame_set(frame)
+    area.spaces.active.shading.type = 'RENDERED'
     yield 0.5
     box = yield from frame_in_region(area)
-    yield from settled("rendered-12")
+    yield from settled("anchor")
+    obj = next(o for o in scene.objects if o.fastgs.filepath)
+    return area, {"box": box, "camera": camera, "start": obj.fastgs.start_frame, "frame": frame}
+
+
+def viewports(model):
+    """Rendered and Solid shading through the camera, two frames of each, and F12 of the same."""
+    area, facts = yield from through_camera(model, 12)
+    scene, space = bpy.context.scene, area.spaces.active
     scene.frame_set(25)
     yield from settled("rendered-25")
     space.shading.type = 'SOLID'
@@ -183,5 +202,57 @@ def viewports(model):
     scene.frame_set(12)
     yield from f12(area)
     bpy.data.images["Render Result"].save_render(os.path.abspath("rendered-f12.png"))
-    obj = next(o for o in scene.objects if o.fastgs.filepath)
-    return {"box": box, "camera": camera, "start": obj.fastgs.start_frame}
+    return facts
+
+
+def playing(model):
+    """Playback under Rendered shading, a screenshot in the middle of it and one of where it was stopped."""
+    area, facts = yield from through_camera(model, 5)
+    sent = import_module(f"{ADDON}.engine.viewport.textures").Sent
+    drawn = []
+    handler = bpy.types.SpaceView3D.draw_handler_add(lambda: drawn.append(bpy.context.scene.frame_current), (), 'WINDOW', 'POST_PIXEL')
+    with within(area):
+        bpy.ops.screen.animation_play()
+    yield from until(lambda: len(set(drawn)) > 3)
+    before, number = sent.bytes, len(drawn)
+    shot("playing")
+    yield from until(lambda: len(set(drawn)) > 12)
+    facts["bytes"] = (sent.bytes - before) / (len(drawn) - number)
+    with within(area):
+        bpy.ops.screen.animation_cancel(restore_frame=False)
+    bpy.types.SpaceView3D.draw_handler_remove(handler, 'WINDOW')
+    yield from settled("stopped")
+    return {**facts, "drawn": drawn, "stopped": bpy.context.scene.frame_current}
+
+
+def switching(model):
+    """The engine, then the extension, go while they draw, and come back."""
+    area, facts = yield from through_camera(model, 12)
+    scene = bpy.context.scene
+    with within(area):
+        bpy.ops.screen.animation_play()
+    yield 1.0
+    scene.render.engine = 'BLENDER_WORKBENCH'
+    yield 1.0
+    with within(area):
+        bpy.ops.screen.animation_cancel(restore_frame=False)
+    scene.frame_set(12)
+    yield from settled("other-engine")
+    with within(area):
+        bpy.ops.screen.animation_play()
+    yield 0.5
+    addon_utils.disable(ADDON)
+    yield 0.5
+    with within(area):
+        bpy.ops.screen.animation_cancel(restore_frame=False)
+    yield from settled("without-extension")
+    for obj in scene.objects:
+        obj.hide_viewport = obj.type == 'MESH'
+    yield from settled("nothing")
+    for obj in scene.objects:
+        obj.hide_viewport = False
+    addon_utils.enable(ADDON)
+    scene.render.engine = 'FASTGS'
+    scene.frame_set(12)
+    yield from settled("back")
+    return facts
