@@ -9,6 +9,8 @@ Several processes or machines share the work when torchrun starts them:
 """
 from __future__ import annotations
 
+import os
+
 from ..errors import FastGSError
 from .shared import note, print_json, use_threads
 
@@ -20,6 +22,7 @@ FLAGS = {
     "max_gaussians": (int, "N", "never more Gaussians than this (default: by the preset)"),
     "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.1)"),
     "density": (str, "KIND", "density control: default or mcmc"),
+    "start": (str, "KIND", "where points to start from come from: auto, triangulate, file, model or random (default: auto)"),
     "masks": (str, "USE", "what masks are for: auto, cut, weight, only or off (default: auto)"),
     "seed": (int, "N", "of everything random (default: 0)"),
 }
@@ -35,6 +38,7 @@ def add_arguments(parser):
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=text)
+    parser.add_argument("--init-model", dest="start_model", metavar="FILE", help="a model to start from, as a bake makes one")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
@@ -78,6 +82,8 @@ def options(args) -> dict:
 
     wanted = dict(option_from_text(text) for text in args.set)
     wanted |= {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
+    if args.start_model:
+        wanted["start_model"] = os.path.abspath(args.start_model)
     if args.basis == "paper":
         if wanted.get("motion", "paper") != "paper":
             raise FastGSError("--basis paper is a motion of its own; leave out --motion.")

@@ -17,6 +17,7 @@ CHOICES = {
     "masks": ("auto", "cut", "weight", "only", "off"),
     "background": ("auto", "black", "white", "random"),
     "copied_time": ("keep", "random"),
+    "start": ("auto", "triangulate", "file", "model", "random"),
     "gradient": ("plain", "absolute"),
 }
 
@@ -59,6 +60,9 @@ class Settings:
       free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
 
     Starting values
+      start           where the points come from: triangulated from the pictures, the layout's point file, a model, random;
+                      auto: the first of them that gives points, but start_model before all others if one is given
+      start_model     a model, as a bake makes one, whose Gaussians are starting points
       points          most starting points
       start_opacity   their opacity
       start_size      their size in distances to their three nearest neighbours
@@ -125,6 +129,8 @@ class Settings:
     decoder_rate: float = 1e-3
     free_centre: bool = False
 
+    start: str = "auto"
+    start_model: str = ""
     points: int = 20_000
     start_opacity: float = 0.1
     start_size: float = 1.0

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels and world points of pinhole cameras, for what comes before training."""
+from __future__ import annotations
+
+import numpy as np
+
+
+def project(camera, xyz) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [n, 2] and depths [n] of world points [n, 3]."""
+    local = xyz @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = np.where(np.abs(local[:, 2]) < 1e-9, 1e-9, local[:, 2])
+    return np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], 1), local[:, 2]
+
+
+def unproject(camera, places, depth) -> np.ndarray:
+    """World points [n, 3] behind pixels [n, 2] at depths [n]."""
+    local = np.stack([(places[:, 0] - camera.cx) / camera.fx * depth, (places[:, 1] - camera.cy) / camera.fy * depth, depth], 1)
+    return (local - camera.world_to_camera[:3, 3]) @ np.linalg.inv(camera.world_to_camera[:3, :3]).T
+
+
+def visible(camera, xyz) -> np.ndarray:
+    """Which world points [n] are within the picture."""
+    places, depth = project(camera, xyz)
+    return (depth > 0) & (places > 0).all(1) & (places < (camera.width, camera.height)).all(1)
+
+
+def sample(image, places) -> np.ndarray:
+    """Values [n, C] of an image [h, w, C] at the pixels nearest to places [n, 2]."""
+    column, row = (np.clip(places[:, k].astype(int), 0, image.shape[1 - k] - 1) for k in (0, 1))
+    return image[row, column]
