@@ -65,7 +65,7 @@ def _scale_bound(matrix: np.ndarray) -> float:
 
 
 def _visible(part: Part, camera: Camera, offset: int, rank):
-    from .kernels.cpu import _plain, _weights
+    from .kernels.clouds import plain, weights_at
     from .kernels.threads import ranges, run
     from .kernels.visible import visible
 
@@ -76,8 +76,8 @@ def _visible(part: Part, camera: Camera, offset: int, rank):
     lens = tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, part.near(camera), camera.width, camera.height,
                                     spread_x, spread_y))
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
-    common = (offset, tuple(_plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal)),
-              (part.t, model.temporal_kind.code, _weights(model.basis, part.t)), view, lens,
+    common = (offset, tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal)),
+              (part.t, model.temporal_kind.code, weights_at(model.basis, part.t)), view, lens,
               (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)

@@ -12,7 +12,7 @@ from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender import reference
-from fastgs_blender.kernels import cpu, threads
+from fastgs_blender.kernels import clouds, cpu, threads
 from fastgs_blender.scene import Layout, Part
 from fastgs_blender.slicing import slice_model
 
@@ -207,8 +207,8 @@ def test_gradients_have_the_same_bytes_for_any_number_of_threads(rng, appearance
     model = random_model(rng, 1500, "paper", "line", "radial", appearance)
     camera = fg.Camera(130, 100, 100, 100, 65, 50, random_pose(rng, 2.5))
     functional = Functional(rng, camera, depth=True)
-    for name, size in (("CHUNK", 200), ("TILES", 5)):
-        monkeypatch.setattr(cpu, name, size)
+    for module, name, size in ((clouds, "CHUNK", 200), (cpu, "CHUNK", 150), (cpu, "TILES", 5)):
+        monkeypatch.setattr(module, name, size)
     results = []
     try:
         for count in (1, 2, 3, 3):
