@@ -2,18 +2,24 @@
 """OpenEXR pictures: red, green, blue and alpha of the first layer that has them, as large as the display window."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
+from ..cameras import LARGEST_SIDE
 from ..errors import FastGSError
+
+MOST_PIXELS = 1 << 28
 
 
 def header(path: Path) -> tuple[int, int, dict[str, str]]:
     """Width and height of the display window, and which of R, G, B, A are which channels of the file; raises FastGSError."""
     with _opened(path, header_only=True) as file:
-        low, high = (np.asarray(v, np.int64) for v in file.header()["displayWindow"])
-        return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1), _choose(path, file.header()["channels"])
+        width, height = _size(path, file.header()["displayWindow"])
+        _size(path, file.header()["dataWindow"])
+        return width, height, _choose(path, file.header()["channels"])
 
 
 def read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -26,6 +32,14 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     rgb = np.stack([planes[name] for name in "RGB"], -1)
     np.nan_to_num(rgb, copy=False, nan=0.0, posinf=np.finfo(np.float32).max, neginf=0.0)
     return rgb, np.nan_to_num(np.clip(planes["A"], 0, 1)) if "A" in planes else None
+
+
+def _size(path, window) -> tuple[int, int]:
+    low, high = (np.asarray(v, np.int64) for v in window)
+    width, height = (int(v) for v in high - low + 1)
+    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE and width * height <= MOST_PIXELS):
+        raise FastGSError(f"{path}: a picture of {width} x {height} pixels is larger than is read, or its file is damaged.")
+    return width, height
 
 
 def _choose(path, channels) -> dict[str, str]:
@@ -56,10 +70,13 @@ def _placed(plane, left, top, width, height, path):
     return out
 
 
-def _opened(path, **settings):
+@contextmanager
+def _opened(path, **settings) -> Iterator:
+    """An OpenEXR.File; raises FastGSError for whatever OpenEXR raises while it is open."""
     import OpenEXR
 
     try:
-        return OpenEXR.File(str(path), separate_channels=True, **settings)
-    except (RuntimeError, ValueError, TypeError, OSError) as error:
+        with OpenEXR.File(str(path), separate_channels=True, **settings) as file:
+            yield file
+    except (RuntimeError, ValueError, TypeError, KeyError, IndexError, OSError) as error:
         raise FastGSError(f"{path}: the picture cannot be read ({error}); copy or export it again.") from error

@@ -21,7 +21,7 @@ from . import poses
 from .base import MASKS, Capture, Options
 from .lens import Lens
 from .points import load_points
-from .rigs import RigCamera, from_rig
+from .rigs import RigCamera, check_count, from_rig
 from .sources import COLOURS, VIDEOS, Source, numbered_pictures, video_frames
 
 name = "fast-gs capture"
@@ -59,6 +59,7 @@ def load(path: Path, options: Options) -> Capture:
         ("masks", MASKS), ("axes", AXES), ("colour", COLOURS)))
     faults: list[str] = []
     entries = poses.listed(_needed(values, "cameras", where), where + "its cameras")
+    check_count(file, count, len(entries))
     cameras = [_camera(folder, poses.table(entry, f"{where}camera {i}"), f"{where}camera {i}", count, start, colour, faults)
                for i, entry in enumerate(entries)]
     names = [camera.name for camera in cameras]

@@ -15,7 +15,8 @@ from .base import Capture, Options, Points, Shot
 from .lens import pinhole_for
 from .sources import Source
 
-MOST_SHOTS = 5_000_000
+MOST_SHOTS = 1_000_000
+"""Pictures of a capture: 46 cameras that film for six minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,7 @@ class RigCamera:
 def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (), **settings) -> Capture:
     """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them."""
     count = settings.pop("frame_count", None) or max((len(camera.pictures) for camera in cameras), default=0)
+    check_count(path, count, len(cameras))
     chosen = _chosen(count, options.frames, path)
     entries, gaps = [], []
     for camera in cameras:
@@ -67,8 +69,8 @@ def from_entries(
         held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,
         mask_means: str = "foreground", notes: Sequence[str] = (), faults: Sequence[str] = ()) -> Capture:
     """The capture of these pictures, with the options applied; held_out, scale and focal (see pinhole_for) are the layout's defaults."""
-    if not 1 <= frame_count <= MOST_SHOTS or len(entries) > MOST_SHOTS:
-        raise FastGSError(f"{path}: a capture has 1 to {MOST_SHOTS} pictures, not {frame_count} frames with {len(entries)}.")
+    check_count(path, frame_count)
+    check_count(path, len(entries))
     scale = scale if options.scale is None else options.scale
     if not (np.isfinite(scale) and 0 < scale <= 1):
         raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
@@ -79,21 +81,39 @@ def from_entries(
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
     kept = _held_out(path, entries, held_out, options.held_out)
-    stated = any(entry.t is not None for entry in entries)
+    times = _times(entries, chosen, options.frames is not None)
     cameras: dict = {}
     shots = []
-    for entry in entries:
+    for entry, t in zip(entries, times):
         camera = None
         if entry.world_to_camera is not None:
             camera = _camera(entry, scale, focal, cameras)
         frame = place[entry.frame]
-        t = entry.t if stated and entry.t is not None else frame / len(chosen)
+        t = frame / len(chosen) if t is None else t
         shots.append(Shot(entry.view, frame, camera, entry.image, entry.mask, entry.view in kept, t))
     order = {view: i for i, view in enumerate(dict.fromkeys(shot.view for shot in shots))}
     shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
     step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
     return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, list(notes), list(faults))
+
+
+def check_count(path, frames: int, cameras: int = 1) -> None:
+    """Raises FastGSError for a capture without frames, or with more pictures than can be listed."""
+    if frames < 1:
+        raise FastGSError(f"{path}: there are no frames in this capture.")
+    if frames * max(cameras, 1) > MOST_SHOTS:
+        raise FastGSError(f"{path}: {frames} frames of {cameras} cameras are more than the {MOST_SHOTS} pictures that are read; check the "
+                          "count of frames.")
+
+
+def _times(entries: Sequence[Entry], chosen: range, is_part: bool) -> list[float | None]:
+    """The times that the layout states, None where frames tell them; a part of the clip becomes a clip of its own, from t = 0."""
+    stated = [entry.t for entry in entries if entry.t is not None]
+    if not stated or not is_part:
+        return [entry.t for entry in entries]
+    low, span = min(stated), (max(stated) - min(stated)) * len(chosen) / max(1, len(chosen) - 1)
+    return [None if entry.t is None else (entry.t - low) / span if span else 0.0 for entry in entries]
 
 
 def gap_sentences(gaps: Sequence[tuple[str, int]], start_frame: int = 0) -> list[str]:

@@ -233,6 +233,29 @@ def test_broken_cameras_are_one_sentence(capture_folder, key, value, words):
     assert str(file) in str(error.value)
 
 
+@pytest.mark.parametrize("cut", [0, 100, 300, -20])
+def test_damaged_exr_is_one_sentence(tmp_path, tmp_path_factory, cut, rng):
+    one_picture(tmp_path)
+    file = tmp_path / "a" / "1.exr"
+    write_exr(file, rng.uniform(0, 1, (6, 8, 3)))
+    file.write_bytes(file.read_bytes()[:cut])
+    with pytest.raises(fg.FastGSError, match="1.exr") as error:
+        pixels(tmp_path, tmp_path_factory.mktemp("cache"))
+    assert "\n" not in str(error.value)
+
+
+def test_exr_that_claims_to_be_huge(tmp_path, tmp_path_factory):
+    one_picture(tmp_path)
+    file = tmp_path / "a" / "1.exr"
+    write_exr(file, np.zeros((6, 8, 3)))
+    small, huge = (np.array([0, 0, w - 1, h - 1], "<i4").tobytes() for w, h in ((8, 6), (60_000, 60_000)))
+    content = file.read_bytes()
+    assert content.count(small) == 2
+    file.write_bytes(content.replace(small, huge))
+    with pytest.raises(fg.FastGSError, match="1.exr"):
+        pixels(tmp_path, tmp_path_factory.mktemp("cache"))
+
+
 def test_nan_poses_are_refused(capture_folder):
     file = capture_folder / "cameras.json"
     values = json.loads(file.read_text())

@@ -220,3 +220,9 @@ def test_any_value_is_read_or_refused(tmp_path_factory, key, value):
     except fg.FastGSError:
         return
     assert all(np.isfinite(shot.camera.world_to_camera).all() and np.isfinite(shot.t) for shot in capture.shots)
+
+
+def test_a_part_of_stated_times_is_a_clip_of_its_own(dnerf):
+    path, _ = dnerf
+    part = open_capture(path / "transforms_train.json", frames=slice(1, None))
+    assert [shot.t for shot in part.shots] == [0, 0.5] and part.clip.frame_count == 2
