@@ -64,7 +64,7 @@ class Splat(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad_channels, grad_alpha, grad_depth):
         view: View = ctx.view
-        assert ctx.saved_tensors is not None  # raises where a parameter was changed since
+        _ = ctx.saved_tensors  # raises where a parameter was changed since
         _, _, width, height = view.camera.window
         channels = np.zeros((height, width, view.cloud.channels), np.float32) if grad_channels is None else grad_channels.numpy()
         alpha = np.zeros((height, width), np.float32) if grad_alpha is None else grad_alpha.numpy()
