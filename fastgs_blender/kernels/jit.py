@@ -38,7 +38,7 @@ def kernel(function):
 
 
 inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never", forceinline=True)
-"""Decorator of the small functions that kernels call; they always become part of them: projection is a seventh faster for it."""
+"""Decorator of the small functions that kernels call; they always become part of them, whatever LLVM thinks of their size."""
 
 _announced = threading.Event()
 
