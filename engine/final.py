@@ -43,7 +43,7 @@ def _render_layer(engine, depsgraph):
     if compiling.is_running():
         status("Compiling the renderer for this machine, once")
         worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)
-    status.count = sum(len(model) for model, _, _ in parts)
+    status.count = sum(len(part.model) for part in parts)
     status.memory(objects.loaded_bytes(), picture)
 
     depth = None
@@ -66,13 +66,13 @@ def _render_layer(engine, depsgraph):
 def pictures(parts, eye, depth: str | None, background, progress) -> passes.Pictures:
     """All pictures of one view.
 
-    parts       [(model, placement, t), ...]
+    parts       [scene.Placed, ...]
     depth       the library's depth pass to compute, or None
     background  scene-linear colour under the splats, or None for transparent film
     """
     working = colour.rec709_to_working()
     wanted = ("rgb", "alpha") + ((depth,) if depth else ())
-    spaces = {model.colour_space for model, _, _ in parts}
+    spaces = {part.model.colour_space for part in parts}
     if len(spaces) < 2:
         images = fg.render(parts, eye, passes=wanted, progress=progress)
         linear = colour.scene_linear(images["rgb"], images["alpha"], spaces != {"linear"}, working)
@@ -95,7 +95,7 @@ def _painted(parts, space: str, value: float):
             return model
         return replace(model, appearance=fg.RGB(), features=np.full((len(model), 3), value, np.float32))
 
-    return [(paint(model), placement, t) for model, placement, t in parts]
+    return [part._replace(model=paint(part.model)) for part in parts]
 
 
 def _views(render) -> list[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a frame shows: from an evaluated scene to the library's list of (model, placement, t)."""
+"""What a frame shows: from an evaluated scene to the library's list of placed models."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import fastgs_blender as fg
-from . import objects
+from ..fastgs_blender.crops import Crop
+from ..fastgs_blender.scene import Placed
+from . import crops, objects
 from .time import Retime, clip_frame
 
 
@@ -19,6 +21,7 @@ class Shown:
     path: str
     placement: np.ndarray
     retime: Retime
+    crops: tuple[Crop, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +32,8 @@ class Contents:
     frame: float
     fps: float
 
-    def parts(self, load=objects.load_model) -> tuple[list, dict[str, str]]:
-        """([(model, placement, t), ...], {object's name: why its file cannot be loaded}); reads files where it must."""
+    def parts(self, load=objects.load_model) -> tuple[list[Placed], dict[str, str]]:
+        """What to render, and {object's name: why its file cannot be loaded}; reads files where it must."""
         parts, failed = [], {}
         for item in self.shown:
             try:
@@ -40,7 +43,7 @@ class Contents:
                 continue
             frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
             if frame is not None:
-                parts.append((model, item.placement, model.clip.t_of_frame(frame)))
+                parts.append(Placed(model, item.placement, model.clip.t_of_frame(frame), item.crops))
         return parts, failed
 
 
@@ -61,7 +64,7 @@ def contents(depsgraph, visible=lambda obj: True) -> Contents:
         key = obj.original.as_pointer(), placement.tobytes()
         if key not in seen:
             seen.add(key)
-            shown.append(Shown(obj.name, objects.abspath(obj), placement, retime_of(obj)))
+            shown.append(Shown(obj.name, objects.abspath(obj), placement, retime_of(obj), crops.crops_of(obj, depsgraph)))
     # as Blender computes the time of its animation, time stretching included
     frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
     return Contents(shown, frame, render.fps / render.fps_base)

@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
 from . import passes, redraw
 
@@ -14,6 +22,21 @@ OUTSIDE = (
     ('LOOP', "Loop", "Start over", 2),
     ('PING_PONG', "Ping-Pong", "Play back and forth", 3),
 )
+
+
+class FASTGS_PG_crop(bpy.types.PropertyGroup):
+    """A box that crops a splat object."""
+
+    object: PointerProperty(
+        name="Box", description="An empty or a mesh: its extent is the box", type=bpy.types.Object, override=_OWN,
+        poll=lambda self, obj: obj != self.id_data and obj.type in {'EMPTY', 'MESH'}, update=redraw.viewports)
+    mode: EnumProperty(
+        name="Mode", description="What happens to the Gaussians whose centres are in the box",
+        items=(
+            ('KEEP', "Keep", "Only what is in this or another box to keep is shown", 0),
+            ('REMOVE', "Remove", "What is in the box is not shown", 1),
+        ), default='KEEP', override=_OWN, update=redraw.viewports)
+    use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=redraw.viewports)
 
 
 class FASTGS_PG_object(bpy.types.PropertyGroup):
@@ -41,6 +64,9 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', override=_OWN)
     after: EnumProperty(
         name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
+    crops: CollectionProperty(
+        type=FASTGS_PG_crop, name="Crop Boxes", description="Boxes outside or inside which nothing of the model is shown",
+        override=_OWN | {'USE_INSERTION'})
 
 
 class FASTGS_PG_scene(bpy.types.PropertyGroup):
@@ -87,7 +113,7 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     pixel_aspect_y: FloatProperty(name="Pixel Height", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
 
 
-CLASSES = (FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
+CLASSES = (FASTGS_PG_crop, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),

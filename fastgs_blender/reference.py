@@ -12,6 +12,7 @@ import numpy as np
 
 from .appearance import SH, Features, decode, sh_basis
 from .camera import Camera
+from .crops import shown
 from .scene import Buffers, Layout, Part
 from .slicing import Slice, slice_model
 
@@ -69,7 +70,7 @@ def project(part: Part, camera: Camera, layout: Layout) -> Splats:
     view = s.position @ linear.T + origin
     z = view[:, 2]
     factor = linear @ rotation_matrices(s.rotation) * s.scale[:, None, :]
-    seen = (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
+    seen = shown(part.crops, s.position) & (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]
 

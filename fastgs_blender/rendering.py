@@ -11,7 +11,7 @@ import numpy as np
 from .camera import Camera
 from .errors import FastGSError
 from .model import GaussianModel
-from .scene import Layout, Part
+from .scene import Layout, Part, Placed
 
 PASSES = {"rgb": 3, "alpha": 1, "depth": 1, "median_depth": 1}
 """The passes and their channels."""
@@ -24,7 +24,8 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
            progress=None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
-    model     one model, or a list of (model, 4 x 4 placement in the world, t), sorted and blended as one cloud
+    model     one model, or a list of (model, 4 x 4 placement in the world, t), sorted and blended as one cloud; a fourth member
+              may hold boxes that crop it (crops.py)
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
               depth         [h, w]  expected depth along the view axis, inf where alpha is 0
@@ -77,13 +78,13 @@ def _parts(model, camera, t) -> list[Part]:
     if isinstance(model, GaussianModel):
         model = [(model, np.eye(4), t)]
     parts = []
-    for item, placement, time in model:
+    for item, placement, time, crops in (Placed(*each) for each in model):
         placement = np.array(placement, np.float64)
         if placement.shape != (4, 4) or not np.isfinite(placement).all():
             raise FastGSError("a model's placement must be a 4 x 4 matrix of finite numbers.")
         if not np.isfinite(time):
             raise FastGSError(f"the time of a model must be a finite number, not {time!r}.")
-        parts.append(Part(item, placement, float(time), camera.world_to_camera))
+        parts.append(Part(item, placement, float(time), camera.world_to_camera, tuple(crops)))
     return parts
 
 

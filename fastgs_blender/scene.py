@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from .appearance import Features
 from .camera import Camera
+from .crops import Crop
 from .model import GaussianModel
+
+
+class Placed(NamedTuple):
+    """A model to render: its placement [4, 4] in the world, the time t to show, and the boxes that crop it."""
+
+    model: GaussianModel
+    placement: np.ndarray
+    t: float
+    crops: tuple[Crop, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +35,7 @@ class Part:
     placement: np.ndarray
     t: float
     world_to_camera: np.ndarray
+    crops: tuple[Crop, ...] = ()
 
     @cached_property
     def model_to_camera(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from contextlib import suppress
 import numpy as np
 
 from .camera import Camera
+from .crops import boxes, shown
 from .model import GaussianModel
 from .scene import Part
 from .slicing import sigmoid
@@ -21,7 +22,7 @@ CHUNK = 16_384
 def order(parts: list[Part], camera: Camera, limit: float = 1.0, ranks=None, numba: bool = True) -> np.ndarray:
     """Indices [V] int32 of the Gaussians that a camera shows, the nearest first, counted through all parts as one cloud.
 
-    Left out is what cannot touch a pixel: by temporal opacity, before the near plane, off the picture.
+    Left out is what cannot touch a pixel: by temporal opacity, before the near plane, off the picture, cropped.
     numba          whether to use it, where it is installed
     limit, ranks   ranks(model) gives [N] float32; Gaussians whose rank is not under the limit are left out as well (1: none is)
     """
@@ -78,7 +79,7 @@ def _visible(part: Part, camera: Camera, offset: int, rank):
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
     common = (offset, tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal)),
               (part.t, model.temporal_kind.code, weights_at(model.basis, part.t)), view, lens,
-              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)), rank, depth, index)
+              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)), boxes(part.crops), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)
     return [(depth[first:first + n], index[first:first + n]) for (first, _), n in zip(pieces, counts)]
@@ -94,14 +95,15 @@ def _visible_numpy(part: Part, camera: Camera, offset: int, rank):
         at = np.flatnonzero(kept)
         moved, _ = model.basis.evaluate(model.motion[at], part.t, model.mu_tau[at])
         to_camera = part.model_to_camera
-        p = (model.position[at] + moved) @ to_camera[:3, :3].T + to_camera[:3, 3]
+        position = model.position[at] + moved
+        p = position @ to_camera[:3, :3].T + to_camera[:3, 3]
         z = p[:, 2]
         per_depth = np.ones_like(z) if camera.orthographic else 1 / z
         centre = p[:, :2] * (camera.fx, camera.fy) * per_depth[:, None] + (camera.cx, camera.cy)
         size = np.exp(model.scale[at].max(1).astype(np.float64)) * per_depth * _scale_bound(to_camera[:3, :3])
         reach = 2 * np.log(sigma[at] / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
-        seen = (z > part.near(camera)) & np.isfinite(z)
+        seen = (z > part.near(camera)) & np.isfinite(z) & shown(part.crops, position)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return [(z[seen].astype(np.float32), (offset + at[seen]).astype(np.int32))]
 

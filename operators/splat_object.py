@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from ..engine import objects
+from ..fastgs_blender.errors import FastGSError
 from ..fastgs_blender.model import GaussianModel
 from . import proxy
 
@@ -49,6 +50,17 @@ def write_facts(obj: bpy.types.Object, model: GaussianModel, path: str) -> None:
     settings.fps = model.clip.fps
     with Path(path).open("rb") as file:
         settings.file_hash = hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def show_file(obj: bpy.types.Object, path: str) -> None:
+    """Let an object show another file, its path relative to the .blend where it was.  Raises FastGSError as refresh() does."""
+    before = obj.fastgs.filepath
+    obj.fastgs.filepath = _relative(path) if before.startswith("//") else path
+    try:
+        refresh(obj)
+    except FastGSError:
+        obj.fastgs.filepath = before
+        raise
 
 
 def refresh(obj: bpy.types.Object) -> None:

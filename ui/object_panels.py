@@ -74,6 +74,21 @@ def draw_time(layout, context):
         layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
 
 
+def draw_crop(layout, context):
+    """The boxes that crop the model."""
+    layout.use_property_decorate = False
+    boxes = context.object.fastgs.crops
+    for index, item in enumerate(boxes):
+        row = layout.row(align=True)
+        row.prop(item, "use", text="")
+        row.prop(item, "object", text="")
+        row.prop(item, "mode", text="")
+        row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
+    layout.operator("fastgs.add_crop_box", icon='ADD')
+    if boxes:
+        layout.operator("fastgs.apply_crop", icon='FILE_TICK')
+
+
 class _Splat:
     @classmethod
     def poll(cls, context):
@@ -107,6 +122,15 @@ class FASTGS_PT_object_time(_Properties, bpy.types.Panel):
         draw_time(self.layout, context)
 
 
+class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
+    bl_label = "Crop"
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_crop(self.layout, context)
+
+
 class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
     bl_label = "4D Gaussians"
 
@@ -132,4 +156,13 @@ class FASTGS_PT_sidebar_time(_Sidebar, bpy.types.Panel):
         draw_time(self.layout, context)
 
 
-CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time)
+class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
+    bl_label = "Crop"
+    bl_parent_id = "FASTGS_PT_sidebar"
+
+    def draw(self, context):
+        draw_crop(self.layout, context)
+
+
+CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_crop, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time,
+           FASTGS_PT_sidebar_crop)

@@ -16,7 +16,7 @@ def render(contents, camera: fg.Camera, working: np.ndarray, background) -> np.n
     """Scene-linear premultiplied [h, w, 4], the bottom row first."""
     parts, _ = contents.parts()
     images = fg.render(parts, camera)
-    encoded = all(model.colour_space == "srgb" for model, _, _ in parts)
+    encoded = all(part.model.colour_space == "srgb" for part in parts)
     linear = scene_linear(images["rgb"], images["alpha"], encoded, working)
     return film(linear, images["alpha"], background)[::-1]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender import visibility
-from ...fastgs_blender.scene import Part
+from ...fastgs_blender.scene import Part, Placed
 from .. import compiling, objects
 from ..frame import Contents
 from .atlas import Atlas
@@ -26,7 +26,7 @@ _lock = threading.Lock()
 class Sorted:
     """An answer: the parts as they were, their files' models, and the order [V] float32 in which to draw them."""
 
-    parts: list[tuple]
+    parts: list[Placed]
     models: dict[str, fg.GaussianModel]
     failed: dict[str, str]
     order: np.ndarray
@@ -41,9 +41,9 @@ def sort(contents: Contents, camera: fg.Camera, limit: float, atlas: Atlas) -> S
         return models[path]
 
     parts, failed = contents.parts(load)
-    atlas.pack({id(model): model for model, _, _ in parts}.values())
-    clouds = [Part(model, placement, t, camera.world_to_camera) for model, placement, t in parts]
-    total = sum(len(model) for model, _, _ in parts)
+    atlas.pack({id(part.model): part.model for part in parts}.values())
+    clouds = [Part(*part[:3], camera.world_to_camera, part.crops) for part in parts]
+    total = sum(len(part.model) for part in parts)
     order = visibility.order(clouds, camera, min(limit, MOST / max(total, 1)), rank,
                              numba=not compiling.is_running())
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left

@@ -83,7 +83,7 @@ class View:
     @property
     def models(self) -> list[fg.GaussianModel]:
         """The models that the view shows."""
-        return [] if self._answer is None else [model for model, _, _ in self._answer.parts]
+        return [] if self._answer is None else [part.model for part in self._answer.parts]
 
     def done(self, answer) -> None:
         """From the thread: what was asked for."""
@@ -152,9 +152,9 @@ class View:
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
         parts, _ = contents.parts(_known(answer.models))
-        if [id(p[0]) for p in parts] != [id(p[0]) for p in answer.parts]:
+        if [id(p.model) for p in parts] != [id(p.model) for p in answer.parts]:
             parts = answer.parts  # what came or went since is drawn when it has been sorted
-        clouds = [Part(model, placement, t, camera.world_to_camera) for model, placement, t in parts]
+        clouds = [Part(*part[:3], camera.world_to_camera) for part in parts]
         if clouds:
             self.atlas.hold([part.model for part in clouds], self.others())
         self.picture.draw(camera, clouds, self.atlas, self._order[1], depth)
@@ -179,4 +179,8 @@ def _known(models):
 def _signature(x):
     if isinstance(x, fg.Camera):
         return (x.width, x.height, x.fx, x.fy, x.cx, x.cy, x.world_to_camera.tobytes(), x.orthographic, x.near, x.tangent_limits())
-    return x.frame, x.fps, tuple((item.path, item.placement.tobytes(), item.retime) for item in x.shown)
+    return x.frame, x.fps, tuple((item.path, item.placement.tobytes(), item.retime, _boxes(item)) for item in x.shown)
+
+
+def _boxes(item):
+    return tuple((crop.matrix.tobytes(), crop.remove) for crop in item.crops)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..appearance import RGB, SH, Features
 from ..camera import Camera
+from ..crops import boxes
 from ..scene import Layout, Part
 from . import project, raster
 from .project_backward import project_backward as project_rows_backward
@@ -58,7 +59,7 @@ def project_parts(parts: list[Part], camera: Camera, layout: Layout, progress=No
     arrays = np.empty((total, 5)), shade, np.empty(total, np.float32), np.empty(total, np.int32)
     runs, done = [], 0
     for part in parts:
-        count, inputs = len(part.model), _inputs(part, camera, layout)
+        count, inputs = len(part.model), (boxes(part.crops), *_inputs(part, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
         pieces = ranges(count, CHUNK)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))

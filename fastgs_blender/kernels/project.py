@@ -12,6 +12,7 @@ import numpy as np
 from numba import float32
 
 from . import raster
+from .crop import is_left
 from .jit import inline, kernel
 from .spherical import sh_colour
 
@@ -135,9 +136,10 @@ def _project_axis(axis, row0, row1, row2, a02, a12):
 
 
 @kernel
-def project(first, last, arrays, times, view, lens, constants, look, geometry, shade, depth, source):
+def project(first, last, boxes, arrays, times, view, lens, constants, look, geometry, shade, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
+    boxes      (rows, remove) of the boxes that crop the model, see crops.boxes
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
@@ -148,6 +150,7 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
     geometry, shade, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
+    crop_rows, crop_remove = boxes
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, _, _, _, _, left, right, top, bottom = lens
@@ -163,6 +166,8 @@ def project(first, last, arrays, times, view, lens, constants, look, geometry, s
         delta = t - np.float64(mu_tau[n])
         px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        if not is_left(px, py, pz, crop_rows, crop_remove):
+            continue
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]

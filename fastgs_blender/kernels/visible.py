@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
+from .crop import is_left
 from .jit import kernel
 from .project import _exp, _moved3, _temporal_factor
 
 
 @kernel
-def visible(first, last, offset, arrays, times, view, lens, constants, rank, depth, index):
+def visible(first, last, offset, arrays, times, view, lens, constants, boxes, rank, depth, index):
     """Cull the Gaussians first..last by temporal opacity, depth, window and rank; write what is left from row `first` on.
 
     offset     added to the indices that are written
@@ -21,6 +22,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
     lens       (fx, fy, cx, cy, near, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
     constants  (blur, alpha cut, orthographic)
+    boxes      (rows, remove) of the boxes that crop the model, see crops.boxes
     rank       [N] float32, or [0]; (limit, rank): Gaussians whose rank is not under the limit are left out
     depth      float32, along the view axis; index int32
     Returns the number of rows written.
@@ -30,6 +32,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
     fx, fy, cx, cy, near, right, bottom, spread_x, spread_y = lens
     blur, cut, orthographic = constants
     limit, ranks = rank
+    rows, remove = boxes
     row0, row1, row2, shift = view[0], view[1], view[2], view[3]
     out = first
     for n in range(first, last):
@@ -40,6 +43,8 @@ def visible(first, last, offset, arrays, times, view, lens, constants, rank, dep
             continue
         px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        if not is_left(px, py, pz, rows, remove):
+            continue
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z < np.inf):
             continue

@@ -86,6 +86,7 @@ def decoder(fg, activation):
 
 def expected(module, parts, camera):
     """The same from the final render's code: Combined on transparent film."""
+    parts = [module("fastgs_blender.scene").Placed(*part) for part in parts]
     return module("engine.final").pictures(parts, camera, None, None, lambda fraction: None).combined
 
 

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether boxes leave a Gaussian: crops.shown for one position."""
+from __future__ import annotations
+
+from .jit import inline
+
+
+@inline
+def is_left(x, y, z, rows, remove):
+    """rows [B, 3, 4] and remove [B] of crops.boxes."""
+    kept = len(remove) == 0 or remove[0]
+    for b in range(len(remove)):
+        inside = True
+        for axis in range(3):
+            inside = inside and abs(rows[b, axis, 0] * x + rows[b, axis, 1] * y + rows[b, axis, 2] * z + rows[b, axis, 3]) <= 1.0
+        if inside:
+            if remove[b]:
+                return False
+            kept = True
+    return kept

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cropping a splat object with boxes, and writing what is left as a model of its own."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from .. import fastgs_blender as fg
+from ..engine import crops, objects
+from ..fastgs_blender.crops import cropped
+from . import splat_object
+
+
+def _editable(context) -> bool:
+    obj = context.object
+    return obj is not None and objects.is_splat(obj) and obj.is_editable
+
+
+class FASTGS_OT_add_crop_box(bpy.types.Operator):
+    """Add an empty around the active object's splats; what lies outside of it is not shown. It moves with the object"""
+
+    bl_idname = "fastgs.add_crop_box"
+    bl_label = "Add Crop Box"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        return _editable(context) and context.mode == 'OBJECT'
+
+    def execute(self, context):
+        obj = context.object
+        box = bpy.data.objects.new(f"{obj.name} Crop", None)
+        box.empty_display_type = 'CUBE'
+        for collection in obj.users_collection:
+            collection.objects.link(box)
+        around = crops.extent(obj)
+        box.parent = obj
+        box.location = around[:3, 3]
+        box.scale = [max(around[i, i], 1e-3) for i in range(3)]
+        item = obj.fastgs.crops.add()
+        item.object = box
+        for other in context.selected_objects:
+            other.select_set(False)
+        box.select_set(True)
+        return {'FINISHED'}
+
+
+class FASTGS_OT_remove_crop_box(bpy.types.Operator):
+    """No longer crop the active object with this box; the box itself stays in the scene"""
+
+    bl_idname = "fastgs.remove_crop_box"
+    bl_label = "Remove Crop Box"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    index: IntProperty(name="Index", description="Which of the object's boxes", min=0)
+
+    @classmethod
+    def poll(cls, context):
+        return _editable(context) and len(context.object.fastgs.crops) > 0
+
+    def execute(self, context):
+        boxes = context.object.fastgs.crops
+        if self.index >= len(boxes):
+            return {'CANCELLED'}
+        boxes.remove(self.index)
+        context.object.update_tag()
+        return {'FINISHED'}
+
+
+class FASTGS_OT_apply_crop(bpy.types.Operator, ExportHelper):
+    """Write the Gaussians that the boxes leave on any frame of the clip as a new file, and show that instead"""
+
+    bl_idname = "fastgs.apply_crop"
+    bl_label = "Apply Crop"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    filename_ext = ".safetensors"
+    filter_glob: StringProperty(default="*.safetensors", options={'HIDDEN'})
+
+    @classmethod
+    def poll(cls, context):
+        return _editable(context) and any(item.use and item.object for item in context.object.fastgs.crops)
+
+    def invoke(self, context, event):
+        path = Path(objects.abspath(context.object))
+        self.filepath = str(path.with_name(f"{path.stem}-cropped{self.filename_ext}"))
+        context.window_manager.fileselect_add(self)
+        return {'RUNNING_MODAL'}
+
+    def execute(self, context):
+        obj = context.object
+        target = bpy.path.abspath(self.filepath)
+        depsgraph = context.evaluated_depsgraph_get()
+        try:
+            if Path(target).resolve() == Path(objects.abspath(obj)).resolve():
+                raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
+            model = objects.load_model(objects.abspath(obj))
+            left = cropped(model, crops.crops_of(obj.evaluated_get(depsgraph), depsgraph))
+            if not len(left):
+                raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")
+            fg.save(left, target)
+            splat_object.show_file(obj, target)
+        except fg.FastGSError as error:
+            self.report({'ERROR'}, splat_object.sentence(error))
+            return {'CANCELLED'}
+        except OSError as error:
+            self.report({'ERROR'}, f"{target}: the file cannot be written ({error.strerror or error}).")
+            return {'CANCELLED'}
+        obj.fastgs.crops.clear()
+        self.report({'INFO'}, f"Wrote {len(left):,} of {len(model):,} Gaussians")
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_add_crop_box, FASTGS_OT_remove_crop_box, FASTGS_OT_apply_crop)
