@@ -91,10 +91,10 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
         done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     try:
-        with _stop_flag() as stop:
+        with StopFlag() as stop:
             return _train(capture, store, settings, out, group, reporter, stop, cuts)
-    except Stopped as stopped:
-        reporter.status("stopped", reason=str(stopped))
+    except KeyboardInterrupt as stopped:
+        reporter.status("stopped", reason=str(stopped) or "stopped.")
         raise
     except BaseException as error:
         reporter.status("failed", reason=str(error) or type(error).__name__)
@@ -151,7 +151,10 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
 
     if found is None:
         group.first_does(lambda: save(False))
-    if not run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations):
+    stop.patient = True
+    complete = run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations)
+    stop.patient = False
+    if not complete:
         raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume goes on from there.")
     model = trainer.final_model({})
     if folder.parent.name == SEGMENTS:
@@ -174,10 +177,12 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
         trainer.restore(group.share_arrays(found[0] if found else {}), about)
         return trainer
     from ..captures.base import Points
+    from .backdrop import with_backdrop
     from .initial import initial_points
     from .model import model_from_points
 
-    points = group.first_does(lambda: initial_points(capture, store, settings, reporter.say))
+    points = group.first_does(
+        lambda: with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)))
     arrays = {} if points is None else {name: np.asarray(getattr(points, name)) for name in ("xyz", "rgb", "t")
                                         if getattr(points, name) is not None}
     arrays = group.share_arrays(arrays)
@@ -248,22 +253,28 @@ def _earlier(path: Path) -> dict | None:
         raise FastGSError(f"{path} cannot be read ({error}); delete it to train from the beginning.") from error
 
 
-@contextlib.contextmanager
-def _stop_flag():
-    """Gives stop(): whether Ctrl-C or SIGTERM came.  The step that is being taken is finished; a second Ctrl-C does not wait."""
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set
-        return
+class StopFlag:
+    """Ctrl-C and SIGTERM.  While `patient`, they only set the flag, and the step that is being taken is finished; a second Ctrl-C does
+    not wait.  Otherwise there is nothing to save, and they end the run at once.
+    """
 
-    def handler(number, frame):
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
+    def __init__(self):
+        self.patient = self.asked = False
 
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked.is_set
-    finally:
-        for number, old in before.items():
+    def __call__(self) -> bool:
+        return self.asked
+
+    def __enter__(self):
+        self._before = {}
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *error):
+        for number, old in self._before.items():
             signal.signal(number, old)
+
+    def _handle(self, number, frame):
+        if self.asked or not self.patient:
+            raise KeyboardInterrupt
+        self.asked = True

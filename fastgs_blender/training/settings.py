@@ -64,6 +64,7 @@ class Settings:
                       auto: the first of them that gives points, but start_model before all others if one is given
       start_model     a model, as a bake makes one, whose Gaussians are starting points
       points          most starting points
+      backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
       start_opacity   their opacity
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side
@@ -129,10 +130,11 @@ class Settings:
     decoder_rate: float = 1e-3
     free_centre: bool = False
 
+    backdrop: float = 0.3
     start: str = "auto"
     start_model: str = ""
     points: int = 20_000
-    start_opacity: float = 0.1
+    start_opacity: float = 0.5
     start_size: float = 1.0
     start_life: float = 0.25
     static_life: float = 4.0
@@ -184,7 +186,8 @@ class Settings:
 
 LIMITS = (
     ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
-    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("max_gaussians", 1, 10**8),
+    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
+    ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),

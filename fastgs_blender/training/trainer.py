@@ -16,7 +16,7 @@ from . import schedule
 from .density import STRATEGIES
 from .differentiable import Statistics, render
 from .distributed import Group
-from .losses import motion_penalty, photometric
+from .losses import MotionPenalty, photometric
 from .model import empty_model
 from .optimiser import Optimiser
 from .targets import target, use_of_mask
@@ -46,6 +46,7 @@ class Trainer:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
         self.views = schedule.Views(self.shots, settings.seed)
         self.template = empty_model(settings, capture.clip, capture.axes)
+        self.penalty = MotionPenalty(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template)
         if model is not None:
             arrays = dict(model.arrays)
@@ -83,10 +84,11 @@ class Trainer:
             sums += float(loss.detach()), l1, ssim, error
         gradients = {name: np.zeros_like(arrays[name]) if tensor.grad is None else tensor.grad.numpy() for name, tensor in tensors.items()}
         self._join(gradients, seen, sums, statistics)
-        penalty = self._penalise(tensors, gradients)
+        rows = np.flatnonzero(seen)
+        penalty = self._penalise(gradients, rows)
         rates = schedule.learning_rates(s, i, self.extent, self.template.basis)
         rates |= dict.fromkeys(self.fixed, 0.0)
-        self.optimiser.step(gradients, np.flatnonzero(seen), rates)
+        self.optimiser.step(gradients, rows, rates)
         self.iteration += 1
         if self.strategy.after_step(self.iteration, self.optimiser, self.statistics, rates):
             self.statistics = Statistics(len(self))
@@ -94,7 +96,7 @@ class Trainer:
         if not np.isfinite(loss):
             raise FastGSError(f"training diverged at step {self.iteration}: the loss is no number; use lower learning rates.")
         return {"iteration": self.iteration, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
-                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(seen.sum()), "reduction": reduction}
+                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": len(rows), "reduction": reduction}
 
     def _join(self, gradients, seen, sums, statistics):
         """Make the sums of this process the sums of all."""
@@ -104,14 +106,13 @@ class Trainer:
         self.group.largest(statistics.radius)
         self.statistics.add(statistics)
 
-    def _penalise(self, tensors, gradients) -> float:
+    def _penalise(self, gradients, rows) -> float:
         """Add the gradients of what does not depend on the views; returns lambda L_M-reg."""
-        s, value = self.settings, 0.0
-        if s.motion_weight and tensors["motion"].numel():
-            motion = tensors["motion"].detach().requires_grad_()
-            penalty = s.motion_weight * motion_penalty(motion, self.template.basis, self.extent, s.regulariser)
-            gradients["motion"] += torch.autograd.grad(penalty, motion)[0].numpy()
-            value = float(penalty.detach())
+        s, value, motion = self.settings, 0.0, self.optimiser.arrays["motion"]
+        if s.motion_weight and motion.size:
+            times = np.zeros(len(self), np.float32)
+            times[rows] = self.optimiser.waited(rows)
+            value = s.motion_weight * self.penalty.add(motion, gradients["motion"], s.motion_weight, times)
         for name, gradient in self.strategy.penalty(self.optimiser.arrays).items():
             gradients[name] += gradient
         return value
@@ -182,14 +183,14 @@ def fingerprint(capture) -> dict:
 def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> bool:
     """Take all steps that are left; returns whether the run is complete.
 
-    save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds
+    save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds (0: after every step)
     stop()   whether to end early, for example because of Ctrl-C; agreed on by all processes
     preview  held-out shots to look at now and then
     before   steps of earlier segments, by which the reporter counts on
     """
     s = trainer.settings
     saved = time.monotonic()
-    cost = 0.0
+    pause = s.checkpoint_seconds
     while trainer.iteration < s.iterations:
         values = trainer.step()
         reporter.step({**values, "iteration": before + values["iteration"]})
@@ -200,11 +201,11 @@ def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> 
             reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
         stopped = _agreed(trainer.group, stop())
         last = stopped or i == s.iterations
-        if trainer.group.first and (last or time.monotonic() - saved > max(s.checkpoint_seconds, 20 * cost)):
+        if trainer.group.first and (last or time.monotonic() - saved > pause):
             began = time.monotonic()
             save(last)
             saved = time.monotonic()
-            cost = saved - began
+            pause = max(s.checkpoint_seconds, 20 * (saved - began)) if s.checkpoint_seconds else 0.0  # a slow disk is asked less often
         if stopped:
             return i == s.iterations
     return True
