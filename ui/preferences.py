@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..engine import compiling, settings
+from ..engine.training import store
 from ..fastgs_blender.kernels import cache
 from .object_panels import draw_rows
 
@@ -14,7 +15,7 @@ def _apply(self, context):
 
 
 class FASTGS_AP_preferences(bpy.types.AddonPreferences):
-    """Threads, compiled kernels, log."""
+    """Threads, compiled kernels, log, training Python."""
 
     bl_idname = settings.EXTENSION
 
@@ -30,6 +31,16 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
                ('INFO', "Information", "Also what is being done", 2), ('DEBUG', "Everything", "For finding mistakes", 3)),
         default='WARNING', update=_apply)
 
+    training_choice: bpy.props.EnumProperty(
+        name="Training Python", description="The Python that trains, in a process of its own",
+        items=(('AUTO', "Automatic", "The environment that was made here, else Blender's own Python if it has PyTorch", 0),
+               ('CHOSEN', "Existing", "An environment that has PyTorch", 1)),
+        default='AUTO')
+    training_python: bpy.props.StringProperty(
+        name="Environment", description="Folder of a Python environment that has PyTorch, or its python program", subtype='FILE_PATH')
+    package_index: bpy.props.StringProperty(
+        name="Package Index", description="Where packages for a new environment come from, as pip's --index-url; empty for the usual one")
+
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
@@ -43,6 +54,18 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         row = col.row()
         row.operator("fastgs.compile_kernels", icon='PLAY')
         row.operator("fastgs.clear_kernels", icon='TRASH')
+
+        col = layout.column(heading="Training")
+        col.prop(self, "training_choice", text="Python")
+        if self.training_choice == 'CHOSEN':
+            col.prop(self, "training_python")
+        else:
+            col.prop(self, "package_index")
+        if store.is_making():
+            draw_rows(col, [("Being Made", store.maker.last_line[:60])])
+        row = col.row()
+        row.operator("fastgs.test_training_python", icon='CHECKMARK')
+        row.operator("fastgs.make_training_python", icon='IMPORT')
 
         layout.separator()
         layout.operator("fastgs.copy_diagnostics", icon='COPYDOWN')

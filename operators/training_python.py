@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The training Python: test it, make one."""
+from __future__ import annotations
+
+import bpy
+
+from ..engine import settings
+from ..engine.training import pythons, store
+from ..fastgs_blender.errors import FastGSError
+from .splat_object import sentence
+
+
+def offline_reason() -> str:
+    """Why nothing may be downloaded; "" where it may."""
+    if bpy.app.online_access:
+        return ""
+    if bpy.app.online_access_override:
+        return "Blender was started without access to the internet; start it with --online-mode"
+    return "Allow Online Access in the system preferences first"
+
+
+class FASTGS_OT_test_training_python(bpy.types.Operator):
+    """Try whether the training Python has all that training needs, and say what is missing"""
+
+    bl_idname = "fastgs.test_training_python"
+    bl_label = "Test"
+
+    def execute(self, context):
+        try:
+            report = pythons.inspect(store.python())
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        self.report({'INFO' if report.ready else 'ERROR'}, report.sentence)
+        return {'FINISHED'} if report.ready else {'CANCELLED'}
+
+
+class FASTGS_OT_make_training_python(bpy.types.Operator):
+    """Make a Python environment for training in the extension's folder: PyTorch and what else training needs are downloaded"""
+
+    bl_idname = "fastgs.make_training_python"
+    bl_label = "Make an Environment"
+
+    @classmethod
+    def poll(cls, context):
+        reason = offline_reason() or ("An environment is being made" if store.is_making() else "")
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_props_dialog(self, width=480)
+
+    def draw(self, context):
+        col = self.layout.column(align=True)
+        col.label(text="PyTorch, numba, PyAV, pycolmap and what they need", icon='IMPORT')
+        col.label(text=f"will be downloaded from the Python Package Index: {pythons.SIZE}.")
+        col.label(text=f"They go into {store.made_environment()}")
+
+    def execute(self, context):
+        preferences = settings.preferences()
+        folder = store.made_environment()
+        store.maker = pythons.Maker(folder, folder.with_name("environment.log"), preferences.package_index if preferences else "")
+        if bpy.app.background:
+            while store.maker.poll():
+                store.maker.wait(1.0)
+            return self._end()
+        context.window_manager.modal_handler_add(self)
+        self._timer = context.window_manager.event_timer_add(1.0, window=context.window)
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context, event):
+        if event.type != 'TIMER' or (store.maker and store.maker.poll()):
+            return {'PASS_THROUGH'}
+        self.cancel(context)
+        for area in context.screen.areas if context.screen else ():
+            area.tag_redraw()
+        return self._end()
+
+    def cancel(self, context):
+        context.window_manager.event_timer_remove(self._timer)
+
+    def _end(self):
+        maker = store.maker
+        if maker is None or maker.failed:
+            said = f" ({maker.last_line})" if maker else ""
+            self.report({'ERROR'}, f"The environment could not be made{said}; {maker.log if maker else 'the log'} tells more.")
+            return {'CANCELLED'}
+        self.report({'INFO'}, "The environment for training is ready")
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_test_training_python, FASTGS_OT_make_training_python)
