@@ -56,8 +56,8 @@ def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> S
     if old is not None and resume:
         settings = from_dict(old)
         for name, value in wanted.items():
-            if settings.to_dict()[name] != value:
-                raise FastGSError(f"the run in {out} has {name} = {settings.to_dict()[name]}, not {value}; leave the option out to go on "
+            if getattr(settings, name) != value:
+                raise FastGSError(f"the run in {out} has {name} = {getattr(settings, name)}, not {value}; leave the option out to go on "
                                   "with it, or train into another folder.")
         return settings
     if not resume and not overwrite and any((out / name).exists() for name in (RUN, checkpoint.NAME, MODEL)):
