@@ -93,6 +93,12 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('2', "2x", "A quarter of the viewport's pixels", 1),
             ('4', "4x", "A sixteenth of the viewport's pixels", 2),
         ), default='1', update=redraw.viewports)
+    show_pictures: BoolProperty(
+        name="Pictures on Cameras", description="Show what cameras have filmed, their background images, on their frusta in viewports; "
+        "during playback the pictures stand still", default=False, update=redraw.viewports)
+    picture_size: FloatProperty(
+        name="Picture Size", description="Size of the pictures on frusta; 1 is where the frustum ends that Blender draws",
+        min=0.01, soft_max=10.0, default=1.0, update=redraw.viewports)
 
 
 class FASTGS_PG_view_layer(bpy.types.PropertyGroup):

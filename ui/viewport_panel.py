@@ -36,4 +36,25 @@ class FASTGS_PT_viewport(bpy.types.Panel):
             draw_trouble(layout.column(align=True), context, trouble)
 
 
-CLASSES = (FASTGS_PT_viewport,)
+class FASTGS_PT_pictures(bpy.types.Panel):
+    bl_label = "Pictures on Cameras"
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return any(obj.type == 'CAMERA' and obj.data.background_images for obj in context.scene.objects)
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.fastgs, "show_pictures", text="")
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(context.scene.fastgs, "picture_size")
+
+
+CLASSES = (FASTGS_PT_viewport, FASTGS_PT_pictures)

@@ -10,7 +10,7 @@ import gpu
 import numpy as np
 
 from .. import colour, compiling, frame, objects, proxies, world
-from . import shaders
+from . import frusta, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in
 from .picture import SceneDepth
@@ -41,14 +41,26 @@ def post_view() -> None:
     """Every other shading: with the scene's meshes, over what Blender has drawn."""
     context = bpy.context
     space, scene = context.space_data, context.scene
+    depsgraph = context.evaluated_depsgraph_get()
+    _draw_pictures(context, depsgraph)
     if not shows_over(space, scene):
         _put_aside(context.region, False)
         return
     _put_aside(context.region, True)
-    depsgraph = context.evaluated_depsgraph_get()
     xray = space.shading.type == 'SOLID' and space.shading.show_xray
     look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
     _draw(context, depsgraph, look, context.region, rendered=False, hidden=not xray)
+
+
+def _draw_pictures(context, depsgraph):
+    """The pictures on frusta; under our own Rendered shading they would cover splats that stand before them."""
+    shading = context.space_data.shading.type
+    if shading == 'RENDERED' and context.scene.render.engine == 'FASTGS':
+        return
+    try:
+        frusta.draw(context, depsgraph)
+    except Exception as error:  # a driver's, or an image's
+        _say_once(f"The cameras' pictures cannot be shown in viewports ({error}).")
 
 
 def _put_aside(region, rendered):
@@ -138,6 +150,7 @@ def clear(*_) -> None:
         view.free()
     _views.clear()
     atlas.clear()
+    frusta.clear()
     changed()
 
 
@@ -148,6 +161,7 @@ def stop() -> None:
     _worker.stop()
     clear()
     shaders.clear()
+    frusta.free_shader()
     proxies.hide(False)
 
 

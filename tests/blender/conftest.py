@@ -69,9 +69,9 @@ def library_camera(facts) -> fg.Camera:
 
 @pytest.fixture(scope="session")
 def reference():
-    """reference(model, camera facts, clip frame): what the library draws, RGBA premultiplied, 0 .. 1."""
-    def draw(model, camera, frame):
-        out = fg.render(model, library_camera(camera), model.clip.t_of_frame(frame))
+    """reference(model, camera facts, clip frame, crops=()): what the library draws, RGBA premultiplied, 0 .. 1."""
+    def draw(model, camera, frame, crops=()):
+        out = fg.render([(model, np.eye(4), model.clip.t_of_frame(frame), crops)], library_camera(camera))
         return np.concatenate([out["rgb"], out["alpha"][..., None]], -1)
 
     return draw

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from conftest import psnr, read_png
 
+from fastgs_blender.crops import Crop
+
 EDGE = 4
 INNER = slice(EDGE, -EDGE), slice(EDGE, -EDGE)
 """A picture without its edge, on which Blender draws lines."""
@@ -127,3 +129,11 @@ def test_engine_and_extension_go_while_they_draw(user, model, crops, library):
     assert points.mean() > 0.02
     assert np.abs(crop("without-extension") - wanted[..., :3])[opaque].mean() > 0.05
     assert psnr(crop("back"), black_behind(wanted)) >= 40
+
+
+def test_a_crop_box(user, model, crops, reference):
+    facts = user.story("window.cropping", window=True, model=model[1])
+    box = Crop(np.linalg.inv(facts["crop"]))
+    wanted, whole = (black_behind(reference(model[0], facts["camera"], 12 - facts["start"], boxes))[INNER] for boxes in ((box,), ()))
+    assert psnr(whole, wanted) < 25
+    assert psnr(crops(facts)("cropped"), wanted) >= 40

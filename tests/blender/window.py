@@ -256,3 +256,26 @@ def switching(model):
     scene.frame_set(12)
     yield from settled("back")
     return facts
+
+
+def cropping(model):
+    """A crop box around one half of the model: through the camera, and as its user sees it."""
+    area, facts = yield from through_camera(model, 12)
+    obj = next(o for o in bpy.context.scene.objects if o.fastgs.filepath)
+    with within(area):
+        bpy.ops.fastgs.add_crop_box()
+    box = obj.fastgs.crops[0].object
+    box.scale.x *= 0.5
+    box.location.x += box.scale.x
+    yield from settled("cropped")
+    facts["crop"] = [list(row) for row in box.matrix_world]
+    space = area.spaces.active
+    space.overlay.show_overlays = True
+    space.shading.type = 'SOLID'
+    view = space.region_3d
+    view.view_perspective = 'PERSP'
+    view.view_rotation = Euler((1.1, 0, -0.35)).to_quaternion()
+    view.view_location, view.view_distance = (0.9, 0, 0.5), 8.5
+    yield from sidebar(area)
+    yield from settled("crop")
+    return facts

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What cameras have filmed, shown on their frusta: the background images of cameras, at the current frame.
+
+Blender itself shows a background only to who looks through the camera.  Pictures are drawn where the frustum ends that Blender draws,
+and write depth, so that splats, which come after them, are hidden where they must be.
+"""
+from __future__ import annotations
+
+from functools import cache
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+VERTEX = """
+void main()
+{
+  v_uv = uv;
+  gl_Position = to_clip * vec4(corner, 1.0);
+}
+"""
+FRAGMENT = """
+void main()
+{
+  vec4 seen = texture(picture, v_uv);
+  out_colour = vec4(seen.rgb, 1.0);
+}
+"""
+UVS = [(1.0, 1.0), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
+
+_textures: dict[str, tuple] = {}
+
+
+def draw(context, depsgraph) -> None:
+    """Draw the pictures of all cameras that a viewport shows, into the active framebuffer with its depth."""
+    scene, space = context.scene, context.space_data
+    if not scene.fastgs.show_pictures or not space.overlay.show_overlays:
+        return
+    region = context.region_data
+    looked_through = (space.camera if space.use_local_camera else scene.camera) if region.view_perspective == 'CAMERA' else None
+    playing = context.screen is not None and context.screen.is_animation_playing
+    for obj in depsgraph.objects:
+        if obj.type == 'CAMERA' and obj.original != looked_through and obj.original.visible_in_viewport_get(space):
+            texture = _texture(obj.original.data, scene.frame_current, playing)
+            if texture is not None:
+                place = np.array(obj.matrix_world.normalized())  # a frustum's size is its display size
+                draw_picture(texture, plane(obj.data, scene, scene.fastgs.picture_size) @ place[:3, :3].T + place[:3, 3],
+                             region.perspective_matrix)
+
+
+def plane(camera, scene, size: float) -> np.ndarray:
+    """The corners [4, 3] of the end of a camera's frustum in its own space, as Blender draws it at this share of its display size."""
+    corners = np.array([tuple(corner) for corner in camera.view_frame(scene=scene)])
+    if camera.type == 'ORTHO':
+        return corners * (1, 1, size)
+    sensor = camera.sensor_height if camera.sensor_fit == 'VERTICAL' else camera.sensor_width
+    return corners / abs(corners[:, 2:]) * (size * camera.display_size * camera.lens / sensor)
+
+
+def draw_picture(texture, corners: np.ndarray, to_clip) -> None:
+    """A picture on four corners [4, 3]: right top, right bottom, left bottom, left top."""
+    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
+    gpu.state.blend_set('NONE')
+    gpu.state.depth_test_set('LESS_EQUAL')
+    gpu.state.depth_mask_set(True)
+    shader = _shader()
+    points = [corners[i].tolist() for i in (0, 1, 3, 2)]
+    batch = batch_for_shader(shader, 'TRI_STRIP', {"corner": points, "uv": [UVS[i] for i in (0, 1, 3, 2)]})
+    shader.bind()
+    shader.uniform_float("to_clip", to_clip)
+    shader.uniform_sampler("picture", texture)
+    batch.draw(shader)
+    gpu.state.blend_set(before[0])
+    gpu.state.depth_test_set(before[1])
+    gpu.state.depth_mask_set(before[2])
+
+
+def image_frame(user, frame: int) -> int:
+    """Which of an image's frames an image user shows on a frame of the scene; before and after it the first and the last."""
+    count = max(user.frame_duration, 1)
+    at = frame - user.frame_start + 1
+    at = (at - 1) % count + 1 if user.use_cyclic else min(max(at, 1), count)
+    return at + user.frame_offset
+
+
+def clear() -> None:
+    """Free the textures."""
+    _textures.clear()
+
+
+def free_shader() -> None:
+    """Free the shader."""
+    _shader.cache_clear()
+
+
+def _texture(camera, frame: int, playing: bool):
+    """The texture of a camera's first background, or None; while the animation plays the one of before has to do."""
+    background = next((b for b in camera.background_images if b.source == 'IMAGE' and b.image is not None), None)
+    if background is None or not camera.show_background_images:
+        return None
+    image = background.image
+    still = image.source == 'FILE'
+    key = image.as_pointer(), 0 if still else image_frame(background.image_user, frame)
+    found = _textures.get(camera.name_full)
+    if found is not None and (found[0] == key or (playing and found[0][0] == key[0])):
+        return found[1]
+    texture = None
+    if image.gl_load(frame=key[1]) == 0:
+        texture = gpu.texture.from_image(image)
+        image.gl_free()  # the next frame is then loaded anew; the texture itself lives on
+    _textures[camera.name_full] = key, texture
+    return texture
+
+
+@cache
+def _shader():
+    info = gpu.types.GPUShaderCreateInfo()
+    between = gpu.types.GPUStageInterfaceInfo("fastgs_frustum_iface")
+    between.smooth('VEC2', "v_uv")
+    info.vertex_in(0, 'VEC3', "corner")
+    info.vertex_in(1, 'VEC2', "uv")
+    info.vertex_out(between)
+    info.push_constant('MAT4', "to_clip")
+    info.sampler(0, 'FLOAT_2D', "picture")
+    info.fragment_out(0, 'VEC4', "out_colour")
+    info.vertex_source(VERTEX)
+    info.fragment_source(FRAGMENT)
+    return gpu.shader.create_from_info(info)
