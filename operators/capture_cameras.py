@@ -14,10 +14,9 @@ from mathutils import Quaternion
 
 from .. import fastgs_blender as fg
 from ..engine import camera as cameras
-from ..engine.settings import EXTENSION
 from ..fastgs_blender.errors import FastGSError
 from ..fastgs_blender.moves import one_sign, quaternions
-from . import camera_keys, camera_space
+from . import camera_keys, camera_space, undistorted
 from .fit_scene import frame_rate
 from .splat_object import sentence
 
@@ -213,8 +212,8 @@ class FASTGS_OT_import_capture(bpy.types.Operator, ImportHelper):
         distorted = [shot for shot in capture.shots if not shot.image.lens.is_pinhole]
         undistort = self.backgrounds == 'UNDISTORTED' or (self.backgrounds == 'AUTO' and len(distorted) <= MOST_UNDISTORTED)
         if distorted and undistort:
-            shots = write_undistorted(context, capture, distorted)
-            capture.shots[:] = [shots.get(id(shot), shot) for shot in capture.shots]
+            copies = undistorted.write(context.window_manager, capture, distorted)
+            capture.shots[:] = [copies.get(shot, shot) for shot in capture.shots]
         elif distorted:
             self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their backgrounds; import again "
                                      f"with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
@@ -231,43 +230,6 @@ class FASTGS_OT_import_capture(bpy.types.Operator, ImportHelper):
         if capture.clip.frame_count > 1 and abs(rate / capture.clip.fps - 1) > 1e-3:
             self.report({'WARNING'}, f"The capture has {capture.clip.fps:g} frames per second and the scene {rate:g}: backgrounds show one "
                                      "picture a scene frame, so set the scene's frame rate to keep them in step with the splats.")
-
-
-def write_undistorted(context, capture, shots) -> dict:
-    """Write these shots as pinhole pictures (JPEG) where they are not yet; the shots that show the copies, by id() of the originals."""
-    from dataclasses import replace
-
-    from ..fastgs_blender.captures.framefiles import default_folder, digest
-    from ..fastgs_blender.captures.sources import Source
-
-    folder = Path(bpy.utils.extension_path_user(EXTENSION, path=f"undistorted/{default_folder(capture).name}", create=True))
-    manager = context.window_manager
-    store, copies, places = capture.frames(0), {}, {}
-    manager.progress_begin(0, len(shots))
-    try:
-        for i, shot in enumerate(shots):
-            if shot.view not in places:  # other files, another lens or scale: another folder
-                places[shot.view] = folder / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', shot.view)}-{digest(shot, capture.scale)[:8]}"
-                places[shot.view].mkdir(exist_ok=True)
-            file = places[shot.view] / f"{shot.frame + 1:05d}.jpg"
-            if not file.exists():
-                _write_jpeg(file, store.pixels(shot).rgb)
-            copies[id(shot)] = replace(shot, image=Source(file))
-            manager.progress_update(i)
-    except OSError as error:
-        raise FastGSError(f"{folder}: undistorted pictures cannot be written there ({error.strerror}); free some space, or set Backgrounds "
-                          "to Files.") from error
-    finally:
-        manager.progress_end()
-    return copies
-
-
-def _write_jpeg(file: Path, rgb: np.ndarray) -> None:
-    from PIL import Image
-
-    part = file.with_suffix(".part")
-    Image.fromarray(np.uint8(np.clip(rgb, 0, 1) * 255 + 0.5)).save(part, format="JPEG", quality=95, subsampling=0)
-    part.replace(file)
 
 
 class FASTGS_OT_render_as_filmed(bpy.types.Operator):
