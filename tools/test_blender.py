@@ -48,7 +48,11 @@ def main() -> int:
         return 1
     if not found:
         return 0
-    environment = {**os.environ, **zips()}
+    try:
+        environment = {**os.environ, **zips()}
+    except wheels.Missing as reason:
+        print(f"No zip for the Blenders here: {reason}", file=sys.stderr)
+        return int(required)
     print(f"{len(found)} Blenders and the zip were ready after {time.monotonic() - start:.0f} s.", flush=True)
     tests = {suite: ring(suite, folder, environment) for suite, folder in found.items()}
     for suite, process in tests.items():
