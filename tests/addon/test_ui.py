@@ -75,7 +75,7 @@ def test_every_panel_draws(panels, obj):
 
 
 def test_both_places_show_the_same(panels, obj):
-    for here, there in (("object", "sidebar"), ("object_time", "sidebar_time")):
+    for here, there in (("object", "sidebar"), ("object_time", "sidebar_time"), ("object_crop", "sidebar_crop")):
         assert drawn(panels[f"FASTGS_PT_{here}"]) == drawn(panels[f"FASTGS_PT_{there}"])
 
 
@@ -106,6 +106,14 @@ def test_broken_file_is_red_once_it_was_tried(panels, obj, tmp_path):
         bpy.ops.fastgs.reload()
     record = drawn(panels["FASTGS_PT_object"])
     assert "broken.ply" in "".join(text for kind, text, alert in record if alert and kind == "label")
+
+
+def test_crop_boxes_are_listed(panels, obj):
+    assert texts(drawn(panels["FASTGS_PT_object_crop"]), "operator") == ["fastgs.add_crop_box"]
+    bpy.ops.fastgs.add_crop_box()
+    record = drawn(panels["FASTGS_PT_object_crop"])
+    assert texts(record, "prop") == ["use", "object", "mode"]
+    assert texts(record, "operator") == ["fastgs.remove_crop_box", "fastgs.add_crop_box", "fastgs.apply_crop"]
 
 
 def test_viewports_that_cannot_show_splats_say_so(panels, obj, module, monkeypatch):
