@@ -27,6 +27,8 @@ FLAGS = {
     "seed": (int, "N", "of everything random (default: 0)"),
 }
 """Settings with a flag of their own; --set reaches all."""
+OTHER_FLAGS = {"start": "--init"}
+"""Flags that are not called as the setting is: torchrun would take --start for an abbreviation of its own --start-method."""
 
 
 def add_arguments(parser):
@@ -37,7 +39,7 @@ def add_arguments(parser):
     parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long and how large (default: standard)")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():
-        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=text)
+        parser.add_argument(OTHER_FLAGS.get(name, f"--{name.replace('_', '-')}"), dest=name, type=kind, metavar=metavar, help=text)
     parser.add_argument("--init-model", dest="start_model", metavar="FILE", help="a model to start from, as a bake makes one")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
@@ -55,6 +57,7 @@ def run(args):
         raise FastGSError("training needs PyTorch: pip install torch") from error
     from ..captures import open_capture
     from ..training import session
+    from ..training.calibrate import with_poses
     from ..training.distributed import joined
 
     use_threads(args.threads)
@@ -67,6 +70,10 @@ def run(args):
         for remark in capture.notes if group.first else ():
             note(remark)
         capture.check()
+        if not capture.posed:
+            store = capture.frames(session.MEMORY)
+            group.first_does(lambda: with_poses(capture, store, args.out, note))
+            capture = with_poses(capture, store, args.out)
         report = session.train(capture, capture.frames(session.MEMORY), settings, args.out, group, args.quiet)
     if group.first:
         if args.json:

@@ -10,22 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ..appearance import SH, SH_C0
-from ..captures.base import Points, Shot
+from ..captures.base import Points
 from ..errors import FastGSError
 from ..slicing import sigmoid, slice_model
-from . import features
-from .geometry import project, sample, unproject, visible
+from .dense import FEW, MOMENTS, depth_range, picture, spread, triangulated
+from .geometry import sample, unproject, visible
 from .schedule import POINTS, generator
-from .targets import small_camera, smaller, use_of_mask
 
-MOMENTS = 8
-"""Moments of the clip at which points are looked for."""
-FEW = 30
-"""A source that gives fewer points than this (features: at a moment, on average) has failed."""
-MOST_VIEWS = 24
-"""Pictures of a moment that are compared; more are spread evenly."""
-STEADY = 0.04
-"""Mean difference of colour (0..1) below which a place looks the same at another moment."""
 INTO_BLENDER = {"RFU": np.eye(3), "RDF": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), "RUB": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])}
 """Matrices from a world's axes to right, forward, up."""
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "model": "a given model", "random": "random points"}
@@ -73,61 +64,6 @@ def thinned(points: Points, most: int, seed: int) -> Points:
 
 
 # The sources: functions of (capture, store, settings) that return points and a clause about them
-
-
-def from_features(capture, store, settings):
-    """Features triangulated at several moments, and between them the surfaces that a plane sweep finds."""
-    extract = features.extractor()
-    clouds, counts = [], []
-    moments = chosen_moments(capture)
-    for shots in moments:
-        pictures = [picture(capture, store, settings, shot, features.LARGEST_SIDE) for shot in shots]
-        found = []
-        for image, camera, inside in pictures:
-            places, descriptors = extract(image)
-            good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
-            found.append(features.Features(places[good], descriptors[good], camera))
-        xyz, seen_by = features.triangulated(found, min(len(shots), 3))
-        rgb = np.array([np.mean([sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views], 0)
-                        for point, views in zip(xyz, seen_by)]).reshape(-1, 3)
-        moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
-        clouds.append((xyz, rgb, np.full(len(xyz), moment)))
-        counts.append(len(xyz))
-    if sum(counts) < FEW * len(moments):
-        raise FastGSError(f"{capture.path}: only {sum(counts)} features could be triangulated at {len(moments)} moments.")
-    xyz, rgb, t = (np.concatenate(parts) for parts in zip(*clouds))
-    return Points(xyz, rgb, t), f"{sum(counts)} triangulated at {len(moments)} moments"
-
-
-def chosen_moments(capture) -> list[list[Shot]]:
-    """The shots to train on at up to MOMENTS evenly spread frames; of a camera that films alone, shots of all times together."""
-    by_frame: dict[int, list[Shot]] = {}
-    for shot in capture.training:
-        by_frame.setdefault(shot.frame, []).append(shot)
-    frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) >= 2]
-    if not frames:
-        return [spread(capture.training, MOST_VIEWS)]
-    return [spread(by_frame[frame], MOST_VIEWS) for frame in spread(frames, MOMENTS)]
-
-
-def spread(values, most):
-    """At most so many of a list, evenly."""
-    if len(values) <= most:
-        return list(values)
-    return [values[i] for i in np.round((np.arange(most) + 0.5) * len(values) / most - 0.5).astype(int)]
-
-
-def picture(capture, store, settings, shot, side):
-    """A shot's rgb with its longer side at most `side`, the camera of that, and where it counts [h, w] or None for everywhere."""
-    pixels = store.pixels(shot)
-    reduction = -(-max(pixels.rgb.shape[:2]) // side)
-    inside = None
-    if use_of_mask(settings, capture, shot, pixels.mask) in {"cut", "only"}:
-        inside = pixels.mask
-    if pixels.valid is not None:
-        inside = pixels.valid.astype(np.float32) * (1 if inside is None else inside)
-    return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),
-            None if inside is None else smaller(inside, reduction))
 
 
 def from_file(capture, store, settings):
@@ -183,12 +119,4 @@ def random_points(capture, store, settings):
     return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where the cameras look together"
 
 
-def depth_range(capture) -> tuple[float, float]:
-    """Depths between which the scene lies if nothing else is known: around what the cameras look at together."""
-    centres = capture.centres()
-    distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
-    distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
-    return 0.3 * distance, 4 * distance
-
-
-_MAKERS = {"triangulate": from_features, "file": from_file, "model": from_model, "random": random_points}
+_MAKERS = {"triangulate": triangulated, "file": from_file, "model": from_model, "random": random_points}

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of a whole scene in time from its pictures: triangulated features say where it lies, plane sweeps fill in its surfaces.
+
+Places that look the same at other moments belong to all times; those that do not carry the moment at which they were found.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from ..captures.base import Points, Shot
+from ..errors import FastGSError
+from . import features, sweep
+from .geometry import project, sample, visible
+from .targets import small_camera, smaller, use_of_mask
+
+MOMENTS, FEATURE_MOMENTS = 8, 4
+"""Moments of the clip at which surfaces, and features, are looked for."""
+FEW = 30
+"""Features at a moment, on average, with fewer than which triangulation has failed."""
+MOST_VIEWS = 24
+"""Pictures of a moment that are compared; more are spread evenly."""
+SWEEP_SIDE = 128
+"""Pictures are shrunk to this for the plane sweep."""
+STEADY, MOSTLY = 0.04, 0.75
+"""Mean difference of colour (0..1) below which a place looks the same, and at how many of the other moments it must."""
+
+
+def triangulated(capture, store, settings) -> tuple[Points, str]:
+    """At most settings.points points and a clause about them; raises FastGSError where the pictures give too few features."""
+    moments = chosen_moments(capture)
+    found = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
+    pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
+    near, far = depths_of(found.xyz, capture)
+    still, timed, depths = [found], [], []
+    if all(len({shot.frame for shot in shots}) == 1 for shots in moments):  # else one camera films alone, and no two pictures go together
+        depths = [sweep.swept(shown, near, far) for shown in pictures]
+    for k, its in enumerate(depths):
+        for shot, (xyz, rgb) in zip(moments[k], sweep.surfaces(pictures[k], its)):
+            steady = _steady(xyz, rgb, shot.view, k, moments, pictures, depths)
+            still.append(Points(xyz[steady], rgb[steady], np.full(steady.sum(), np.nan)))
+            timed.append(Points(xyz[~steady], rgb[~steady], np.full((~steady).sum(), shot.t)))
+    swept = sum(map(len, timed)) + sum(map(len, still[1:]))
+    still, timed = joined(still), joined(timed) if timed else None
+    parts = [evenly(still, settings.points // 2 if timed else settings.points)]
+    if timed:
+        for t in np.unique(timed.t):
+            parts.append(evenly(taken(timed, timed.t == t), (settings.points - len(parts[0])) // len(np.unique(timed.t))))
+    points = joined(parts)
+    return points, f"{len(found)} features triangulated, {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
+
+
+def _features(capture, store, settings, moments) -> Points:
+    """Features triangulated at these moments."""
+    extract = features.extractor()
+    clouds = []
+    for shots in moments:
+        pictures = [picture(capture, store, settings, shot, features.LARGEST_SIDE) for shot in shots]
+        found = []
+        for image, camera, inside in pictures:
+            places, descriptors = extract(image)
+            good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
+            found.append(features.Features(places[good], descriptors[good], camera))
+        xyz, seen_by = features.triangulated(found, min(len(shots), 3))
+        rgb = np.array([np.mean([sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views], 0)
+                        for point, views in zip(xyz, seen_by)]).reshape(-1, 3)
+        clouds.append(Points(xyz, rgb, np.full(len(xyz), np.nan)))
+    points = joined(clouds)
+    if len(points) < FEW * len(moments):
+        raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
+    return points
+
+
+def _steady(xyz, rgb, view, moment, moments, pictures, depths) -> np.ndarray:
+    """Which of the points [P] that a view shows at a moment are there at most other moments too: same colour, same depth."""
+    same, asked = np.zeros(len(xyz)), np.zeros(len(xyz))
+    for k, shots in enumerate(moments):
+        i = next((i for i, shot in enumerate(shots) if shot.view == view), None)
+        if k == moment or i is None or depths[k][i] is None:
+            continue
+        image, camera, _ = pictures[k][i]
+        places, depth = project(camera, xyz)
+        ratio = sample(depths[k][i].depth[..., None], places)[:, 0] / np.maximum(depth, 1e-12)
+        open_view = visible(camera, xyz) & (ratio > 1 - 2 * sweep.AGREE)  # else something is before it, which says nothing
+        asked += open_view
+        same += open_view & (np.abs(ratio - 1) < sweep.AGREE) & (np.abs(sample(image, places) - rgb).mean(1) < STEADY)
+    return (same >= MOSTLY * asked) & (asked > 0)
+
+
+def chosen_moments(capture) -> list[list[Shot]]:
+    """The shots to train on at up to MOMENTS evenly spread frames; of a camera that films alone, shots of all times together."""
+    by_frame: dict[int, list[Shot]] = {}
+    for shot in capture.training:
+        by_frame.setdefault(shot.frame, []).append(shot)
+    frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) >= 2]
+    if not frames:
+        return [spread(capture.training, MOST_VIEWS)]
+    return [spread(by_frame[frame], MOST_VIEWS) for frame in spread(frames, MOMENTS)]
+
+
+def spread(values, most):
+    """At most so many of a list, evenly."""
+    if len(values) <= most:
+        return list(values)
+    return [values[i] for i in np.round((np.arange(most) + 0.5) * len(values) / most - 0.5).astype(int)]
+
+
+def picture(capture, store, settings, shot, side):
+    """A shot's rgb with its longer side at most `side`, the camera of that, and where it counts [h, w] or None for everywhere."""
+    pixels = store.pixels(shot)
+    reduction = -(-max(pixels.rgb.shape[:2]) // side)
+    inside = None
+    if use_of_mask(settings, capture, shot, pixels.mask) in {"cut", "only"}:
+        inside = pixels.mask
+    if pixels.valid is not None:
+        inside = pixels.valid.astype(np.float32) * (1 if inside is None else inside)
+    return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),
+            None if inside is None else smaller(inside, reduction))
+
+
+def depth_range(capture) -> tuple[float, float]:
+    """Depths between which the scene lies if nothing else is known: around what the cameras look at together."""
+    centres = capture.centres()
+    distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
+    distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
+    return 0.3 * distance, 4 * distance
+
+
+def depths_of(xyz, capture) -> tuple[float, float]:
+    """Depths between which everything lies that points of it show; a good deal beyond them, for what has no features."""
+    depths = np.concatenate([project(shot.camera, xyz)[1][visible(shot.camera, xyz)] for shot in spread(capture.training, 64)])
+    if len(depths) < FEW:
+        return depth_range(capture)
+    low, high = np.percentile(depths, (2, 98))
+    return 0.6 * low, 2 * high
+
+
+def joined(clouds: list[Points]) -> Points:
+    """All points, with their times."""
+    return Points(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("xyz", "rgb", "t")))
+
+
+def taken(points: Points, rows) -> Points:
+    """Some of the points."""
+    return Points(points.xyz[rows], points.rgb[rows], points.t[rows])
+
+
+def evenly(points: Points, most: int) -> Points:
+    """At most so many of the points, spread evenly: the first in each cell of a grid that is as fine as the number allows."""
+    if len(points) <= most:
+        return points
+    low = points.xyz.min(0)
+    coarse, fine = max(float(np.ptp(points.xyz, axis=0).max()), 1e-12), 0.0
+    best = np.arange(min(most, 1))
+    for _ in range(14):
+        size = np.sqrt(coarse * fine) if fine else coarse / 32
+        cell = np.minimum((points.xyz - low) / size, 2**20).astype(np.int64)
+        first = np.unique(cell @ np.array([1, 2**21, 2**42]), return_index=True)[1]
+        if len(first) <= most:
+            coarse, best = size, first
+        else:
+            fine = size
+    return taken(points, np.sort(best))
