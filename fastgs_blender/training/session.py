@@ -181,8 +181,9 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
     from .initial import initial_points, thinned
     from .model import model_from_points
 
-    points = group.first_does(lambda: thinned(
-        with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)), settings.max_gaussians, settings.seed))
+    points = group.first_does(
+        lambda: with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)))
+    points = points and thinned(points, settings.max_gaussians, settings.seed)
     arrays = {} if points is None else {name: np.asarray(getattr(points, name)) for name in ("xyz", "rgb", "t")
                                         if getattr(points, name) is not None}
     arrays = group.share_arrays(arrays)
