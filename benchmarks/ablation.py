@@ -134,6 +134,7 @@ def points_file(folder: Path, common) -> Path:
 def prepare(folder: Path, common):
     """The starting points that all runs share, made once."""
     from fastgs_blender.formats.outputs import replacing
+    from fastgs_blender.training.backdrop import with_backdrop
     from fastgs_blender.training.initial import initial_points
     from fastgs_blender.training.settings import settings
 
@@ -143,7 +144,8 @@ def prepare(folder: Path, common):
     capture = opened(folder)
     store = capture.frames()
     store.fill()
-    points = initial_points(capture, store, settings(**common))
+    made = settings(**common)
+    points = with_backdrop(capture, store, made, initial_points(capture, store, made))
     t = np.full(len(points), np.nan, np.float32) if points.t is None else points.t
     with replacing([path]) as (part,), part.open("wb") as file:
         np.savez(file, xyz=points.xyz, rgb=points.rgb, t=t)

@@ -41,6 +41,7 @@ def pycolmap_module():
         import pycolmap
     except ImportError as error:
         raise FastGSError(f"triangulating needs pycolmap, which cannot be imported ({error}): pip install pycolmap") from error
+    pycolmap.logging.minloglevel = pycolmap.logging.ERROR  # it reports every step
     return pycolmap
 
 
@@ -50,12 +51,11 @@ def extractor():
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu, options.num_threads = False, 1
     options.sift.max_num_features, options.sift.peak_threshold = MOST_FEATURES, PEAK
-    sift = pycolmap.Sift(options, pycolmap.Device.cpu)
+    sift = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
 
     def extract(rgb):
-        grey = np.ascontiguousarray(rgb @ np.array([0.299, 0.587, 0.114]) * 255 + 0.5, np.uint8)
-        places, descriptors = sift.extract(grey)
-        descriptors = np.asarray(descriptors, np.float32)
+        keypoints, described = sift.extract_from_uint8_array(np.uint8(rgb @ np.array([0.299, 0.587, 0.114]) * 255 + 0.5))
+        places, descriptors = pycolmap.keypoints_to_matrix(keypoints), np.asarray(described.data, np.float32)
         order = np.lexsort(places.T[::-1])
         lengths = np.linalg.norm(descriptors, axis=1, keepdims=True)
         return places[order, :2].astype(np.float64), (descriptors / np.maximum(lengths, 1e-9))[order]
