@@ -107,7 +107,7 @@ def files(tmp_path_factory):
 
 def arguments(capture, out, *more):
     options = [text for name, value in FEW.items() for text in ("--set", f"{name}={','.join(map(str, value)) if value == () else value}")]
-    return ["train", str(capture), "--out", str(out), "--set", "checkpoint_seconds=0", *options, *map(str, more)]
+    return ["train", str(capture), "--out", str(out), "--init", "file", "--set", "checkpoint_seconds=0", *options, *map(str, more)]
 
 
 def fastgs(*args, **options):
@@ -216,7 +216,7 @@ def test_two_processes_are_one_with_twice_the_batch(files, tmp_path, density):
     one, two = tmp_path / "one", tmp_path / "two"
     alone = fastgs(*arguments(files, one, "--density", density, "--batch", 2, "--set", "log_every=1"))
     assert alone.returncode == 0, alone.stderr
-    script = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "--master-port=0", "-m", "fastgs_blender"]
+    script = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "fastgs_blender"]
     both = subprocess.run([*script, *arguments(files, two, "--density", density, "--set", "log_every=1")], cwd=ROOT, capture_output=True,
                           text=True, check=False, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1", "OMP_NUM_THREADS": "1"})
     assert both.returncode == 0, both.stderr
