@@ -141,6 +141,21 @@ class Monkey:
             obj.fastgs.speed = self.random.choice([-2, 0.5, 1, 3])
             obj.fastgs.after = self.random.choice(['HIDE', 'HOLD', 'LOOP', 'PING_PONG'])
 
+    def do_crop(self):
+        context, _ = self.view()
+        with context:
+            layer = bpy.context.view_layer
+            found = [obj for obj in self.splats() if obj.name in layer.objects]
+            if not found:
+                return
+            layer.objects.active = obj = self.random.choice(found)
+            if obj.fastgs.crops and self.random.random() < 0.5:
+                bpy.ops.fastgs.remove_crop_box(index=0)
+            elif len(obj.fastgs.crops) < 2 and bpy.ops.fastgs.add_crop_box.poll():
+                bpy.ops.fastgs.add_crop_box()
+                obj.fastgs.crops[-1].object.scale *= self.random.uniform(0.3, 1)
+            bpy.ops.ed.undo_push(message="crop")
+
     def do_duplicate(self):
         context, _ = self.view()
         with context:

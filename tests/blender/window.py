@@ -135,6 +135,8 @@ def first_steps(model):
     scene.frame_set(12)
     yield from settled("solid")
     area.spaces.active.shading.type = 'RENDERED'
+    overlay = area.spaces.active.overlay
+    overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = False  # their lines would run over the splats
     yield from settled("rendered")
     yield from f12(area)
     shot("f12")
