@@ -26,6 +26,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 import capture_scenes as scenes  # noqa: E402
 
 from fastgs_blender import colour  # noqa: E402
+from fastgs_blender.captures import generated  # noqa: E402
 from fastgs_blender.formats.outputs import replacing  # noqa: E402
 
 ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
@@ -54,8 +55,8 @@ def main():
 
     width, height = (int(x) for x in options.size.split("x"))
     focal = height / 2 / np.tan(np.radians(options.angle) / 2)
-    eyes = centre + distance * directions(options)
-    poses = {f"cam{k:02}": look_at(eye, centre) for k, eye in enumerate(eyes)}
+    eyes = centre + distance * generated.directions(options.cameras, options.rig)
+    poses = {f"cam{k:02}": generated.look_at(eye, centre) for k, eye in enumerate(eyes)}
     write_description(options, poses, (width, height, focal), scene.render.fps / step)
     render(options, set_up(scene, width, height, focal, options), poses, times, {o.name for o in subject})
 
@@ -84,37 +85,6 @@ def parse():
     if options.scene != "procedural" and not options.file.is_file():
         parser.error(f"{options.file} is not there; give a .blend or .glb file, robot or procedural")
     return options
-
-
-# The rig
-
-
-def directions(options) -> np.ndarray:
-    """Unit vectors [cameras, 3] from the subject to the cameras: z up, the first among the others, in front (-y)."""
-    k = np.arange(options.cameras) + 0.5
-    if options.rig == "arc":
-        azimuth = np.radians(-90 + 110 * (k / options.cameras - 0.5))
-        rise = np.radians(22 + 10 * np.cos(np.pi * (k - 0.5)))
-    else:
-        low, high = np.sin(np.radians((10, 55)))
-        rise = np.arcsin(low + (high - low) * k / options.cameras)
-        azimuth = np.pi * (3 - np.sqrt(5)) * k
-    middle = options.cameras // 2
-    order = [middle, *(i for i in range(options.cameras) if i != middle)]
-    azimuth = (azimuth - (azimuth[middle] + np.pi / 2) * (options.rig == "dome"))[order]
-    rise = rise[order]
-    return np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)], 1)
-
-
-def look_at(eye, target) -> np.ndarray:
-    """World-to-camera [4, 4] in OpenCV axes of a camera that stands upright at eye."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, (0, 0, 1))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ eye
-    return matrix
 
 
 def write_description(options, poses, lens, fps):
@@ -201,14 +171,9 @@ def save(path, subject, picture, mask):
         header = dict(file.header())
         planes = {name.split(".", 1)[-1]: channel.pixels for k in range(len(file.parts)) for name, channel in file.channels(k).items()}
     rgb = np.stack([planes[f"Combined.{c}"] for c in "RGB"], -1)
-    hashes = json.loads(next(value for name, value in header.items() if name.startswith("cryptomatte/") and name.endswith("/manifest")))
-    wanted = np.array([int(code, 16) for name, code in hashes.items() if name in subject], np.uint32)
-    cover = np.zeros(rgb.shape[:2], np.float32)
-    for level in range(3):
-        for identity, share in ("rg", "ba"):
-            ids, part = (planes[f"CryptoObject{level:02}.{c}"] for c in (identity, share))
-            cover += np.where(np.isin(ids.view(np.uint32), wanted), part, 0)
-    images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), np.clip(cover, 0, 1)]
+    manifest = next(value for name, value in header.items() if name.startswith("cryptomatte/") and name.endswith("/manifest"))
+    cover = generated.cover(planes, manifest, subject)
+    images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), cover]
     with replacing([picture, mask]) as parts:
         for part, image in zip(parts, images):
             with part.open("wb") as file:

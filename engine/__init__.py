@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's side of rendering: the render engine, the objects that it shows and their properties."""
 from . import compiling, handlers, panels, properties, render_engine, settings, viewport
+from .training import watch
 
-_MODULES = (settings, properties, render_engine, panels, handlers, compiling, viewport)
+_MODULES = (settings, properties, render_engine, panels, handlers, compiling, viewport, watch)
 
 
 def register():

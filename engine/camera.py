@@ -35,10 +35,12 @@ def frame_of(render) -> Frame:
     return Frame(width, height, window)
 
 
-def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | None = None) -> fg.Camera:
+def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | None = None,
+              aspect: tuple[float, float] | None = None) -> fg.Camera:
     """The library's camera for an evaluated camera object.
 
     model_matrix, shift_x   where a view of a stereo pair stands and how far it is shifted, if not as the object itself
+    aspect                  the pixels' width and height, if not as the scene renders them
     Raises FastGSError for the kinds of camera that splats cannot be projected through.
     """
     data = obj.data
@@ -48,7 +50,7 @@ def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | 
                              "set it to Perspective or Orthographic.")
     render = depsgraph.scene.render
     width, height = frame.width, frame.height
-    aspect_x, aspect_y = render.pixel_aspect_x, render.pixel_aspect_y
+    aspect_x, aspect_y = aspect or (render.pixel_aspect_x, render.pixel_aspect_y)
     p = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=aspect_x, scale_y=aspect_y), np.float64)
     orthographic = data.type == 'ORTHO'
     # OpenGL's projection of (X, Y, -z): the principal point is where x = y = 0 lands

@@ -12,6 +12,7 @@ from bpy.props import (
 )
 
 from . import passes, redraw
+from .training.options import FASTGS_PG_training
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
 _OWN = {'LIBRARY_OVERRIDABLE'}
@@ -99,6 +100,7 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     picture_size: FloatProperty(
         name="Picture Size", description="Size of the pictures on frusta; 1 is where the frustum ends that Blender draws",
         min=0.01, soft_max=10.0, default=1.0, update=redraw.viewports)
+    training: PointerProperty(type=FASTGS_PG_training, name="Training")
 
 
 class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
@@ -119,7 +121,7 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     pixel_aspect_y: FloatProperty(name="Pixel Height", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
 
 
-CLASSES = (FASTGS_PG_crop, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
+CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),

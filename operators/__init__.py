@@ -2,7 +2,19 @@
 """What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture, bake, move cameras."""
 import bpy
 
-from . import camera_life, camera_moves, camera_path_files, capture_cameras, crop, keymap, maintenance, menus, training_python
+from . import (
+    camera_life,
+    camera_moves,
+    camera_path_files,
+    capture_cameras,
+    capture_scene,
+    crop,
+    keymap,
+    maintenance,
+    menus,
+    train,
+    training_python,
+)
 from .bake import FASTGS_OT_bake
 from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
@@ -21,6 +33,8 @@ CLASSES = (
     *crop.CLASSES,
     *maintenance.CLASSES,
     *training_python.CLASSES,
+    *capture_scene.CLASSES,
+    *train.CLASSES,
 )
 
 

@@ -4,7 +4,7 @@
     python child.py EXTENSION LOCK STOP train CAPTURE --out DIR ...
 
 It holds the file LOCK as long as it lives, and takes a file STOP for Ctrl-C: that works on every system, and for a Blender
-that did not start it.
+that did not start it.  With two empty names it just runs the command.
 """
 import _thread
 import contextlib
@@ -51,11 +51,12 @@ def main():
     sys.path.pop(0)  # this folder's modules are not for others to find
     load_library(extension)
     faulthandler.enable()
-    held = importlib.import_module("fastgs_blender.locks").hold(lock, patience=2.0)
-    if held is None:
-        return TAKEN
-    be_modest()
-    threading.Thread(target=watch, args=(stop,), daemon=True).start()
+    if lock:
+        held = importlib.import_module("fastgs_blender.locks").hold(lock, patience=2.0)
+        if held is None:
+            return TAKEN
+        be_modest()
+        threading.Thread(target=watch, args=(stop,), daemon=True).start()
     try:
         return importlib.import_module("fastgs_blender.cli").main(arguments)
     except KeyboardInterrupt:  # before the run began to listen

@@ -81,6 +81,11 @@ class State:
         return self.kind in RUNNING
 
     @property
+    def seconds_left(self) -> float | None:
+        """Seconds of training that are left, None before that can be told."""
+        return self.values.get("seconds_left") if self.share > 0.02 else None
+
+    @property
     def share(self) -> float:
         """How much of the run is done, 0..1."""
         whole = self.values.get("iterations") or 0
@@ -182,14 +187,14 @@ class Jobs:
         """How the job stands; a process that has ended without saying so has crashed, and the reason is looked for."""
         values = _read_json(Path(job.out) / STATUS)
         said = values.get("state")
+        if said == "finished":  # its process may still be clearing up
+            return State('FINISHED', "Finished", values)
         if self.alive(job):
             if job.wish in ("PAUSE", "STOP"):
                 return State('STOPPING', "Saving", values)
             if said in ("preparing", "training"):
                 return State(said.upper(), "Preparing the pictures" if said == "preparing" else "Training", values)
             return State('STARTING', "Starting", {})
-        if said == "finished":
-            return State('FINISHED', "Finished", values)
         if job.wish == "QUEUED":
             return State('QUEUED', "Waiting for its turn", values)
         if said == "stopped" or (said is None and job.wish in ("PAUSE", "STOP")):

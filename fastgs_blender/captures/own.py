@@ -2,7 +2,8 @@
 """Our own layout: a folder per camera of numbered pictures (or a video per camera) beside a cameras.json; docs/captures.md.
 
     cameras.json                 {"format": "fast-gs capture", "version": 1, ...}
-    cam00/0001.png ...           PNG, JPEG or EXR; the number is start_frame + frame.  Or cam00.mp4, whose first frame is frame 0
+    cam00/0001.png ...           PNG, JPEG or EXR; the number is start_frame + frame.  Or cam00.mp4, whose first frame is frame 0,
+                                 or whose frame number video_start is
     masks/cam00/0001.png ...     optional, white: what counts
     points.ply                   optional: x y z red green blue and t
 """
@@ -92,7 +93,8 @@ def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
     if (folder / called).is_dir() or video is None:
         pictures = _numbered(folder / called, count, start, colour=colour, **settings)
     else:
-        pictures, _ = video_frames(video, faults, **settings)
+        first = poses.whole(entry.get("video_start", 0), f"{where}: its video_start", 0, MOST_FRAMES)
+        pictures = video_frames(video, faults, **settings)[0][first:]
     masks = folder / "masks" / called
     return RigCamera(called, pictures, _pose(entry, where, count), _numbered(masks, count, start) if masks.is_dir() else ())
 
@@ -130,6 +132,7 @@ def write_cameras(folder, cameras: Sequence[dict], *, frame_count: int, fps: flo
     """Write cameras.json into a folder, aside and renamed; returns its path.
 
     cameras  tables with name, width, height, fx, fy, cx, cy, world_to_camera ([4, 4] or [F, 4, 4]) and perhaps distortion
+             and video_start
     more     further keys: masks, colour
     """
     path = Path(folder) / FILE

@@ -39,9 +39,9 @@ def load_points(path: Path) -> Points:
 
 
 def usable(xyz, rgb, t=None) -> Points:
-    """Points as float32, without those that are not finite; colours and times kept within 0..1."""
+    """Points as float32, without those that are not finite; colours and times kept within 0..1, NaN in t stays: always there."""
     good = np.isfinite(xyz).all(1) & (np.abs(xyz) < 1e9).all(1)
     if t is not None:
-        good &= np.isfinite(t)
+        good &= ~np.isinf(t)
     xyz, rgb = np.ascontiguousarray(xyz[good], np.float32), np.nan_to_num(np.asarray(rgb, np.float32)[good])
     return Points(xyz, np.clip(rgb, 0, 1), None if t is None else np.clip(np.asarray(t, np.float32)[good], 0, 1))

@@ -138,7 +138,9 @@ class Trainer:
         """Everything that the rest of the run depends on: arrays, and JSON values."""
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state().items()}
-        return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture)}
+        clip = self.capture.clip
+        return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
+                        "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes}
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it belongs to another capture."""

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a model belongs in the scene that its capture came from."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+
+def world_of(scene: bpy.types.Scene, capture: str) -> str:
+    """Name of the object under which the capture's cameras were imported into the scene; "" where they were not."""
+    stem = Path(capture).stem
+    worlds = {obj.parent for obj in scene.objects if obj.type == 'CAMERA' and obj.data.fastgs.view and obj.parent is not None}
+    return next((world.name for world in worlds if world.name.partition(".")[0] == stem.partition(".")[0]), "")
+
+
+def align(scene: bpy.types.Scene, obj: bpy.types.Object, world: str) -> None:
+    """Stand a model's object where the cameras' world stands; the file's own axes, turned upright, are right for all others."""
+    found = scene.objects.get(world) if world else None
+    if found is not None:
+        obj.matrix_world = found.matrix_world
