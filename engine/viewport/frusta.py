@@ -34,7 +34,10 @@ _textures: dict[str, tuple] = {}
 def draw(context, depsgraph) -> None:
     """Draw the pictures of all cameras that a viewport shows, into the active framebuffer with its depth."""
     scene, space = context.scene, context.space_data
-    if not scene.fastgs.show_pictures or not space.overlay.show_overlays:
+    if not scene.fastgs.show_pictures:
+        clear()
+        return
+    if not space.overlay.show_overlays:
         return
     region = context.region_data
     looked_through = (space.camera if space.use_local_camera else scene.camera) if region.view_perspective == 'CAMERA' else None
