@@ -3,6 +3,7 @@
 import bpy
 
 from . import (
+    align_world,
     camera_life,
     camera_moves,
     camera_path_files,
@@ -30,6 +31,7 @@ CLASSES = (
     *camera_life.CLASSES,
     *capture_cameras.CLASSES,
     *camera_path_files.CLASSES,
+    *align_world.CLASSES,
     *crop.CLASSES,
     *maintenance.CLASSES,
     *training_python.CLASSES,

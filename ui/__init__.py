@@ -3,18 +3,28 @@
 import bpy
 
 from ..engine import settings
-from . import camera_panel, object_panels, preferences, render_panels, viewport_panel
+from . import camera_panel, capture_panel, object_panels, preferences, render_panels, training_panel, viewport_panel
 
-CLASSES = object_panels.CLASSES + render_panels.CLASSES + viewport_panel.CLASSES + camera_panel.CLASSES + preferences.CLASSES
+CLASSES = (
+    *object_panels.CLASSES,
+    *render_panels.CLASSES,
+    *viewport_panel.CLASSES,
+    *camera_panel.CLASSES,
+    *capture_panel.CLASSES,
+    *training_panel.CLASSES,
+    *preferences.CLASSES,
+)
 
 
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    training_panel.register()
     if settings.preferences():
         settings.apply(settings.preferences())
 
 
 def unregister():
+    training_panel.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Putting captures upright and to size in the scene.  The objects are moved; their files stay as they are."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, FloatProperty
+from mathutils import Matrix, Vector
+
+from ..engine import objects
+from ..engine.camera import OPENCV
+from ..fastgs_blender import alignment
+from ..fastgs_blender.errors import FastGSError
+from .camera_moves import capture_cameras
+from .splat_object import sentence
+
+LOWEST = 2.0
+"""Percentile of a proxy's points, by height, that is taken for the floor."""
+
+
+def is_world(obj) -> bool:
+    """Whether an object is a splat, or the empty that carries a capture's cameras."""
+    return objects.is_splat(obj) or (obj.type == 'EMPTY' and any(c.type == 'CAMERA' and c.data.fastgs.view for c in obj.children))
+
+
+def targets(context) -> list[bpy.types.Object]:
+    """What to move: the active and the selected worlds and those that lie as they do; where there are none, all of the scene.
+
+    Children go with their parents.
+    """
+    every = [obj for obj in context.scene.objects if is_world(obj)]
+    chosen = dict.fromkeys(obj for obj in (context.object, *context.selected_objects) if obj is not None and is_world(obj))
+    found = [obj for obj in every if any(_lie_alike(obj, other) for other in chosen)] if chosen else every
+    return [obj for obj in found if not any(parent in found for parent in _parents(obj))]
+
+
+def _lie_alike(a, b) -> bool:
+    return a == b or np.allclose(a.matrix_world, b.matrix_world, rtol=1e-5, atol=1e-5)
+
+
+def _parents(obj):
+    while obj.parent:
+        obj = obj.parent
+        yield obj
+
+
+def points(context, count: int) -> tuple[np.ndarray, list]:
+    """That many points [count, 3] of the world that the user marked, and the objects that mark them.
+
+    In Edit Mode they are the selected vertices of a splat's proxy, else the selected objects that are no splats.
+    Raises FastGSError where there are more or fewer.
+    """
+    if context.mode == 'EDIT_MESH':
+        import bmesh
+
+        obj = context.object
+        chosen = [obj.matrix_world @ v.co for v in bmesh.from_edit_mesh(obj.data).verts if v.select]
+        return _exactly(count, chosen, "vertices"), []
+    cameras = capture_cameras(context.scene)
+    marks = [obj for obj in context.selected_objects if not is_world(obj) and obj not in cameras]
+    return _exactly(count, [obj.matrix_world.translation for obj in marks], "objects (empties, for instance)"), marks
+
+
+def _exactly(count, chosen, what):
+    if len(chosen) != count:
+        raise FastGSError(f"mark {count} points: select {count} {what}; {len(chosen)} are selected.")
+    return np.array([list(p) for p in chosen], np.float64)
+
+
+def move(context, worlds, marks, motion: np.ndarray) -> None:
+    """Apply a motion of the world to objects, and to the marks on them."""
+    matrix = Matrix(motion.tolist())
+    for obj in [*worlds, *(m for m in marks if not any(p in worlds for p in _parents(m)))]:
+        obj.matrix_world = matrix @ obj.matrix_world
+    context.view_layer.update()
+
+
+class _Align:
+    """What aligning operators have in common."""
+
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        return context.mode in {'OBJECT', 'EDIT_MESH'} and any(is_world(obj) for obj in context.scene.objects)
+
+    def motion(self, context, worlds):
+        """The motion [4, 4] and the marks that go with it.  Raises FastGSError."""
+        raise NotImplementedError
+
+    def execute(self, context):
+        worlds = targets(context)
+        try:
+            locked = next((obj for obj in worlds if not obj.is_editable), None)
+            if locked is not None:
+                raise FastGSError(f'"{locked.name}" is linked from another file and cannot be moved; make it local, or an override.')
+            motion, marks = self.motion(context, worlds)
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        move(context, worlds, marks, motion)
+        return {'FINISHED'}
+
+
+class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
+    """Put captures upright: their ground becomes the scene's floor"""
+
+    bl_idname = "fastgs.set_ground"
+    bl_label = "Set Ground"
+
+    source: EnumProperty(
+        name="From", description="What says where the ground is",
+        items=(
+            ('POINTS', "Three Points", "Three selected objects, or three vertices of the proxy in Edit Mode, that lie on the ground", 0),
+            ('CAMERAS', "Cameras", "The capture's cameras, which were held level; the floor is where the lowest splats are", 1),
+        ), default='POINTS')
+
+    def motion(self, context, worlds):
+        eyes = [np.array(camera.matrix_world) @ OPENCV for camera in capture_cameras(context.scene)]
+        for eye in eyes:
+            eye[:3, :3] /= np.maximum(np.linalg.norm(eye[:3, :3], axis=0), 1e-30)
+        if self.source == 'POINTS':
+            found, marks = points(context, 3)
+            above = np.mean([eye[:3, 3] for eye in eyes], axis=0) if eyes else self._middle(worlds)
+            return alignment.ground_from_points(found, above), marks
+        if not eyes:
+            raise FastGSError("there are no cameras of a capture in this scene; import them first (File > Import > Capture Cameras).")
+        turned = alignment.ground_from_cameras(eyes)
+        places = self._places(worlds)
+        if len(places):
+            heights = places @ turned[:3, :3].T + turned[:3, 3]
+            turned[2, 3] -= np.percentile(heights[:, 2], LOWEST)
+        return turned, []
+
+    def _places(self, worlds) -> np.ndarray:
+        """Points [n, 3] of the splats' proxies in the world."""
+        found = [np.zeros((0, 3))]
+        for obj in worlds:
+            if obj.type == 'MESH' and len(obj.data.vertices):
+                local = np.empty(3 * len(obj.data.vertices), np.float32)
+                obj.data.vertices.foreach_get("co", local)
+                matrix = np.array(obj.matrix_world)
+                found.append(local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+        return np.concatenate(found)
+
+    def _middle(self, worlds):
+        corners = [obj.matrix_world @ Vector(c) for obj in worlds if obj.type == 'MESH' for c in obj.bound_box]
+        return np.mean([list(c) for c in corners], axis=0) if corners else None
+
+
+class FASTGS_OT_set_scale(_Align, bpy.types.Operator):
+    """Bring captures to their real size: two marked points get the distance that was measured between them"""
+
+    bl_idname = "fastgs.set_scale"
+    bl_label = "Set Scale"
+
+    distance: FloatProperty(
+        name="Distance", description="Real distance of the two selected objects, or vertices of the proxy in Edit Mode", subtype='DISTANCE',
+        min=1e-6, default=1.0)
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_props_dialog(self)
+
+    def motion(self, context, worlds):
+        (a, b), marks = points(context, 2)
+        apart = np.linalg.norm(b - a)
+        if apart < 1e-9:
+            raise FastGSError("the two points are at one place; choose others, far apart.")
+        return np.diag([*[self.distance / apart] * 3, 1.0]), marks
+
+
+CLASSES = (FASTGS_OT_set_ground, FASTGS_OT_set_scale)
