@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import psnr, read_png
+from PIL import Image
 
 from fastgs_blender.crops import Crop
 
@@ -137,3 +138,15 @@ def test_a_crop_box(user, model, crops, reference):
     wanted, whole = (black_behind(reference(model[0], facts["camera"], 12 - facts["start"], boxes))[INNER] for boxes in ((box,), ()))
     assert psnr(whole, wanted) < 25
     assert psnr(crops(facts)("cropped"), wanted) >= 40
+
+
+def test_pictures_on_cameras(user, model):
+    """A camera's background stands on its frustum, where Blender draws that, in its own colours, before the splats."""
+    facts = user.story("window.filmed", window=True, model=model[1])
+    x, y, w, h = facts["box"]
+    with Image.open(user.folder / "filmed-0.png") as file:
+        size = round(w), round(h)
+        wanted = np.asarray(file.convert("RGB").resize(size, Image.Resampling.BOX)) / 255.0
+    seen = read_png(user.folder / "picture.png")[round(y):round(y) + size[1], round(x):round(x) + size[0], :3]
+    assert size[0] > 150 and wanted.std() > 0.1
+    assert psnr(seen[INNER], wanted[INNER]) > 24

@@ -5,6 +5,7 @@ Screenshots are of the whole virtual screen, which the window fills.
 """
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from importlib import import_module
 import addon_utils
 import bpy
 from background import ADDON, bring, look
-from mathutils import Euler, Vector
+from mathutils import Euler, Matrix, Vector
 
 
 def shot(name):
@@ -281,3 +282,51 @@ def cropping(model):
     yield from sidebar(area)
     yield from settled("crop")
     return facts
+
+
+def filmed(model):
+    """Cameras around the model with what they have rendered as their backgrounds: one seen straight from behind, and all of them."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d as project
+
+    scene = bring(model)
+    look(scene, 320, 210)
+    scene.render.film_transparent = False
+    scene.world = scene.world or bpy.data.worlds.new("World")
+    scene.frame_set(12)
+    first, made = scene.camera, []
+    for number in range(5):
+        camera = first if number == 0 else first.copy()
+        if number:
+            camera.data = first.data.copy()
+            scene.collection.objects.link(camera)
+            camera.matrix_world = Matrix.Rotation(number * 2 * math.pi / 5, 4, 'Z') @ first.matrix_world
+        camera.data.display_size = 1.6
+        made.append(camera)
+    for camera in made:
+        scene.camera = camera
+        scene.render.filepath = os.path.abspath(f"filmed-{made.index(camera)}.png")
+        bpy.ops.render.render(write_still=True)
+        background = camera.data.background_images.new()
+        background.image = bpy.data.images.load(scene.render.filepath)
+        camera.data.show_background_images = True
+    scene.fastgs.show_pictures = True
+    area = area_of()
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    space = area.spaces.active
+    space.shading.type = 'SOLID'
+    view = space.region_3d
+    view.view_perspective = 'ORTHO'
+    view.view_rotation = first.matrix_world.to_quaternion()
+    view.view_location, view.view_distance = first.matrix_world @ Vector((0, 0, -1)), 3.0
+    bpy.ops.object.select_all(action='DESELECT')
+    yield from settled("picture")
+    frusta = import_module(f"{ADDON}.engine.viewport.frusta")
+    corners = [project(region, view, first.matrix_world @ Vector(corner)) for corner in frusta.plane(first.data, scene, 1.0)]
+    left, right = min(c.x for c in corners), max(c.x for c in corners)
+    low, high = min(c.y for c in corners), max(c.y for c in corners)
+    height = bpy.context.window_manager.windows[0].height
+    view.view_perspective = 'PERSP'
+    view.view_rotation = Euler((1.0, 0, -0.15)).to_quaternion()
+    view.view_location, view.view_distance = (0, 0, 1.0), 12.0
+    yield from settled("cameras")
+    return {"box": [region.x + left, height - (region.y + high), right - left, high - low]}
