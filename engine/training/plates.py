@@ -58,6 +58,17 @@ def filmed(scene: bpy.types.Scene) -> dict[bpy.types.Object, Plate]:
     return found
 
 
+def count(scene: bpy.types.Scene) -> int:
+    """How many of the scene's cameras have a film or an image sequence behind them; nothing is read for that."""
+    return sum(any(_has_plate(background) for background in obj.data.background_images) for obj in scene.objects if obj.type == 'CAMERA')
+
+
+def _has_plate(background) -> bool:
+    if background.source == 'IMAGE':
+        return background.image is not None and background.image.source in ('SEQUENCE', 'MOVIE')
+    return background.clip is not None or background.use_camera_clip
+
+
 def _plate(obj, background) -> Plate | None:
     if background.source == 'IMAGE' and background.image and background.image.source in ('SEQUENCE', 'MOVIE'):
         image, user = background.image, background.image_user

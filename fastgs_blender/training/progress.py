@@ -113,9 +113,10 @@ class Reporter(Silent):
         self._safely("the status file", lambda: checkpoint.write_json(self.folder / STATUS, finite(about)))
 
     def preview(self, iteration, picture, values):
-        """A picture [h, w, 3] 0..1 of a held-out view, and what was measured on it."""
+        """A picture [h, w, 3] 0..1 of a view, and what was measured on it; the plot follows."""
         self._safely("a preview picture", lambda: self._write_preview(iteration, picture))
         self._log({"iteration": iteration, **values})
+        self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
 
     def close(self):
         """The plot of the whole run, and an end to everything open."""

@@ -226,10 +226,10 @@ def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, flo
 
 
 def preview_shots(capture) -> list:
-    """Some held-out shots, spread over the time of the first held-out view."""
-    views = capture.held_out_views
-    shots = [shot for shot in capture.held_out if shot.view == views[0]] if views else []
-    picked = np.unique(np.linspace(0, len(shots) - 1, min(PREVIEW_SHOTS, len(shots))).round().astype(int)) if shots else []
+    """Some shots, spread over the time of the first held-out view; of the first view, where none is held out."""
+    pool = capture.held_out or capture.training
+    shots = [shot for shot in pool if shot.view == pool[0].view]
+    picked = np.unique(np.linspace(0, len(shots) - 1, min(PREVIEW_SHOTS, len(shots))).round().astype(int))
     return [shots[i] for i in picked]
 
 

@@ -187,7 +187,7 @@ def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> 
 
     save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds (0: after every step)
     stop()   whether to end early, for example because of Ctrl-C; agreed on by all processes
-    preview  held-out shots to look at now and then
+    preview  shots to look at now and then
     before   steps of earlier segments, by which the reporter counts on
     """
     s = trainer.settings
@@ -199,7 +199,8 @@ def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> 
         i = trainer.iteration
         if preview and trainer.group.first and s.preview_every and (i % s.preview_every == 0 or i == s.iterations):
             whole, part, pictures = trainer.measure(preview)
-            measured = {"held_out_psnr": whole} | ({} if part is None else {"held_out_foreground_psnr": part})
+            kind = "held_out" if preview[0].held_out else "preview"
+            measured = {f"{kind}_psnr": whole} | ({} if part is None else {f"{kind}_foreground_psnr": part})
             reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
         stopped = _agreed(trainer.group, stop())
         last = stopped or i == s.iterations

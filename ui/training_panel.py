@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training, in the sidebar of the 3D view, and a line about it in the status bar."""
+from __future__ import annotations
+
+import bpy
+
+from ..engine.training import checks, plates, watch
+from . import facts
+from .object_panels import draw_rows, draw_trouble
+
+ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 'ERROR', 'FINISHED': 'CHECKMARK'}
+
+
+def estimate_rows(settings) -> list[tuple[str, str]]:
+    """What a run will take, as far as the size of the pictures is known."""
+    pixels = 0
+    if settings.source == 'SCENE':
+        pixels = settings.width * settings.height
+    elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
+        pixels = found.width * found.height
+    if not pixels:
+        return [("Estimate", "Check first" if settings.source == 'FOLDER' else "Not known yet")]
+    iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
+    seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians)
+    return [("Estimate", f"about {watch.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
+
+
+class _Sidebar:
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+
+
+class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
+    bl_label = "Train"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.fastgs.training
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "source")
+        if settings.source == 'FOLDER':
+            layout.prop(settings, "capture")
+            found = checks.latest
+            if found and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
+                size = f"{found.width} x {found.height}"
+                draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])
+                for problem in found.problems[:3]:
+                    draw_trouble(layout.column(align=True), context, problem)
+        elif settings.source == 'CAMERAS':
+            draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
+        else:
+            self._draw_capture(layout, settings)
+        col = layout.column()
+        col.prop(settings, "preset")
+        draw_rows(col, estimate_rows(settings))
+        layout.prop(settings, "out")
+        layout.prop(settings, "import_result", text="Import")
+        row = layout.row(align=True)
+        if settings.source == 'FOLDER':
+            row.operator("fastgs.train_check", icon='VIEWZOOM')
+        row.operator("fastgs.train", icon='PLAY')
+
+    def _draw_capture(self, layout, settings):
+        col = layout.column()
+        col.prop(settings, "cameras")
+        if settings.cameras in ('DOME', 'ARC'):
+            col.prop(settings, "count")
+            col.prop(settings, "distance")
+            col.prop(settings, "angle")
+        col.prop(settings, "subject")
+        col = layout.column(align=True)
+        col.prop(settings, "width")
+        col.prop(settings, "height")
+        col.prop(settings, "frame_step")
+        col = layout.column()
+        col.prop(settings, "quality")
+        if settings.quality == 'FAST':
+            col.prop(settings, "samples")
+        col.prop(settings, "hold_out")
+
+
+class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
+    bl_label = "Options"
+    bl_parent_id = "FASTGS_PT_training"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.fastgs.training
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        col = layout.column()
+        for name in ("frames", "scale", "held_out"):
+            col.prop(settings, name)
+        col = layout.column()
+        for name in ("iterations", "max_gaussians", "order", "motion_weight"):
+            col.prop(settings, name)
+
+
+class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):
+    bl_label = "Runs"
+    bl_parent_id = "FASTGS_PT_training"
+
+    def draw(self, context):
+        layout = self.layout
+        rows = watch.found()
+        if not rows:
+            layout.label(text="None yet", icon='INFO')
+        for job, state in rows:
+            self._draw_job(layout.box(), context, job, state)
+
+    def _draw_job(self, box, context, job, state):
+        row = box.row(align=True)
+        row.label(text=job.name, icon=ICONS.get(state.kind, 'RENDER_ANIMATION'))
+        if state.running or state.kind == 'QUEUED':
+            row.operator("fastgs.train_pause", text="", icon='PAUSE').job = job.id
+            row.operator("fastgs.train_stop", text="", icon='SNAP_FACE').job = job.id
+        else:
+            if state.kind != 'FINISHED':
+                row.operator("fastgs.train_resume", text="", icon='PLAY').job = job.id
+            row.operator("fastgs.train_forget", text="", icon='X').job = job.id
+        if state.running:
+            left = f", {watch.duration(state.seconds_left)} left" if state.seconds_left else ""
+            box.progress(factor=state.share, text=f"{state.text} {100 * state.share:.0f} %{left}")
+        elif state.kind == 'FAILED':
+            col = box.column(align=True)
+            col.alert = True
+            draw_trouble(col, context, state.text)
+        draw_rows(box, job_rows(state))
+        if state.kind == 'FINISHED' or state.values.get("iteration"):
+            row = box.row(align=True)
+            text = "Add Model" if state.kind == 'FINISHED' else "View Model So Far"
+            row.operator("fastgs.train_import", text=text, icon='IMPORT').job = job.id
+            if state.kind == 'FINISHED':
+                row.operator("fastgs.train_report", icon='TEXT').job = job.id
+
+
+def job_rows(state) -> list[tuple[str, str]]:
+    """What is known of a run."""
+    values, rows = state.values, []
+    if not state.running and state.kind != 'FAILED':
+        rows.append(("State", state.text))
+    if values.get("iteration"):
+        rows.append(("Step", f"{values['iteration']:,} of {values['iterations']:,}"))
+    if values.get("gaussians"):
+        rows.append(("Gaussians", f"{values['gaussians']:,}"))
+    if values.get("psnr"):
+        rows.append(("PSNR", f"{values['psnr']:.1f} dB"))
+    if values.get("held_out_psnr"):
+        rows.append(("Held-Out PSNR", f"{values['held_out_psnr']:.2f} dB"))
+    return rows
+
+
+def draw_status(self, context):
+    """The status bar: what is being trained."""
+    text = watch.line()
+    if text:
+        self.layout.label(text=text, icon='RENDER_ANIMATION')
+
+
+def register():
+    bpy.types.STATUSBAR_HT_header.append(draw_status)
+
+
+def unregister():
+    bpy.types.STATUSBAR_HT_header.remove(draw_status)
+
+
+CLASSES = (FASTGS_PT_training, FASTGS_PT_training_options, FASTGS_PT_training_runs)
