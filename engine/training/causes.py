@@ -27,7 +27,8 @@ def sentence(reason: str | None, said: str, code: int | None, out: str) -> str:
     if told:
         return told[:1].upper() + told[1:].rstrip(".") + "."
     if lines and MODULE in lines[-1]:
-        return f"The training Python lacks {lines[-1].rpartition(MODULE)[2].strip(" '")}; test it in the preferences."
+        name = lines[-1].rpartition(MODULE)[2].strip(" '")
+        return f"The training Python lacks {name}; test it in the preferences."
     ended = f" with code {code}" if code else ""
     last = f": {lines[-1][:200].rstrip('.')}" if lines else ""
     return f"Training ended unexpectedly{ended}{last}; resuming goes on from the last checkpoint, and {out} has its log."
