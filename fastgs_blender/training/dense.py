@@ -21,32 +21,38 @@ MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
-STEADY, MOSTLY = 0.04, 0.75
-"""Mean difference of colour (0..1) below which a place looks the same, and at how many of the other moments it must."""
+STEADY, MOSTLY = 0.2, 0.8
+"""Mean difference of colour (0..1) below which a place looks the same, and the share of the pictures of other moments that must
+agree on it for what belongs to all times."""
 
 
 def triangulated(capture, store, settings) -> tuple[Points, str]:
     """At most settings.points points and a clause about them; raises FastGSError where the pictures give too few features."""
     moments = chosen_moments(capture)
     found = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
+    how = f"{len(found)} features triangulated"
+    if not np.isfinite(found.t).all():
+        return evenly(found, settings.points), how
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
-    still, timed, depths = [found], [], []
-    if all(len({shot.frame for shot in shots}) == 1 for shots in moments):  # else one camera films alone, and no two pictures go together
-        depths = [sweep.swept(shown, near, far) for shown in pictures]
-    for k, its in enumerate(depths):
-        for shot, (xyz, rgb) in zip(moments[k], sweep.surfaces(pictures[k], its)):
-            steady = _steady(xyz, rgb, shot.view, k, moments, pictures, depths)
-            still.append(Points(xyz[steady], rgb[steady], np.full(steady.sum(), np.nan)))
-            timed.append(Points(xyz[~steady], rgb[~steady], np.full((~steady).sum(), shot.t)))
-    swept = sum(map(len, timed)) + sum(map(len, still[1:]))
-    still, timed = joined(still), joined(timed) if timed else None
-    parts = [evenly(still, settings.points // 2 if timed else settings.points)]
-    if timed:
-        for t in np.unique(timed.t):
-            parts.append(evenly(taken(timed, timed.t == t), (settings.points - len(parts[0])) // len(np.unique(timed.t))))
-    points = joined(parts)
-    return points, f"{len(found)} features triangulated, {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
+    depths = [sweep.swept(shown, near, far) for shown in pictures]
+    still, timed, swept = [], [], 0
+    for k, shots in enumerate(moments):
+        clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
+        swept += sum(map(len, clouds))
+        cloud = evenly(joined([taken(found, found.t == shots[0].t), *clouds]), 2 * settings.points)
+        agree, against = votes(cloud, pictures[k], depths[k])
+        cloud = taken(cloud, agree > against)
+        elsewhere = [votes(cloud, pictures[i], depths[i]) for i in range(len(moments)) if i != k]
+        agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
+        steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
+        still.append(taken(cloud, steady))
+        timed.append(taken(cloud, ~steady))
+    still = evenly(joined(still), settings.points // 2)
+    share = (settings.points - len(still)) // len(timed)
+    still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
+    how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
+    return joined([still, *(evenly(cloud, share) for cloud in timed)]), how
 
 
 def _features(capture, store, settings, moments) -> Points:
@@ -63,27 +69,31 @@ def _features(capture, store, settings, moments) -> Points:
         xyz, seen_by = features.triangulated(found, min(len(shots), 3))
         rgb = np.array([np.mean([sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views], 0)
                         for point, views in zip(xyz, seen_by)]).reshape(-1, 3)
-        clouds.append(Points(xyz, rgb, np.full(len(xyz), np.nan)))
+        moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
+        clouds.append(Points(xyz, rgb, np.full(len(xyz), moment)))
     points = joined(clouds)
     if len(points) < FEW * len(moments):
         raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
     return points
 
 
-def _steady(xyz, rgb, view, moment, moments, pictures, depths) -> np.ndarray:
-    """Which of the points [P] that a view shows at a moment are there at most other moments too: same colour, same depth."""
-    same, asked = np.zeros(len(xyz)), np.zeros(len(xyz))
-    for k, shots in enumerate(moments):
-        i = next((i for i, shot in enumerate(shots) if shot.view == view), None)
-        if k == moment or i is None or depths[k][i] is None:
+def votes(cloud: Points, pictures, depths) -> np.ndarray:
+    """How many pictures [2, P] of a moment show each point, and how many see through where it would be or show another colour there.
+
+    A picture in which something is before the point says nothing.
+    """
+    agree, against = np.zeros((2, len(cloud)), np.int64)
+    for (image, camera, _), its in zip(pictures, depths):
+        if its is None:
             continue
-        image, camera, _ = pictures[k][i]
-        places, depth = project(camera, xyz)
-        ratio = sample(depths[k][i].depth[..., None], places)[:, 0] / np.maximum(depth, 1e-12)
-        open_view = visible(camera, xyz) & (ratio > 1 - 2 * sweep.AGREE)  # else something is before it, which says nothing
-        asked += open_view
-        same += open_view & (np.abs(ratio - 1) < sweep.AGREE) & (np.abs(sample(image, places) - rgb).mean(1) < STEADY)
-    return (same >= MOSTLY * asked) & (asked > 0)
+        places, z = project(camera, cloud.xyz)
+        ratio = sample(its.depth[..., None], places)[:, 0] / np.maximum(z, 1e-12)
+        there = np.abs(ratio - 1) < sweep.AGREE
+        alike = np.abs(sample(image, places) - cloud.rgb).mean(1) < STEADY
+        seen = visible(camera, cloud.xyz)
+        agree += seen & there & alike
+        against += seen & ((ratio > 1 + 2 * sweep.AGREE) | (there & ~alike))
+    return np.stack([agree, against])
 
 
 def chosen_moments(capture) -> list[list[Shot]]:

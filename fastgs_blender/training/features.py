@@ -6,6 +6,8 @@ the same points in every run.
 """
 from __future__ import annotations
 
+import signal
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,10 +39,14 @@ class Features:
 
 def pycolmap_module():
     """pycolmap; raises FastGSError where it is not installed."""
+    terminate = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError as error:
         raise FastGSError(f"triangulating needs pycolmap, which cannot be imported ({error}): pip install pycolmap") from error
+    # Its log takes SIGTERM for a crash; a training run saves and stops.
+    if terminate is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, terminate)
     pycolmap.logging.minloglevel = pycolmap.logging.ERROR  # it reports every step
     return pycolmap
 

@@ -2,6 +2,8 @@
 """Starting points and poses, on a capture of textured planes: a floor and a wall that stand, a card that moves."""
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -208,3 +210,13 @@ def test_a_camera_that_films_alone_gives_points_of_what_stands(filmed):
     points = initial_points(alone, store, settings(points=2000), lambda text: None)
     assert len(points) >= 30
     assert points.t is None or np.isnan(points.t).all()
+
+
+def test_a_run_can_still_be_stopped_by_a_signal_once_pycolmap_is_loaded():
+    script = ("import os, signal\n"
+              "signal.signal(signal.SIGTERM, lambda *a: print('saved', flush=True))\n"
+              "from fastgs_blender.training.features import pycolmap_module\n"
+              "pycolmap_module()\n"
+              "os.kill(os.getpid(), signal.SIGTERM)\n")
+    done = subprocess.run([sys.executable, "-c", script], cwd=Path(fg.__file__).parents[1], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "saved"), done.stderr
