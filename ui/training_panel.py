@@ -25,6 +25,26 @@ def estimate_rows(settings) -> list[tuple[str, str]]:
     return [("Estimate", f"about {watch.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
 
 
+def draw_capture(layout, settings):
+    """How the open scene is to be filmed."""
+    col = layout.column()
+    col.prop(settings, "cameras")
+    if settings.cameras in ('DOME', 'ARC'):
+        col.prop(settings, "count")
+        col.prop(settings, "distance")
+        col.prop(settings, "angle")
+    col.prop(settings, "subject")
+    col = layout.column(align=True)
+    col.prop(settings, "width")
+    col.prop(settings, "height")
+    col.prop(settings, "frame_step")
+    col = layout.column()
+    col.prop(settings, "quality")
+    if settings.quality == 'FAST':
+        col.prop(settings, "samples")
+    col.prop(settings, "hold_out")
+
+
 class _Sidebar:
     bl_space_type = 'VIEW_3D'
     bl_region_type = 'UI'
@@ -51,7 +71,7 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         elif settings.source == 'CAMERAS':
             draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
         else:
-            self._draw_capture(layout, settings)
+            draw_capture(layout, settings)
         col = layout.column()
         col.prop(settings, "preset")
         draw_rows(col, estimate_rows(settings))
@@ -61,24 +81,6 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         if settings.source == 'FOLDER':
             row.operator("fastgs.train_check", icon='VIEWZOOM')
         row.operator("fastgs.train", icon='PLAY')
-
-    def _draw_capture(self, layout, settings):
-        col = layout.column()
-        col.prop(settings, "cameras")
-        if settings.cameras in ('DOME', 'ARC'):
-            col.prop(settings, "count")
-            col.prop(settings, "distance")
-            col.prop(settings, "angle")
-        col.prop(settings, "subject")
-        col = layout.column(align=True)
-        col.prop(settings, "width")
-        col.prop(settings, "height")
-        col.prop(settings, "frame_step")
-        col = layout.column()
-        col.prop(settings, "quality")
-        if settings.quality == 'FAST':
-            col.prop(settings, "samples")
-        col.prop(settings, "hold_out")
 
 
 class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
@@ -108,32 +110,34 @@ class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):
         if not rows:
             layout.label(text="None yet", icon='INFO')
         for job, state in rows:
-            self._draw_job(layout.box(), context, job, state)
+            draw_job(layout.box(), context, job, state)
 
-    def _draw_job(self, box, context, job, state):
+
+def draw_job(box, context, job, state):
+    """A run: its name, what can be done with it, how it stands."""
+    row = box.row(align=True)
+    row.label(text=job.name, icon=ICONS.get(state.kind, 'RENDER_ANIMATION'))
+    if state.running or state.kind == 'QUEUED':
+        row.operator("fastgs.train_pause", text="", icon='PAUSE').job = job.id
+        row.operator("fastgs.train_stop", text="", icon='SNAP_FACE').job = job.id
+    else:
+        if state.kind != 'FINISHED':
+            row.operator("fastgs.train_resume", text="", icon='PLAY').job = job.id
+        row.operator("fastgs.train_forget", text="", icon='X').job = job.id
+    if state.running:
+        left = f", {watch.duration(state.seconds_left)} left" if state.seconds_left else ""
+        box.progress(factor=state.share, text=f"{state.text} {100 * state.share:.0f} %{left}")
+    elif state.kind == 'FAILED':
+        col = box.column(align=True)
+        col.alert = True
+        draw_trouble(col, context, state.text)
+    draw_rows(box, job_rows(state))
+    if state.kind == 'FINISHED' or state.values.get("iteration"):
         row = box.row(align=True)
-        row.label(text=job.name, icon=ICONS.get(state.kind, 'RENDER_ANIMATION'))
-        if state.running or state.kind == 'QUEUED':
-            row.operator("fastgs.train_pause", text="", icon='PAUSE').job = job.id
-            row.operator("fastgs.train_stop", text="", icon='SNAP_FACE').job = job.id
-        else:
-            if state.kind != 'FINISHED':
-                row.operator("fastgs.train_resume", text="", icon='PLAY').job = job.id
-            row.operator("fastgs.train_forget", text="", icon='X').job = job.id
-        if state.running:
-            left = f", {watch.duration(state.seconds_left)} left" if state.seconds_left else ""
-            box.progress(factor=state.share, text=f"{state.text} {100 * state.share:.0f} %{left}")
-        elif state.kind == 'FAILED':
-            col = box.column(align=True)
-            col.alert = True
-            draw_trouble(col, context, state.text)
-        draw_rows(box, job_rows(state))
-        if state.kind == 'FINISHED' or state.values.get("iteration"):
-            row = box.row(align=True)
-            text = "Add Model" if state.kind == 'FINISHED' else "View Model So Far"
-            row.operator("fastgs.train_import", text=text, icon='IMPORT').job = job.id
-            if state.kind == 'FINISHED':
-                row.operator("fastgs.train_report", icon='TEXT').job = job.id
+        text = "Add Model" if state.kind == 'FINISHED' else "View Model So Far"
+        row.operator("fastgs.train_import", text=text, icon='IMPORT').job = job.id
+        if state.kind == 'FINISHED':
+            row.operator("fastgs.train_report", icon='TEXT').job = job.id
 
 
 def job_rows(state) -> list[tuple[str, str]]:

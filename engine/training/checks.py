@@ -16,7 +16,7 @@ from . import causes, pythons
 LEAST_DISK = 500 << 20
 """Bytes that a run's folder should have free: a checkpoint, its successor, the model, pictures."""
 BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 500 << 20, 768 << 20, 2600, 260
-STEP, PIXEL, GAUSSIAN = 0.03, 2.4e-7, 2.2e-6
+STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
 """Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
 CORES = 2
 

@@ -75,7 +75,8 @@ def _plate(obj, background) -> Plate | None:
         film = image.source == 'MOVIE'
         count = max(user.frame_duration, 1)
         shift = user.frame_offset - user.frame_start + (0 if film else 1)
-        path, size = bpy.path.abspath(image.filepath, library=image.library), tuple(image.size)
+        path = bpy.path.abspath(image.filepath, library=image.library)
+        size = tuple(image.size) if film else _size(path)
         first = user.frame_start
     elif background.source == 'MOVIE_CLIP' and (clip := background.clip if not background.use_camera_clip else _scene_clip(obj)):
         film = clip.source == 'MOVIE'
@@ -93,6 +94,17 @@ def _plate(obj, background) -> Plate | None:
     if not film and not re.search(r"\d", Path(path).name):
         return None
     return Plate(Path(path), film, first, first + count - 1, shift, size, background.frame_method)
+
+
+def _size(path: str) -> tuple[int, int]:
+    """Size of a picture file, (0, 0) where it cannot be read; an image that is a sequence does not tell its own."""
+    try:
+        image = bpy.data.images.load(path, check_existing=False)
+    except RuntimeError:
+        return 0, 0
+    size = tuple(image.size)
+    bpy.data.images.remove(image)
+    return size
 
 
 def _scene_clip(obj):
