@@ -95,7 +95,8 @@ class Studio:
     def film(self, camera: fg.Camera, subject: set[str]) -> Picture:
         """What that camera sees now; subject: names of the objects that the mask shows."""
         self._stand(camera)
-        bpy.ops.render.render(scene=self.scene.name, write_still=True)
+        with bpy.context.temp_override(scene=self.scene, view_layer=self.layer):  # else it takes the frame of the window's scene
+            bpy.ops.render.render(write_still=True)
         planes, attributes = read_exr(self.scene.render.filepath)
         layer = self.layer.name + "."
         planes = {name.removeprefix(layer): plane for name, plane in planes.items()}

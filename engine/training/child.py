@@ -31,7 +31,7 @@ def load_library(extension):
 def be_modest():
     """Leave Blender the processor, and be the one that goes when the system runs out of memory."""
     if hasattr(os, "nice"):
-        os.nice(5)
+        os.nice(2)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
 

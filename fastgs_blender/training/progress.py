@@ -61,6 +61,7 @@ class Reporter(Silent):
         self.folder, self.iterations, self.log_every = Path(folder), iterations, log_every
         self.before, self.started, self.begin = elapsed, time.monotonic(), begin
         self.smooth: dict[str, float] = {}
+        self.last: dict = {"iteration": begin} if begin else {}
         self.told, self.status_time = set(), 0.0
         self.bar = tqdm(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
                         bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
@@ -89,6 +90,7 @@ class Reporter(Silent):
     def step(self, values):
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""
         iteration = values["iteration"]
+        self.last = values
         for name in ("loss", "psnr"):
             if name in values:
                 old = self.smooth.get(name, values[name])
@@ -105,6 +107,7 @@ class Reporter(Silent):
     def status(self, state, **values):
         """status.json: state is preparing, training, stopped, failed or finished."""
         self.status_time = time.monotonic()
+        values = {**self.last, **values}
         done = values.get("iteration", self.begin)
         speed = (done - self.begin) / max(time.monotonic() - self.started, 1e-9)
         left = (self.iterations - done) / speed if speed > 0 else None
