@@ -11,6 +11,8 @@ from ..captures.base import Points, Shot
 from ..errors import FastGSError
 from . import features, sweep
 from .geometry import project, sample, visible
+from .model import neighbour_distance
+from .schedule import POINTS, generator
 from .targets import small_camera, smaller, use_of_mask
 
 MOMENTS, FEATURE_MOMENTS = 8, 4
@@ -21,6 +23,8 @@ MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
+LONELY = 4.0
+"""Distances to the nearest points, in medians, beyond which a point is a stray."""
 STEADY, MOSTLY = 0.2, 0.8
 """Mean difference of colour (0..1) below which a place looks the same, and the share of the pictures of other moments that must
 agree on it for what belongs to all times."""
@@ -40,9 +44,9 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
         swept += sum(map(len, clouds))
-        cloud = evenly(joined([taken(found, found.t == shots[0].t), *clouds]), 2 * settings.points)
+        cloud = drawn(joined([taken(found, found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
         agree, against = votes(cloud, pictures[k], depths[k])
-        cloud = taken(cloud, agree > against)
+        cloud = among_others(taken(cloud, agree > 2 * against))
         elsewhere = [votes(cloud, pictures[i], depths[i]) for i in range(len(moments)) if i != k]
         agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
@@ -52,7 +56,7 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
-    return joined([still, *(evenly(cloud, share) for cloud in timed)]), how
+    return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how
 
 
 def _features(capture, store, settings, moments) -> Points:
@@ -94,6 +98,19 @@ def votes(cloud: Points, pictures, depths) -> np.ndarray:
         agree += seen & there & alike
         against += seen & ((ratio > 1 + 2 * sweep.AGREE) | (there & ~alike))
     return np.stack([agree, against])
+
+
+def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
+    """At most so many of the points, at random: each surface keeps its share, where an even choice would prefer strays."""
+    if len(points) <= most:
+        return points
+    return taken(points, np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
+
+
+def among_others(points: Points) -> Points:
+    """The points without those that lie by themselves."""
+    apart = neighbour_distance(points.xyz)
+    return taken(points, apart <= LONELY * np.median(apart)) if len(points) else points
 
 
 def chosen_moments(capture) -> list[list[Shot]]:

@@ -36,7 +36,10 @@ OUTSIDE = np.float32(1.0)
 @dataclass(frozen=True, eq=False)
 class Depths:
     """Of one picture, all [h, w]: the depth with the least difference, cost, that difference, and range, between which depths
-    it is about as small, as the ratio of the farthest to the nearest."""
+    it is about as small, as the ratio of the farthest to the nearest.
+
+    Where the range leaves it open (VAGUE) the depth is the farthest of them: between smooth sky and the camera there is nothing.
+    """
 
     depth: np.ndarray
     cost: np.ndarray
@@ -133,7 +136,9 @@ def _depths(picture, others, depths) -> Depths:
     offset = np.where((bend > 1e-6) & (inner == best), np.clip(0.5 * (low - high) / np.maximum(bend, 1e-6), -0.5, 0.5), 0)
     inverse = np.interp(best + offset, np.arange(len(depths)), 1 / depths)
     good = cost <= least + 0.01
-    return Depths(1 / inverse, least, depths[len(depths) - 1 - good[::-1].argmax(0)] / depths[good.argmax(0)])
+    farthest = depths[len(depths) - 1 - good[::-1].argmax(0)]
+    ratio = farthest / depths[good.argmax(0)]
+    return Depths(np.where(ratio < VAGUE, 1 / inverse, farthest), least, ratio)
 
 
 def surfaces(pictures, found: list[Depths | None]) -> list[tuple[np.ndarray, np.ndarray]]:
