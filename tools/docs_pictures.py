@@ -10,14 +10,14 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("solid", "rendered", "f12", "crop", "cameras")
-LIMIT = 200_000
+LIMIT = 400_000
 """Bytes of a picture."""
 
 
 def packed(path: Path) -> bytes:
     """The picture as PNG, with a palette where it would be too large."""
     image = Image.open(path).convert("RGB")
-    for version in (image, image.quantize(256, dither=Image.Dither.NONE)):
+    for version in (image, image.quantize(256, dither=Image.Dither.FLOYDSTEINBERG)):
         buffer = io.BytesIO()
         version.save(buffer, "PNG", optimize=True)
         if buffer.tell() < LIMIT:
