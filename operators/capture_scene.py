@@ -141,8 +141,11 @@ class FASTGS_OT_capture_scene(CaptureOptions, bpy.types.Operator):
         context.scene.fastgs.training.capture = self._out
         self.report({'INFO'}, f"The capture is in {self._out}; it took {time.monotonic() - self._began:.0f} s")
         if self.train:
-            return bpy.ops.fastgs.train('INVOKE_DEFAULT' if getattr(self, "_interactive", False) else 'EXEC_DEFAULT',
-                                        source='FOLDER', capture=self._out, start_frame=self.frame_start)
+            try:
+                bpy.ops.fastgs.train('INVOKE_DEFAULT' if getattr(self, "_interactive", False) else 'EXEC_DEFAULT',
+                                     source='FOLDER', capture=self._out, start_frame=self.frame_start)
+            except RuntimeError as error:  # the capture is there all the same
+                self.report({'ERROR'}, str(error).strip().removeprefix("Error: "))
         return {'FINISHED'}
 
     def _fail(self, error):

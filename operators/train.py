@@ -74,7 +74,11 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         from ..engine.capturing.options import CaptureOptions
 
         chosen = {name: getattr(settings, name) for name in CaptureOptions.__annotations__}
-        return bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True, **chosen)
+        try:
+            done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True, **chosen)
+        except RuntimeError as error:  # it has said why in Blender's own way
+            return self._fail(FastGSError(str(error).strip().removeprefix("Error: ")))
+        return {'CANCELLED'} if 'CANCELLED' in done else {'FINISHED'}  # the capture goes on by itself
 
     def _add(self, context):
         scene = context.scene

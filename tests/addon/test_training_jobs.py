@@ -173,13 +173,17 @@ def test_own_cameras_film_as_they_move(moving_scene, add_camera, module, tmp_pat
 
 
 def test_killed_and_gone_on_with(jobs, toy, tmp_path):
-    """kill -9 in the middle is told, and the run goes on to the same end."""
+    """kill -9 in the middle is told, and so is a capture that has gone; the run goes on to the same end."""
     job = add(jobs, toy, tmp_path / "run", 60)
     jobs.start(job)
     values = until(lambda: (state := jobs.state(job)).kind == 'TRAINING' and state.values.get("iteration") and state.values)
     os.kill(values["process"], signal.SIGKILL)
     state = end_of(jobs, job)
     assert state.kind == 'FAILED' and "memory" in state.text and "resum" in state.text
+    toy.rename(toy.with_name("gone"))
+    jobs.start(job)
+    assert "there is no such capture" in end_of(jobs, job).text
+    toy.with_name("gone").rename(toy)
     jobs.start(job)
     assert end_of(jobs, job).kind == 'FINISHED'
     assert json.loads((tmp_path / "run" / "report.json").read_text())["iterations"] == 60
