@@ -17,6 +17,8 @@ ORDERS = {"cosine": 10, "fourier": 5, "fourier+linear": 5, "paper": 5, "polynomi
 """The usual order of each motion; about the same number of coefficients, but for STG's cubic."""
 MARGIN = 0.1
 """What the Fourier series' period has to spare on either side of the clip, so that motion need not return (Gaussian-Flow)."""
+PLACE = slice(6, 9)
+"""The decoder's inputs that say where the camera is."""
 LEAF = 96
 """Points among which nearest neighbours are looked for."""
 
@@ -53,8 +55,10 @@ def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:
     """A model of the settings' kinds without any Gaussian.  A clip of one frame gives a model without time."""
     still = clip.frame_count < 2
     if settings.appearance == "features":
-        rng = np.random.default_rng([settings.seed, 1])
-        look = Features(rng.uniform(-1, 1, (6, 12)) / np.sqrt(12), rng.uniform(-1, 1, (3, 6)) / np.sqrt(6) * 0.1, settings.activation)
+        w1 = np.random.default_rng([settings.seed, 1]).uniform(-1, 1, (6, 12)) / np.sqrt(12)
+        if not settings.decoder_place:
+            w1[:, PLACE] = 0
+        look = Features(w1, np.zeros((3, 6)), settings.activation)  # at first every Gaussian shows its base colour
     else:
         look = RGB() if settings.appearance == "rgb" else SH(int(settings.appearance[2:]))
     return GaussianModel(

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..motion import Basis, Fourier, Keyframes, Polynomial
+from .model import PLACE
 
 VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
 """What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
@@ -28,11 +29,14 @@ def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dic
         if settings.appearance != "rgb":  # 3DGS: higher bands at a twentieth
             bands = (int(settings.appearance[2:]) + 1) ** 2
             features = settings.base_rate * np.repeat(np.where(np.arange(bands) == 0, 1.0, 0.05), 3)
+    decoder = np.full(12, settings.decoder_rate)  # by the columns of w1
+    if not settings.decoder_place:
+        decoder[PLACE] = 0
     return {
         "position": settings.position_rate * extent * decay, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
         "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / frequency_index(basis), 3),
         "rotation_motion": settings.turn_rate, "mu_tau": settings.centre_rate, "temporal": settings.duration_rate,
-        "w1": settings.decoder_rate, "w2": settings.decoder_rate,
+        "w1": decoder, "w2": settings.decoder_rate,
     }
 
 

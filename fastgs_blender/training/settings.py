@@ -39,6 +39,7 @@ class Settings:
       temporal        opacity over time: radial (eq. 6), or always the same
       appearance      features with decoder (STG, FAST-GS), or plain colours, or spherical harmonics by degree
       activation      of the decoder's output
+      decoder_place   whether the decoder sees where the camera is, as STG's does; with few cameras it learns them by heart
       antialiased     opacity compensated for the blur of a pixel
 
     The loss
@@ -104,6 +105,7 @@ class Settings:
     temporal: str = "radial"
     appearance: str = "features"
     activation: str = "clamp"
+    decoder_place: bool = False
     antialiased: bool = False
 
     dssim: float = 0.2
