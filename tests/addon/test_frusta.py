@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from gpu_context import draw_offscreen, open_gpu
 from mathutils import Matrix
-from PIL import Image
 
 SIZE = 96, 64
 
@@ -18,9 +17,12 @@ SIZE = 96, 64
 def film(tmp_path):
     """Five pictures, the left half of each as red as its number, the right half blue: the first one's path."""
     for number in range(1, 6):
-        picture = np.zeros((8, 12, 3), np.uint8)
-        picture[:, :6, 0], picture[:, 6:, 2] = 50 * number, 255
-        Image.fromarray(picture).save(tmp_path / f"film_{number:04}.png")
+        picture = np.zeros((8, 12, 4), np.float32)
+        picture[:, :6, 0], picture[:, 6:, 2], picture[..., 3] = 50 * number / 255, 1, 1
+        image = bpy.data.images.new("Film", 12, 8)
+        image.pixels.foreach_set(picture.ravel())
+        image.filepath_raw, image.file_format = str(tmp_path / f"film_{number:04}.png"), 'PNG'
+        image.save()
     return str(tmp_path / "film_0001.png")
 
 
