@@ -28,10 +28,8 @@ def load_library(extension):
     spec.loader.exec_module(module)
 
 
-def be_modest():
-    """Leave Blender the processor, and be the one that goes when the system runs out of memory."""
-    if hasattr(os, "nice"):
-        os.nice(2)
+def go_first():
+    """Be the one that goes, rather than Blender, when the system runs out of memory."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
 
@@ -55,7 +53,7 @@ def main():
         held = importlib.import_module("fastgs_blender.locks").hold(lock, patience=2.0)
         if held is None:
             return TAKEN
-        be_modest()
+        go_first()
         threading.Thread(target=watch, args=(stop,), daemon=True).start()
     try:
         return importlib.import_module("fastgs_blender.cli").main(arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -56,10 +57,19 @@ def toy(tmp_path_factory):
         del sys.path[:2]
 
 
-@pytest.fixture
-def jobs(module):
-    """The user's jobs, none before and none after."""
+@pytest.fixture(scope="module")
+def compiled(module, toy, tmp_path_factory):
+    """The kernels of training are compiled, which may take minutes on a busy machine, once for each version of them."""
     pytest.importorskip("torch")
+    child = Path(module("engine.training.jobs").__file__).with_name("child.py")
+    out = tmp_path_factory.mktemp("first") / "run"
+    subprocess.run([sys.executable, child, child.parents[2], "", "", "train", toy, "--out", out, "--quiet", *FEW, "--iterations", "3"],
+                   check=True, capture_output=True, timeout=1800)
+
+
+@pytest.fixture
+def jobs(module, compiled):
+    """The user's jobs, none before and none after."""
     known = module("engine.training.store").jobs()
     yield known
     for job in known.all():
