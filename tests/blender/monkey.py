@@ -67,7 +67,8 @@ class Monkey:
     def do_play(self):
         context, _ = self.view()
         with context:
-            bpy.ops.screen.animation_play(reverse=self.random.random() < 0.3)
+            if bpy.ops.screen.animation_play.poll():  # not while a render is under way
+                bpy.ops.screen.animation_play(reverse=self.random.random() < 0.3)
 
     def do_scrub(self):
         for _ in range(4):
