@@ -75,6 +75,10 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
         chosen = {name: getattr(settings, name) for name in CaptureOptions.__annotations__}
         try:
+            store.python()  # without one, filming would be for nothing
+        except FastGSError as error:
+            return self._fail(error)
+        try:
             done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True, **chosen)
         except RuntimeError as error:  # it has said why in Blender's own way
             return self._fail(FastGSError(str(error).strip().removeprefix("Error: ")))
