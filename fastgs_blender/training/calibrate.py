@@ -39,7 +39,7 @@ def with_poses(capture, store, out, say=print):
     cameras, lenses, frame = calibrated(capture, store)
     say(f"poses: {len(cameras)} of {len(capture.views)} cameras found by pycolmap from frame {frame}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write(path, capture, cameras, lenses)
+    keep(path, capture, cameras, lenses)
     return capture.with_cameras(cameras, lenses)
 
 
@@ -116,7 +116,8 @@ def _upright(poses) -> np.ndarray:
     return turn
 
 
-def _write(path, capture, cameras, lenses):
+def keep(path, capture, cameras, lenses):
+    """Write the poses of a capture's views into a file, aside and renamed."""
     values = {view: {**{n: getattr(c, n) for n in ("width", "height", "fx", "fy", "cx", "cy")},
                      "world_to_camera": c.world_to_camera.tolist(), "lens": asdict(lenses[view])} for view, c in cameras.items()}
     with replacing([path]) as (part,):

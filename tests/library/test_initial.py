@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from toy_captures import Pixels
+from toy_captures import Pixels, write_capture
 
 import fastgs_blender as fg
+from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.base import Capture, Points, Shot
+from fastgs_blender.captures.lens import Lens
 from fastgs_blender.kernels import threads
+from fastgs_blender.training.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.geometry import visible
 from fastgs_blender.training.initial import initial_points
 from fastgs_blender.training.settings import settings
@@ -30,14 +33,20 @@ def card_x(t):
 
 
 def texture(seed) -> np.ndarray:
-    """Smooth noise of three scales [512, 512, 3]."""
+    """Smooth noise of three scales [1024, 1024, 3]."""
     rng = np.random.default_rng(seed)
-    layers = [np.asarray(Image.fromarray(np.uint8(rng.integers(0, 256, (n, n, 3)))).resize((512, 512), Image.Resampling.BICUBIC), float)
-              for n in (12, 40, 90)]
+    layers = [np.asarray(Image.fromarray(np.uint8(rng.integers(0, 256, (n, n, 3)))).resize((1024, 1024), Image.Resampling.BICUBIC), float)
+              for n in (29, 96, 210)]
     return (layers[0] + layers[1] + layers[2]) / (3 * 255)
 
 
 TEXTURES = [texture(seed) for seed in range(3)]
+
+
+def colour(part, u, v) -> np.ndarray:
+    """Of places on a plane, which is 12 units wide at most; on the card everything is finer."""
+    column, row = (np.floor(x * 1024 / (12 if part < 2 else 5)).astype(int) + 512 for x in (u, v))
+    return TEXTURES[part][row, column]
 
 
 def look(t, camera) -> np.ndarray:
@@ -54,8 +63,7 @@ def look(t, camera) -> np.ndarray:
         u, v = (eye[a] + along * rays[..., a] - m for a, m in zip(across, middle))
         hit = (along > 0) & (along < nearest) & (np.abs(u) < half) & (np.abs(v) < half)
         nearest[hit] = along[hit]
-        scale = 512 / 5 if part < 2 else 512 / 2
-        image[hit] = TEXTURES[part][(v[hit] * scale).astype(int) % 512, (u[hit] * scale).astype(int) % 512]
+        image[hit] = colour(part, u[hit], v[hit])
     return image.reshape(height, 2, width, 2, 3).mean((1, 3)).astype(np.float32)
 
 
@@ -133,15 +141,17 @@ def test_points_have_the_colours_of_the_pictures(found, filmed):
     assert points.rgb.min() >= 0
     assert points.rgb.max() <= 1
     on_wall = np.isnan(points.t) & (np.abs(points.xyz[:, 2] - WALL) < 0.05) & (np.abs(points.xyz[:, :2]) < 5).all(1)
-    u, v = points.xyz[on_wall, 0], points.xyz[on_wall, 1]
-    true = TEXTURES[1][(v * 512 / 5).astype(int) % 512, (u * 512 / 5).astype(int) % 512]
+    true = colour(1, points.xyz[on_wall, 0], points.xyz[on_wall, 1])
     assert np.abs(points.rgb[on_wall] - true).mean() < 0.6 * np.abs(TEXTURES[1].mean((0, 1)) - true).mean()
 
 
-def test_the_same_pictures_give_the_same_points_with_any_number_of_threads(found, filmed):
+def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_and_without_held_out_ones(found, filmed):
+    capture, store = filmed
+    blind = Store([])
+    blind.pictures = {key: value for key, value in store.pictures.items() if key[0] != "cam03"}
     try:
         threads.set_threads(1)
-        again = initial_points(*filmed, settings(points=4000), lambda text: None)
+        again = initial_points(capture, blind, settings(points=4000), lambda text: None)
     finally:
         threads.set_threads(0)
     for name in ("xyz", "rgb", "t"):
@@ -149,15 +159,9 @@ def test_the_same_pictures_give_the_same_points_with_any_number_of_threads(found
 
 
 def test_no_more_points_than_asked_for(filmed):
-    assert len(initial_points(*filmed, settings(points=300), lambda text: None)) <= 300
-
-
-def test_held_out_views_are_not_looked_at(filmed, found):
     capture, store = filmed
-    blind = Store([])
-    blind.pictures = {key: value for key, value in store.pictures.items() if key[0] != "cam03"}
-    again = initial_points(capture, blind, settings(points=4000), lambda text: None)
-    np.testing.assert_array_equal(again.xyz, found[0].xyz)
+    one = replace(capture, shots=capture.at_frame(0))
+    assert 100 < len(initial_points(one, store, settings(points=300), lambda text: None)) <= 300
 
 
 def test_without_features_the_layouts_points_are_next(blank, rng):
@@ -220,3 +224,44 @@ def test_a_run_can_still_be_stopped_by_a_signal_once_pycolmap_is_loaded():
               "os.kill(os.getpid(), signal.SIGTERM)\n")
     done = subprocess.run([sys.executable, "-c", script], cwd=Path(fg.__file__).parents[1], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "saved"), done.stderr
+
+
+def test_poses_are_found_where_the_capture_has_none(filmed, tmp_path):
+    _, store = filmed
+    capture = Capture(Path("planes"), "test", shots(posed=False), fg.Clip(FRAMES))
+    cameras, lenses, frame = calibrated(capture, store)
+    assert (sorted(cameras), frame) == (capture.views, 0)
+    true = dict(zip(capture.views, rig()))
+    centres, expected = (np.array([-c[v].world_to_camera[:3, :3].T @ c[v].world_to_camera[:3, 3] for v in capture.views])
+                         for c in (cameras, true))
+    centres, expected = centres - centres.mean(0), expected - expected.mean(0)
+    u, s, v = np.linalg.svd(centres.T @ expected)
+    fitted = s.sum() / (centres**2).sum() * centres @ u @ v
+    assert np.abs(fitted - expected).max() < 0.03 * np.abs(expected).max()
+    for name, camera in cameras.items():
+        assert camera.fx == pytest.approx(true[name].fx, rel=0.03)
+        assert abs(lenses[name].k[0]) < 0.05
+    again, _, _ = calibrated(capture, store)
+    for name in cameras:
+        np.testing.assert_allclose(again[name].world_to_camera, cameras[name].world_to_camera, atol=1e-9)
+
+
+def test_a_capture_without_anything_to_go_by_says_so(blank):
+    _, store = blank
+    with pytest.raises(fg.FastGSError, match="has no poses"):
+        calibrated(Capture(Path("grey"), "test", shots(posed=False)[:VIEWS], fg.Clip(1)), store)
+
+
+def test_poses_once_found_are_kept_with_the_run(tmp_path):
+    folder = write_capture(tmp_path / "film", frames=1, views=3)
+    (folder / "cameras.json").unlink()
+    (folder / "points.ply").unlink()
+    capture = open_capture(folder)
+    cameras = dict(zip(capture.views, rig()))
+    cameras = {view: replace(camera, width=48, height=36, cx=24, cy=18, window=None) for view, camera in cameras.items()}
+    keep(tmp_path / "poses.json", capture, cameras, {view: Lens("opencv", (0.01,)) for view in cameras})
+    said = []
+    posed = with_poses(capture, None, tmp_path, said.append)
+    assert posed.posed
+    assert not said
+    np.testing.assert_allclose(posed.shots[1].camera.world_to_camera, cameras[capture.views[1]].world_to_camera)
