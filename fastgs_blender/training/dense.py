@@ -23,8 +23,8 @@ MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
-LONELY = 4.0
-"""Distances to the nearest points, in medians, beyond which a point is a stray."""
+COMPANY, LONELY = 16, 4.0
+"""Distance to that many nearest points, in medians, beyond which a point is a stray."""
 STEADY, MOSTLY = 0.2, 0.8
 """Mean difference of colour (0..1) below which a place looks the same, and the share of the pictures of other moments that must
 agree on it for what belongs to all times."""
@@ -52,7 +52,7 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
         still.append(taken(cloud, steady))
         timed.append(taken(cloud, ~steady))
-    still = evenly(joined(still), settings.points // 2)
+    still = evenly(among_others(joined(still)), settings.points // 2)
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
@@ -108,9 +108,11 @@ def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
 
 
 def among_others(points: Points) -> Points:
-    """The points without those that lie by themselves."""
-    apart = neighbour_distance(points.xyz)
-    return taken(points, apart <= LONELY * np.median(apart)) if len(points) else points
+    """The points without those that lie by themselves, alone or a few together: surfaces have many."""
+    if len(points) <= COMPANY:
+        return points
+    apart = neighbour_distance(points.xyz, count=COMPANY)
+    return taken(points, apart <= LONELY * np.median(apart))
 
 
 def chosen_moments(capture) -> list[list[Shot]]:

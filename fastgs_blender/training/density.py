@@ -18,19 +18,29 @@ from .schedule import DENSITY, NOISE, generator
 class Strategy:
     """What all strategies share: when they act, and how many Gaussians there may be.
 
-    settings, extent (of the capture), template (a model of the kinds that are trained)
+    settings, extent (of the capture), template (a model of the kinds that are trained), centres [C, 3] of the cameras
     """
 
     name = ""
 
-    def __init__(self, settings, extent: float, template):
+    def __init__(self, settings, extent: float, template, centres=None):
         self.settings, self.extent, self.template = settings, extent, template
+        self.centres = np.zeros((0, 3)) if centres is None else centres
         self.first = int(settings.densify_from * settings.iterations)
         self.last = int(settings.densify_until * settings.iterations)
 
     def due(self, iteration: int) -> bool:
         """Whether density changes after this step (counted from 1)."""
         return self.first < iteration <= self.last and iteration % self.settings.densify_every == 0
+
+    def _room(self, iteration: int, count: int) -> int:
+        """How many Gaussians may be added now: an equal share of what is left for every time still to come.
+
+        Were all added as soon as they are asked for, the blur of the beginning would have them, and nothing be left for detail.
+        """
+        s = self.settings
+        times = (self.last - iteration) // s.densify_every + 1
+        return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
 
     def penalty(self, arrays) -> dict[str, np.ndarray]:
         """Gradients to add to those of the loss, by array."""
@@ -65,19 +75,27 @@ class Default(Strategy):
 
     def _prune(self, optimiser, statistics):
         keep = sigmoid(optimiser.arrays["opacity"]) >= self.settings.prune_opacity
-        keep &= np.exp(optimiser.arrays["scale"].max(1)) <= self.extent
+        keep &= np.exp(optimiser.arrays["scale"].max(1)) <= np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
         if keep.all() or not keep.any():
             return
         rows = np.flatnonzero(keep)
         optimiser.take(rows)
         statistics.take(rows)
 
+    def _distance(self, optimiser):
+        """To the nearest camera [N].  What is large and close to a camera is fog, which cameras opposite take for the sky."""
+        position = optimiser.arrays["position"].astype(np.float64)
+        nearest = np.full(len(position), np.inf)
+        for centre in self.centres:
+            nearest = np.minimum(nearest, np.linalg.norm(position - centre, axis=1))
+        return nearest
+
     def _grow(self, iteration, optimiser, statistics):
         s, arrays = self.settings, optimiser.arrays
         total = statistics.gradient if s.gradient == "plain" else statistics.absolute
         score = total / np.maximum(statistics.seen, 1)
         n = len(score)
-        room = min(s.max_gaussians - n, int(s.grow * n) + 1)
+        room = self._room(iteration, n)
         wanting = np.flatnonzero(score > s.threshold)
         if room <= 0 or not len(wanting):
             return
@@ -131,7 +149,7 @@ class MCMC(Strategy):
             alive = np.flatnonzero(opacity > s.prune_opacity)
             if len(alive):
                 self._relocate(optimiser, dead, alive, rng)
-                self._add(optimiser, rng)
+                self._add(iteration, optimiser, rng)
             changed = True
         if s.noise and iteration <= self.last:
             self._shake(iteration, arrays, rates)
@@ -149,10 +167,10 @@ class MCMC(Strategy):
                 array[dead] = array[source]
                 optimiser.reset(name, dead)
 
-    def _add(self, optimiser, rng):
+    def _add(self, iteration, optimiser, rng):
         s, arrays = self.settings, optimiser.arrays
         n = len(arrays["opacity"])
-        room = min(s.max_gaussians - n, int(s.grow * n) + 1)
+        room = self._room(iteration, n)
         if room <= 0:
             return
         weight = sigmoid(arrays["opacity"])

@@ -108,8 +108,8 @@ def first_colours(rgb, appearance):
     return rgb
 
 
-def neighbour_distance(xyz: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Root mean squared distance [P] of each point to its three nearest, by two k-d trees turned against each other.
+def neighbour_distance(xyz: np.ndarray, seed: int = 0, count: int = 3) -> np.ndarray:
+    """Root mean squared distance [P] of each point to its `count` nearest, by k-d trees turned against each other.
 
     A neighbour beyond the border of a leaf of one tree is found in the other, or a slightly farther one is taken instead.
     Points that have none get inf.
@@ -125,7 +125,7 @@ def neighbour_distance(xyz: np.ndarray, seed: int = 0) -> np.ndarray:
         for leaf in _leaves(turned, np.arange(len(xyz))):
             p = turned[leaf]
             squared = ((p[:, None] - p[None]) ** 2).sum(-1)
-            k = min(3, len(leaf) - 1)
+            k = min(count, len(leaf) - 1)
             nearest = np.partition(squared, k, axis=1)[:, :k + 1].sum(1) / max(k, 1)  # the point itself adds 0
             best[leaf] = np.minimum(best[leaf], np.sqrt(nearest) if k else np.inf)
     return best

@@ -80,6 +80,7 @@ class Settings:
       dense_size      larger Gaussians are split, smaller ones cloned
       grow            at most this fraction is added at once
       prune_opacity   those below go
+      near_size       those larger than this times their distance to the nearest camera go too
       reset_every     steps between opacity resets, 0: none
       copied_time     temporal centre of copies: the original's, or random
       noise, opacity_weight, scale_weight    mcmc's exploration and its pull towards little and small
@@ -118,7 +119,7 @@ class Settings:
 
     position_rate: float = 1.6e-4
     position_rate_end: float = 1.6e-6
-    motion_rate: float = 2.8e-4
+    motion_rate: float = 1e-3
     motion_decay: float = 0.1
     rotation_rate: float = 1e-3
     turn_rate: float = 1e-3
@@ -138,7 +139,7 @@ class Settings:
     points: int = 20_000
     start_opacity: float = 0.5
     start_size: float = 1.0
-    start_life: float = 0.25
+    start_life: float = 0.1
     static_life: float = 4.0
 
     density: str = "default"
@@ -151,6 +152,7 @@ class Settings:
     dense_size: float = 0.01
     grow: float = 0.15
     prune_opacity: float = 0.005
+    near_size: float = 0.3
     reset_every: int = 0
     copied_time: str = "keep"
     noise: float = 1.0

@@ -47,7 +47,7 @@ class Trainer:
         self.views = schedule.Views(self.shots, settings.seed)
         self.template = empty_model(settings, capture.clip, capture.axes)
         self.penalty = MotionPenalty(self.template.basis, self.extent, settings.regulariser)
-        self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template)
+        self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
             arrays = dict(model.arrays)
             if isinstance(model.appearance, Features):
