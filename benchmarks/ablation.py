@@ -29,7 +29,7 @@ RESULTS = ROOT / "benchmarks" / "results" / "ablation.json"
 CLOSE = 0.3
 """dB in the subject's pixels."""
 SEEDS = (0, 1, 2)
-COMMON = dict(iterations=1500, max_gaussians=8000, points=5000, densify_every=75, preview_every=0)
+COMMON = dict(iterations=3000, max_gaussians=10_000, points=6000, densify_every=100, preview_every=0)
 CAPTURES = {"robot": dict(scale=0.5, frames=slice(0, None, 2)), "procedural": dict(scale=0.75, frames=None)}
 """How much of a capture is used; by the folder's name, others as robot."""
 PAPER = dict(motion="paper", order=5, motion_weight=0.1)
@@ -77,7 +77,7 @@ def work(capture: Path, common, results, options):
     for seeds in (SEEDS[:1], SEEDS[1:]):
         chosen = runs if seeds == SEEDS[:1] else close_runs(results, capture.name)
         todo = [(name, settings, seed) for seed in seeds for name, settings in chosen.items()
-                if key(capture.name, name, seed) not in results]
+                if results.get(key(capture.name, name, seed), {}).get("settings") != {**common, **settings, "seed": seed}]
         with ThreadPoolExecutor(options.jobs) as pool:
             for (name, _, seed), result in zip(todo, pool.map(lambda job: launch(capture, {**common, **job[1], "seed": job[2]}), todo)):
                 results[key(capture.name, name, seed)] = result
