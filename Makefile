@@ -7,7 +7,7 @@ PY := .venv/bin/python
 LTS := .venv313/bin/python
 
 help:
-	@echo "make demo          bake an animated scene into 4D Gaussians and render it through Blender"
+	@echo "make demo          import the example model, move a camera around it and render it through Blender"
 	@echo "make test          style, library and add-on tests (Blender 5.0.1; 5.2.3 too where Python 3.13 is found)"
 	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1 and 5.2.3"
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"

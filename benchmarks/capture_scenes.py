@@ -2,15 +2,12 @@
 """What make_capture.py films: a file's animation, or a small scene of fast things; and the stage for whatever has no light."""
 from __future__ import annotations
 
-import sys
 from math import pi, radians
 from pathlib import Path
 
 import bpy
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-import demo_scene as kit
+import scene_kit as kit
 
 PALETTE = ("#e4572e", "#f3a712", "#a8c686", "#669bbc", "#29335c", "#b56576", "#e8d7c3", "#3c887e")
 

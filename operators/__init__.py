@@ -17,6 +17,7 @@ from . import (
     training_python,
 )
 from .bake import FASTGS_OT_bake
+from .example import FASTGS_OT_import_example
 from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
 from .reload import FASTGS_OT_reload
@@ -24,6 +25,7 @@ from .reload import FASTGS_OT_reload
 CLASSES = (
     FASTGS_OT_import,
     FASTGS_FH_import,
+    FASTGS_OT_import_example,
     FASTGS_OT_reload,
     FASTGS_OT_fit_scene,
     FASTGS_OT_bake,

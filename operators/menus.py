@@ -6,6 +6,7 @@ import bpy
 def draw_import(self, context):
     """File > Import."""
     self.layout.operator("import_scene.fastgs", text="4D Gaussians (.safetensors/.ply/.splatv)")
+    self.layout.operator("fastgs.import_example", text="4D Gaussians: Example")
     self.layout.operator("fastgs.import_capture", text="Capture Cameras")
     self.layout.operator("fastgs.import_camera_path", text="Camera Path (.json/.ssproj/COLMAP)")
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The whole way in one go: an animated scene becomes 4D Gaussians, and Blender renders them through FAST-GS.
+"""The whole way in one go: the example model is imported, a camera goes around it, and Blender renders it through FAST-GS.
 
-    python tools/demo.py [--out demo]
+    python tools/demo.py [--model FILE] [--out demo]
+
+The model was trained by this project on pictures of a small scene (tools/train_example.py).
 """
 from __future__ import annotations
 
@@ -12,16 +14,18 @@ import sys
 import time
 from pathlib import Path
 
-from blender_setup import enable_addon, set_image_output
+from blender_setup import ROOT, enable_addon, set_image_output
 
-BACKDROP = (0.030, 0.034, 0.085)
-POSTER_FRAME = 8
+EXAMPLE = ROOT / "examples" / "playground.safetensors"
+POSTER_FRAME = 40
+FREEZE = 14, 30
+"""Bullet time: the frame of the scene on which the capture freezes, and for how many frames."""
 
 
 def main():
-    arguments = argparse.ArgumentParser(description="Bake an animated scene into 4D Gaussians and render it through Blender.")
+    arguments = argparse.ArgumentParser(description="Import a model of 4D Gaussians, animate a camera through it and render it in Blender.")
+    arguments.add_argument("--model", type=Path, default=EXAMPLE)
     arguments.add_argument("--out", type=Path, default=Path("demo"))
-    arguments.add_argument("--count", type=int, default=400_000, help="Gaussians, for moving and still objects together")
     arguments.add_argument("--size", default="640x360", help="of the film; the poster is twice as wide")
     arguments.add_argument("--picture", type=Path, help="write the poster once more, small enough for the README")
     options = arguments.parse_args()
@@ -35,19 +39,10 @@ def main():
     import bpy
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    import demo_scene
-
-    say("Building an animated scene: shape keys, modifiers, keyframes")
-    moving, still = demo_scene.build()
-    splats = [bake(bpy, moving, out / "moving.safetensors", options.count * 5 // 8),
-              bake(bpy, still, out / "still.safetensors", options.count * 3 // 8)]
-    for obj in moving + still:
-        obj.hide_render = True
-
-    scene = bpy.context.scene
-    demo_scene.camera(scene)
-    demo_scene.set_world(scene, BACKDROP, 1.0)
-    scene.render.engine = 'FASTGS'
+    say("Importing the model")
+    bpy.ops.import_scene.fastgs(filepath=str(options.model.resolve()), set_scene_range=True, use_engine=True)
+    splats, scene = bpy.context.object, bpy.context.scene
+    shot(bpy, scene, splats)
     scene.view_settings.view_transform = 'Standard'
     scene.render.resolution_percentage = 100
     poster = render_poster(bpy, scene, out / "poster.png", size)
@@ -55,25 +50,30 @@ def main():
         shrink(poster, options.picture)
     film = render_film(bpy, scene, out, size)
     bpy.ops.wm.save_as_mainfile(filepath=str(out / "demo.blend"), check_existing=False)
-    total = sum(obj.fastgs.gaussian_count for obj in splats)
-    print(f"\n{total:,} Gaussians, {scene.frame_end} frames, {time.monotonic() - began:.0f} s in all:")
+    print(f"\n{splats.fastgs.gaussian_count:,} Gaussians, {scene.frame_end} frames, {time.monotonic() - began:.0f} s in all:")
     for name, path in (("film", film), ("poster", poster), ("scene", out / "demo.blend")):
         print(f"  {name:7} {path}")
 
 
+def shot(bpy, scene, splats):
+    """Around the scene in an eased arc; on the way time stands still for a moment."""
+    start, frames = FREEZE
+    scene.frame_start, scene.frame_end = 1, splats.fastgs.frame_count + frames
+    bpy.ops.fastgs.bullet_time(start=start, length=frames, ramp=5)
+    target = bpy.data.objects.new("Target", None)
+    target.location, target.empty_display_size = (0.0, 0.1, 0.75), 0.1
+    scene.collection.objects.link(target)
+    for obj in scene.objects:
+        obj.select_set(obj == target)
+    bpy.context.view_layer.objects.active = target
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(radius=3.9, elevation=0.62, start=-2.3, turns=0.36, rise=-0.12, ease=0.5, new_camera=True,
+                                frame_start=scene.frame_start, frame_end=scene.frame_end, spacing=8)
+    scene.camera.data.lens = 29
+
+
 def say(text):
     print(f"{text} ...", flush=True)
-
-
-def bake(bpy, objects, path, count):
-    """Bake objects with the scene's light and import the model, as the operator does from Blender's menu."""
-    say(f"Baking {len(objects)} object{'s' * (len(objects) > 1)} into {count:,} Gaussians, with their light")
-    for obj in bpy.context.scene.objects:
-        obj.select_set(obj in objects)
-    bpy.context.view_layer.objects.active = objects[0]
-    bpy.ops.fastgs.bake(filepath=str(path), count=count, lighting='CYCLES', light_samples=36, light_frames=6,
-                        overwrite=True)
-    return bpy.context.object
 
 
 def render_poster(bpy, scene, path, size):

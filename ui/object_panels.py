@@ -145,6 +145,7 @@ class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
         else:
             col = layout.column()
             col.operator("import_scene.fastgs", icon='IMPORT')
+            col.operator("fastgs.import_example", icon='HEART')
             col.operator("fastgs.bake", icon='RENDER_ANIMATION')
 
 
