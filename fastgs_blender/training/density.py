@@ -168,7 +168,7 @@ class MCMC(Strategy):
                 optimiser.reset(name, dead)
 
     def _add(self, iteration, optimiser, rng):
-        s, arrays = self.settings, optimiser.arrays
+        arrays = optimiser.arrays
         n = len(arrays["opacity"])
         room = self._room(iteration, n)
         if room <= 0:
