@@ -147,7 +147,8 @@ def test_objects_made_without_the_importer(panels, splat_object, scene):
     for name in ("FASTGS_PT_object", "FASTGS_PT_object_time"):
         assert drawn(panels[name], object=made)
     obj = bpy.data.objects.new("Empty", None)
-    assert texts(drawn(panels["FASTGS_PT_sidebar"], object=obj), "operator") == ["import_scene.fastgs", "fastgs.import_example", "fastgs.bake"]
+    wanted = ["import_scene.fastgs", "fastgs.import_example", "fastgs.bake"]
+    assert texts(drawn(panels["FASTGS_PT_sidebar"], object=obj), "operator") == wanted
 
 
 def test_frame_that_is_shown(module, obj, scene):
