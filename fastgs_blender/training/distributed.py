@@ -34,7 +34,7 @@ class Group:
         import torch
         import torch.distributed as dist
 
-        for kind in {array.dtype for array in arrays}:
+        for kind in dict.fromkeys(array.dtype for array in arrays):  # in one order: a set's differs from process to process
             same = [array for array in arrays if array.dtype == kind]
             flat = torch.from_numpy(np.concatenate([array.reshape(-1) for array in same])).to(self.device)
             dist.all_reduce(flat)
