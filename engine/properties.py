@@ -100,7 +100,7 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     picture_size: FloatProperty(
         name="Picture Size", description="Size of the pictures on frusta; 1 is where the frustum ends that Blender draws",
         min=0.01, soft_max=10.0, default=1.0, update=redraw.viewports)
-    training: PointerProperty(type=FASTGS_PG_training, name="Training")
+    training: PointerProperty(type=FASTGS_PG_training, name="Training", description="What the Train panel is set to")
 
 
 class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
