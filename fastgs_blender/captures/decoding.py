@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a shot's files to its pixels as the cache keeps them: undistorted, scaled, with alpha and mask in one channel."""
+"""From a shot's files to its pixels as the cache keeps them: undistorted, scaled, with alpha and mask in one channel.
+
+Where there are both, another channel has the alpha alone.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
@@ -20,11 +23,12 @@ def shape(shot: Shot, scale: float) -> tuple[int, int, int]:
     """(h, w, channels) of what decode() gives; scale is the capture's, for shots without a camera."""
     found = facts(shot.image)
     width, height = (shot.camera.width, shot.camera.height) if shot.camera else (max(1, round(v * scale)) for v in found[:2])
-    return height, width, 3 + (found.alpha or shot.mask is not None)
+    return height, width, 3 + bool(found.alpha) + (shot.mask is not None)
 
 
 def decode(shots: Iterable[Shot], scale: float) -> Iterator[tuple[Shot, np.ndarray | FastGSError]]:
-    """Every shot with its pixels [h, w, 3 or 4] (straight display colours, then mask), uint8 or, for deep files, uint16; or its error.
+    """Every shot with its pixels [h, w, 3 to 5], or its error: straight display colours, then mask, then alpha where there is a mask file
+    too; uint8 or, for deep files, uint16.
 
     Shots of one video are decoded in one pass, so they come ordered by frame.
     """
@@ -71,16 +75,17 @@ def _finished(shot: Shot, scale: float, rgb: np.ndarray, alpha: np.ndarray | Non
         if grey.shape != (height, width):
             raise FastGSError(f"{shot.mask}: the mask has {grey.shape[1]} x {grey.shape[0]} pixels, its picture {width} x {height}.")
         mask = grey if mask is None else _unit(grey) * _unit(mask)
-    return _reshaped(shot, scale, rgb, alpha, mask)
+    both = shot.mask is not None and alpha is not None
+    return _reshaped(shot, scale, rgb, alpha, [plane for plane in (mask, alpha if both else None) if plane is not None])
 
 
-def _reshaped(shot, scale, rgb, alpha, mask):
+def _reshaped(shot, scale, rgb, alpha, further):
     target = shape(shot, scale)[:2]
     deep = rgb.dtype == np.float32
     positions = None if shot.camera is None else warp(shot)
     if positions is None and target == rgb.shape[:2]:
-        planes = [rgb if not deep else _bytes(rgb, deep)]
-        return np.ascontiguousarray(np.concatenate(planes + ([_bytes(mask, deep)[..., None]] if mask is not None else []), -1))
+        planes = [rgb if not deep else _bytes(rgb, deep), *(_bytes(plane, deep)[..., None] for plane in further)]
+        return np.ascontiguousarray(np.concatenate(planes, -1))
     if positions is None:
         move = lambda plane: shrink(plane, target)  # noqa: E731
     else:
@@ -92,9 +97,7 @@ def _reshaped(shot, scale, rgb, alpha, mask):
         share = move(a)
         colours = move(_unit(rgb) * a[..., None]) / np.maximum(share, 1e-6)[..., None]
     colours = _bytes(colours / 255 if rgb.dtype == np.uint8 and colours.dtype != np.uint8 and alpha is None else colours, deep)
-    if mask is None:
-        return np.ascontiguousarray(colours)
-    return np.concatenate([colours, _bytes(move(_unit(mask)), deep)[..., None]], -1)
+    return np.ascontiguousarray(np.concatenate([colours, *(_bytes(move(_unit(plane)), deep)[..., None] for plane in further)], -1))
 
 
 def _unit(plane: np.ndarray) -> np.ndarray:

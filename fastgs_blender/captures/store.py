@@ -34,11 +34,13 @@ MOST_THREADS = 8
 @dataclass(frozen=True, eq=False)
 class Pixels:
     """rgb [h, w, 3] float32 in 0..1, display sRGB, straight; mask [h, w] float32 in 0..1 (alpha channel x mask file) or None;
-    valid [h, w] bool, False where the lens has no picture, or None: it has one everywhere."""
+    valid [h, w] bool, False where the lens has no picture, or None: it has one everywhere;
+    alpha [h, w] float32, the picture's own where there is a mask file besides, or None."""
 
     rgb: np.ndarray
     mask: np.ndarray | None = None
     valid: np.ndarray | None = None
+    alpha: np.ndarray | None = None
 
 
 class FrameStore:
@@ -112,10 +114,11 @@ class FrameStore:
         stored = self.stored(shot)
         most = np.float32(255 if stored.dtype == np.uint8 else 65535)
         rgb = stored[..., :3] / most
-        return Pixels(rgb, stored[..., 3] / most if stored.shape[2] == 4 else None, self._valid_of(shot))
+        mask, alpha = (stored[..., k] / most if stored.shape[2] > k else None for k in (3, 4))
+        return Pixels(rgb, mask, self._valid_of(shot), alpha)
 
     def stored(self, shot: Shot) -> np.ndarray:
-        """The pixels [h, w, 3 or 4] as they are kept: uint8 or uint16, not to be written to."""
+        """The pixels [h, w, 3 to 5] as they are kept: uint8 or uint16, not to be written to."""
         path = self._path(shot)
         with self._lock:
             if path in self._held:

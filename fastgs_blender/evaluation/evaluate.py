@@ -158,6 +158,8 @@ def _truth(capture, store, shot):
     """
     pixels = store.pixels(shot)
     rgb, mask, valid = pixels.rgb, pixels.mask, pixels.valid
+    if pixels.alpha is not None:
+        rgb = rgb * pixels.alpha[..., None]
     if mask is not None and shot.mask is None:
         rgb = rgb * mask[..., None]
     elif mask is not None and capture.mask_means == "valid":

@@ -13,7 +13,7 @@ from . import features, sweep
 from .geometry import project, sample, visible
 from .model import neighbour_distance
 from .schedule import POINTS, generator
-from .targets import small_camera, smaller, use_of_mask
+from .targets import cover_of, small_camera, smaller, use_of_mask
 
 MOMENTS, FEATURE_MOMENTS = 8, 4
 """Moments of the clip at which surfaces, and features, are looked for."""
@@ -137,9 +137,8 @@ def picture(capture, store, settings, shot, side):
     """A shot's rgb with its longer side at most `side`, the camera of that, and where it counts [h, w] or None for everywhere."""
     pixels = store.pixels(shot)
     reduction = -(-max(pixels.rgb.shape[:2]) // side)
-    inside = None
-    if use_of_mask(settings, capture, shot, pixels.mask) in {"cut", "only"}:
-        inside = pixels.mask
+    use = use_of_mask(settings, capture, shot, pixels.mask)
+    inside = pixels.mask if use == "only" else cover_of(use, pixels)
     if pixels.valid is not None:
         inside = pixels.valid.astype(np.float32) * (1 if inside is None else inside)
     return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),

@@ -35,18 +35,25 @@ def use_of_mask(settings, capture, shot, mask) -> str:
     return "only" if capture.mask_means == "valid" else "weight"
 
 
+def cover_of(use: str, pixels) -> np.ndarray | None:
+    """How much of each pixel [h, w] the model is to fill; None: all of it.  use: as use_of_mask() gives it."""
+    return pixels.mask if use == "cut" else None if use == "off" else pixels.alpha
+
+
 def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
     """The target of a shot; key says which random background it has, where one is wanted."""
     pixels = store.pixels(shot)
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
     use = use_of_mask(settings, capture, shot, mask)
     background = weight = None
-    if use == "cut":
+    cover = cover_of(use, pixels)
+    if cover is not None:
+        cover = smaller(cover, reduction)
         kind = "random" if settings.background == "auto" else settings.background
         value = FIXED.get(kind)
         background = np.full(3, value, np.float32) if value is not None else \
             generator(settings.seed, BACKGROUND, *key).uniform(0, 1, 3).astype(np.float32)
-        rgb = rgb * mask[..., None] + (1 - mask)[..., None] * background
+        rgb = rgb * cover[..., None] + (1 - cover)[..., None] * background
     elif FIXED.get(settings.background):
         background = np.full(3, FIXED[settings.background], np.float32)
     if use == "weight":
@@ -58,7 +65,7 @@ def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
         weight = inside if weight is None else weight * inside
     return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
                   None if weight is None else np.ascontiguousarray(weight, np.float32),
-                  background if background is not None and background.any() else None, use in ("off", "weight"))
+                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight"))
 
 
 def smaller(image: np.ndarray, reduction: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from .distributed import Group
 from .losses import MotionPenalty, photometric
 from .model import empty_model
 from .optimiser import Optimiser
-from .targets import target, use_of_mask
+from .targets import cover_of, target, use_of_mask
 
 DECODER = ("w1", "w2")
 
@@ -165,8 +165,8 @@ def measure(model, capture, store, settings, shots) -> tuple[float, float | None
     for shot in shots:
         pixels = store.pixels(shot)
         picture = render_model(model, shot.camera, shot.t, ("rgb",))["rgb"]
-        cut = use_of_mask(settings, capture, shot, pixels.mask) == "cut"
-        truth = pixels.rgb * pixels.mask[..., None] if cut else pixels.rgb
+        cover = cover_of(use_of_mask(settings, capture, shot, pixels.mask), pixels)
+        truth = pixels.rgb if cover is None else pixels.rgb * cover[..., None]
         whole.append(psnr(picture, truth))
         if pixels.mask is not None:
             part.append(psnr(picture, truth, pixels.mask))

@@ -163,7 +163,7 @@ def test_exr_that_the_file_calls_display_colours(tmp_path, tmp_path_factory, rng
     assert np.abs(found.rgb - shown).max() < 2e-5 and found.mask is None
 
 
-def test_alpha_and_mask_file_end_in_one_mask(tmp_path, tmp_path_factory, rng):
+def test_alpha_and_mask_file_end_in_one_mask_and_alpha_stays(tmp_path, tmp_path_factory, rng):
     one_picture(tmp_path)
     rgba, mask = rng.integers(0, 256, (6, 8, 4), np.uint8), rng.integers(0, 256, (6, 8), np.uint8)
     for place, picture in (("a", rgba), ("masks/a", mask)):
@@ -172,6 +172,9 @@ def test_alpha_and_mask_file_end_in_one_mask(tmp_path, tmp_path_factory, rng):
     found = pixels(tmp_path, tmp_path_factory.mktemp("cache"))
     np.testing.assert_array_equal(np.round(found.rgb * 255), rgba[..., :3])
     assert np.abs(found.mask - rgba[..., 3] / 255.0 * mask / 255.0).max() <= 0.51 / 255
+    np.testing.assert_array_equal(np.round(found.alpha * 255), rgba[..., 3])
+    half = pixels(tmp_path, tmp_path_factory.mktemp("cache"), scale=0.5)
+    assert np.abs(half.alpha - rgba[..., 3].reshape(3, 2, 4, 2).mean((1, 3)) / 255).max() <= 0.51 / 255
 
 
 def test_transparent_colour_does_not_bleed_into_smaller_pictures(tmp_path, tmp_path_factory):

@@ -10,7 +10,8 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.captures.base import Points
-from fastgs_blender.training import checkpoint, density, schedule
+from fastgs_blender.captures.store import Pixels
+from fastgs_blender.training import checkpoint, density, schedule, targets
 from fastgs_blender.training import model as starting
 from fastgs_blender.training import settings as options
 
@@ -110,6 +111,19 @@ def test_a_single_moving_camera_helps_out_from_other_moments():
 
 def test_more_views_than_the_capture_has():
     assert len(schedule.Views([SimpleNamespace(t=0.0)] * 3, 0).at(4, 8)) == 8
+
+
+@pytest.mark.parametrize("has_alpha", [False, True])
+def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
+    """A mask file says where the subject is, the picture's own alpha what there is at all."""
+    rgb, subject, alpha = rng.uniform(size=(4, 6, 3)).astype(np.float32), np.eye(4, 6, dtype=np.float32), np.tri(4, 6, dtype=np.float32)
+    pixels = Pixels(rgb, subject * alpha, alpha=alpha) if has_alpha else Pixels(rgb, subject)
+    capture, store = SimpleNamespace(mask_means="foreground"), SimpleNamespace(pixels=lambda shot: pixels)
+    shot = SimpleNamespace(mask="file", camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
+    found = targets.target(capture, store, shot, options.settings(foreground_weight=3.0, background="white"), 1)
+    np.testing.assert_allclose(found.weight, 1 + 2 * pixels.mask)
+    np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
+    assert found.opaque == (not has_alpha) and (found.background == 1).all()
 
 
 def test_rates_fall_and_divide_by_the_frequency():

@@ -50,6 +50,7 @@ class Pixels:
     rgb: np.ndarray
     mask: np.ndarray | None = None
     valid: np.ndarray | None = None
+    alpha: np.ndarray | None = None
 
 
 class MemoryStore:
