@@ -13,6 +13,9 @@ from ..fastgs_blender.errors import FastGSError
 from . import camera_keys
 from .splat_object import sentence
 
+SPREAD = 3.0
+"""A splat is part of what a move is about up to so many median distances from the middle."""
+
 
 def target_camera(context, make: bool) -> bpy.types.Object | None:
     """The scene's camera; with `make`, a new one takes its place."""
@@ -35,11 +38,29 @@ def subject_of(context) -> tuple[Vector, float]:
     chosen = [o for o in context.selected_objects if objects.is_splat(o)]
     chosen = chosen or [o for o in [context.object] if o is not None and o.type != 'CAMERA']
     chosen = chosen or [o for o in context.scene.objects if objects.is_splat(o)]
+    if chosen and all(objects.is_splat(o) and o.type == 'MESH' and len(o.data.vertices) for o in chosen):
+        return _most_of(chosen)
     corners = [o.matrix_world @ Vector(c) for o in chosen for c in o.bound_box]
     if not corners:
         return context.scene.cursor.location.copy(), 2.0
     low, high = (Vector(f(c[i] for c in corners) for i in range(3)) for f in (min, max))
     return (low + high) / 2, max((high - low).length / 2, 1e-3)
+
+
+def _most_of(splats) -> tuple[Vector, float]:
+    """Middle and radius of what most of the splats are about: a few strays, or a far background, do not count."""
+    clouds = []
+    for obj in splats:
+        points = np.empty(3 * len(obj.data.vertices), np.float32)
+        obj.data.vertices.foreach_get("co", points)
+        matrix = np.array(obj.matrix_world)
+        clouds.append(points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+    points = np.concatenate(clouds)
+    middle = np.median(points, axis=0)
+    away = np.linalg.norm(points - middle, axis=1)
+    near = points[away <= SPREAD * np.median(away)]
+    low, high = near.min(0), near.max(0)
+    return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
 def capture_cameras(scene) -> list[bpy.types.Object]:

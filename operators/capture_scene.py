@@ -104,7 +104,7 @@ class FASTGS_OT_capture_scene(CaptureOptions, bpy.types.Operator):
         return Plan(
             self.frame_start, self.frame_end, self.frame_step, self.width, self.height, self.samples if self.quality == 'FAST' else 0,
             names, self.count, 'arc' if self.cameras == 'ARC' else 'dome', float(self.angle) * 57.29577951308232, self.distance, selected,
-            self.hold_out)
+            self.hold_out, self.world)
 
     def _advance(self, context) -> bool:
         try:

@@ -42,6 +42,7 @@ def draw_capture(layout, settings):
     col.prop(settings, "quality")
     if settings.quality == 'FAST':
         col.prop(settings, "samples")
+    col.prop(settings, "world")
     col.prop(settings, "hold_out")
 
 

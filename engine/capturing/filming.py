@@ -41,6 +41,7 @@ class Plan:
     distance: float = 1.0
     selected: tuple[str, ...] | None = None
     hold_out: bool = True
+    world: str = 'AUTO'
 
     @property
     def frames(self) -> list[int]:
@@ -54,7 +55,7 @@ def film_steps(scene: bpy.types.Scene, plan: Plan, out):
     """
     out = Path(out)
     yield 0, len(plan.frames) * max(len(plan.cameras), 1)
-    with Studio(scene, plan.width, plan.height, plan.samples) as studio:
+    with Studio(scene, plan.width, plan.height, plan.samples, plan.world) as studio:
         subject = find(studio, plan.frames, None if plan.selected is None else set(plan.selected))
         views = _chosen(studio, plan) if plan.cameras else _rig(plan, subject)
         _describe(out, scene, plan, views)

@@ -35,6 +35,13 @@ class CaptureOptions:
             ('FAST', "Few Samples", "Few samples and a fast denoiser", 0),
             ('SCENE', "As the Scene", "With the scene's own samples and denoiser", 1),
         ), default='FAST')
+    world: EnumProperty(
+        name="World", description="What pictures show where the scene has nothing",
+        items=(
+            ('AUTO', "Automatic", "Nothing, where FAST-GS renders the same world behind the model: a plain colour; else the world", 0),
+            ('FILM', "Film It", "The world: it becomes part of the model, far away", 1),
+            ('LEAVE_OUT', "Leave Out", "Nothing: the model has only the scene's objects", 2),
+        ), default='AUTO')
     samples: IntProperty(name="Samples", description="Few samples: how many a pixel", default=16, min=1, soft_max=256)
     frame_step: IntProperty(name="Frame Step", description="Film every so many frames", default=1, min=1)
     hold_out: BoolProperty(

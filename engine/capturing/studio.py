@@ -16,6 +16,7 @@ from ...fastgs_blender.colour import linear_to_srgb, straight
 from ...fastgs_blender.plainfiles import read_exr
 from .. import camera as cameras
 from .. import colour
+from ..world import background
 
 SKY = 1e9
 """Depth beyond which there is nothing."""
@@ -36,10 +37,11 @@ class Studio:
     """To be used in a with statement; what it makes goes at its end.
 
     samples   of Cycles and EEVEE, with a fast denoiser; 0: as the scene is set
+    world     FILM it, LEAVE_OUT, or AUTO: left out where our engine renders the same one behind the model
     """
 
-    def __init__(self, scene: bpy.types.Scene, width: int, height: int, samples: int = 0):
-        self._original, self._size, self._samples = scene, (width, height), samples
+    def __init__(self, scene: bpy.types.Scene, width: int, height: int, samples: int = 0, world: str = 'FILM'):
+        self._original, self._size, self._samples, self._world = scene, (width, height), samples, world
 
     def __enter__(self):
         self._folder = tempfile.TemporaryDirectory(prefix="fastgs-capture-")
@@ -74,6 +76,9 @@ class Studio:
         render.image_settings.exr_codec = 'NONE'
         render.filepath = str(Path(self._folder.name, "picture.exr"))
         scene.camera = self.camera
+        if self._world != 'FILM':
+            _, not_shown = background(scene, self.layer)
+            render.film_transparent = render.film_transparent or self._world == 'LEAVE_OUT' or not_shown is None
         if self._samples:
             _be_quick(scene, self._samples)
 

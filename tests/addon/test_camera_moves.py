@@ -193,6 +193,20 @@ def test_bullet_time_slows_and_goes_on_without_a_jump(bpy, scene, module, moving
         bpy.ops.fastgs.bullet_time(start=40, length=5)
 
 
+def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, module, make_model, model_file):
+    """As trained models have them: a third of the splats on a sphere far away."""
+    model = make_model(900, spread=1.0)
+    model.position[:600] += (5, 0, 0)
+    rng = np.random.default_rng(0)
+    sphere = rng.normal(size=(300, 3))
+    model.position[600:] = 40 * sphere / np.linalg.norm(sphere, axis=1)[:, None]
+    bpy.ops.import_scene.fastgs(filepath=model_file(model), orientation='KEEP')
+    middle, radius = module("operators.camera_moves").subject_of(bpy.context)
+    assert (middle - bpy.context.object.matrix_world.translation - type(middle)((5, 0, 0))).length < 0.2 and 1.2 < radius < 2.2
+    bpy.ops.fastgs.camera_orbit(new_camera=True)
+    assert 2 < (scene.camera.matrix_world.translation - middle).length < 6
+
+
 @pytest.mark.parametrize("how", ['LOOK', 'MOVE'])
 def test_following_a_region(bpy, scene, moving_splat, add_camera, how):
     scene.render.fps = 24

@@ -147,6 +147,25 @@ def test_a_scene_is_filmed_and_left_as_it_was(moving_scene, module, fg, tmp_path
     assert np.quantile(np.abs(points.xyz[~moves, 2] + 0.5), 0.9) < 0.05
 
 
+@pytest.mark.parametrize(("world", "textured", "filmed"), [
+    ('AUTO', False, False), ('AUTO', True, True), ('FILM', False, True), ('LEAVE_OUT', True, False)])
+def test_a_world_that_our_engine_shows_itself_is_left_out(moving_scene, module, tmp_path, world, textured, filmed):
+    shown = moving_scene.world = bpy.data.worlds.new("Sky")
+    if bpy.app.version < (5, 0, 0):
+        shown.use_nodes = True
+    if textured:
+        tree = shown.node_tree
+        tree.links.new(tree.nodes.new('ShaderNodeTexGradient').outputs[0], tree.nodes["Background"].inputs["Color"])
+    bpy.data.objects["Floor"].hide_render = True
+    bpy.ops.fastgs.capture_scene(out=str(tmp_path / "film"), count=2, samples=1, frame_end=3, world=world, **SIZE)
+    assert not moving_scene.render.film_transparent
+    capture = module("fastgs_blender.captures").open_capture(tmp_path / "film")
+    pixels = capture.frames(2**20, folder=tmp_path / "cache").pixels(capture.shots[0])
+    assert (pixels.alpha is None) == filmed
+    if not filmed:
+        assert pixels.alpha[12, 16] == 1 and pixels.alpha[0, 0] == 0 and np.abs(pixels.alpha - pixels.mask).max() < 0.1
+
+
 def test_filming_goes_on_where_it_stopped(moving_scene, tmp_path):
     out = tmp_path / "film"
     options = dict(out=str(out), count=3, samples=1, frame_end=3, **SIZE)
