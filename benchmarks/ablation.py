@@ -146,9 +146,8 @@ def prepare(folder: Path, common):
     store.fill()
     made = settings(**common)
     points = with_backdrop(capture, store, made, initial_points(capture, store, made))
-    t = np.full(len(points), np.nan, np.float32) if points.t is None else points.t
     with replacing([path]) as (part,), part.open("wb") as file:
-        np.savez(file, xyz=points.xyz, rgb=points.rgb, t=t)
+        np.savez(file, **{name: array for name, array in vars(points).items() if array is not None})
 
 
 def one(capture: str, settings: dict) -> dict:
@@ -165,7 +164,7 @@ def one(capture: str, settings: dict) -> dict:
     filmed = opened(capture)
     store = filmed.frames()
     with np.load(points_file(Path(capture), settings)) as arrays:
-        points = Points(arrays["xyz"], arrays["rgb"], arrays["t"])
+        points = Points(**arrays)
     trainer = Trainer(filmed, store, made, model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent))
     began = time.process_time()
     losses = [trainer.step()["loss"] for _ in range(made.iterations)]

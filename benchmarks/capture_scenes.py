@@ -74,7 +74,10 @@ def extent(objects, times) -> tuple[np.ndarray, float, float]:
     return centre, float(np.linalg.norm(points - centre, axis=1).max()), float(points[:, 2].min())
 
 
-# A stage: textured floor, softly coloured surroundings, sun and sky
+STAGE = 1.3
+"""Radius of the stage in those of the subject."""
+
+# A stage with a textured floor, in a softly coloured studio, sun and sky
 
 
 def noise(size: int, cells: int, rng) -> np.ndarray:
@@ -86,29 +89,31 @@ def noise(size: int, cells: int, rng) -> np.ndarray:
 
 
 def stage(centre, radius: float, floor: float, reach: float) -> None:
-    """Around a subject: a floor at that height and a dome at `reach`, beyond all cameras."""
+    """Around a subject: a round stage under its feet that every camera sees, in a studio of smooth colours at `reach`, beyond them all."""
     rng = np.random.default_rng(7)
-    u, v, faces = kit.grid(96, 1)
-    points = np.stack([reach * v * np.cos(2 * pi * u), reach * v * np.sin(2 * pi * u), np.zeros_like(u)], 1)
-    uv = points[:, :2] / (2 * reach) + 0.5
+    edge, thick = STAGE * radius, 0.1 * radius
     place = (centre[0], centre[1], floor)
-    kit.new_object("Floor", [(points, faces, uv, 0)], [kit.material("Floor", floor_image(radius, reach, rng))], place)
+    u, v, faces = kit.grid(96, 1)
+    top = np.stack([edge * v * np.cos(2 * pi * u), edge * v * np.sin(2 * pi * u), np.zeros_like(u)], 1)
+    side = np.stack([edge * np.cos(2 * pi * u), edge * np.sin(2 * pi * u), -thick * (1 - v)], 1)
+    tiles, rim = kit.material("Stage", floor_image(radius, edge, rng)), kit.material("Rim", "#5f584e")
+    kit.new_object("Stage", [(top, faces, top[:, :2] / (2 * edge) + 0.5, 0), (side, faces, np.stack([u, v], 1), 1)], [tiles, rim], place)
 
     size = 512
     x, y = kit.canvas(2 * size, size)
     tint = 0.5 + 0.09 * np.sin(2 * pi * (2 * x + 0.3)) * np.sin(2 * pi * (1.5 * y + 0.1)) + 0.07 * np.cos(2 * pi * (3 * x + y))
-    sky = kit.gradient(np.clip(y * 0.8 + 0.35 * (tint - 0.5), 0, 1), ["#8c8271", "#b9b09c", "#a9bcc6", "#7f9fb8", "#5c7fa3"])
+    walls = kit.gradient(np.clip(y * 0.8 + 0.35 * (tint - 0.5), 0, 1), ["#8c8271", "#b9b09c", "#a9bcc6", "#7f9fb8", "#5c7fa3"])
     points, faces, uv = kit.ball(reach, (0, 0, 0), 64, 32)
-    dome = kit.new_object("Surroundings", [(points, faces, uv, 0)], [kit.material("Surroundings", sky)], place)
+    dome = kit.new_object("Studio", [(points, faces, uv, 0)], [kit.material("Studio", walls)], place)
     shine(dome.data.materials[0], 1.0)
     dome.visible_diffuse = dome.visible_glossy = dome.visible_shadow = False
     light()
 
 
-def floor_image(radius, reach, rng) -> np.ndarray:
-    """Tiles of many colours with grain, fading outwards: sRGB [2048, 2048, 3] for 2 reach x 2 reach."""
+def floor_image(radius, edge, rng) -> np.ndarray:
+    """Tiles of many colours with grain: sRGB [2048, 2048, 3] for 2 edge x 2 edge."""
     size = 2048
-    x, y = (2 * reach * (a - 0.5) for a in kit.canvas(size, size))
+    x, y = (2 * edge * (a - 0.5) for a in kit.canvas(size, size))
     tile = radius / 2.2
     column, row = np.floor(x / tile).astype(int), np.floor(y / tile).astype(int)
     colours = np.array([kit.srgb(code) for code in PALETTE])
@@ -117,8 +122,8 @@ def floor_image(radius, reach, rng) -> np.ndarray:
     image *= 1 - 0.12 * ((column + row) % 2)[..., None]
     seam = np.minimum(np.abs((x / tile + 0.5) % 1 - 0.5), np.abs((y / tile + 0.5) % 1 - 0.5)) * tile
     kit.paint(image, 0.7 * kit.edge(seam - 0.015 * tile, 0.03 * tile), "#6b6356")
-    image += (0.04 * noise(size, 40, rng) + 0.04 * noise(size, 120, rng) + 0.02 * noise(size, 300, rng))[..., None]
-    kit.paint(image, np.clip((np.hypot(x, y) / reach - 0.45) / 0.4, 0, 1), "#a39a86")
+    cells = edge / radius * np.array([11, 32])
+    image += (0.04 * noise(size, int(cells[0]), rng) + 0.03 * noise(size, int(cells[1]), rng))[..., None]
     return np.clip(image, 0, 1)
 
 

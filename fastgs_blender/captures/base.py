@@ -36,14 +36,20 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points of the scene: xyz [P, 3], rgb [P, 3] in 0..1 (display), t [P] in [0, 1] or None where they hold for all times."""
+    """Points of the scene: xyz [P, 3], rgb [P, 3] in 0..1 (display), t [P] in [0, 1] or None where they hold for all times;
+    size [P], how far apart they stand, NaN or None where that is to be seen from their neighbours."""
 
     xyz: np.ndarray
     rgb: np.ndarray
     t: np.ndarray | None = None
+    size: np.ndarray | None = None
 
     def __len__(self):
         return len(self.xyz)
+
+    def take(self, rows) -> Points:
+        """Some of the points, by indices or a mask."""
+        return Points(**{name: None if array is None else array[rows] for name, array in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,10 @@ BEYOND = 25.0
 """Degrees about what is seen to which the backdrop goes on, for cameras that look there later."""
 
 
+COVER = 1.2
+"""Standard deviation of the backdrop's Gaussians in their distances: there is nothing behind that may show through."""
+
+
 def with_backdrop(capture, store, settings, points: Points) -> Points:
     """The points, and up to settings.backdrop times settings.points more on a sphere about them, where pictures show none of them
     and near there.
@@ -56,8 +60,10 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
     kept = near > np.cos(np.radians(BEYOND))
     xyz, rgb = centre + radius * everywhere[kept], rgb[nearest[kept]]
     t = np.full(len(points), np.nan) if points.t is None else np.asarray(points.t)
+    apart = COVER * radius * np.sqrt(4 * np.pi / count)
     return Points(np.concatenate([points.xyz, xyz]).astype(np.float32), np.concatenate([points.rgb, rgb]).astype(np.float32),
-                  np.concatenate([t, np.full(len(xyz), np.nan)]).astype(np.float32))
+                  np.concatenate([t, np.full(len(xyz), np.nan)]).astype(np.float32),
+                  np.concatenate([np.full(len(points), np.nan), np.full(len(xyz), apart)]).astype(np.float32))
 
 
 def _different(shots):

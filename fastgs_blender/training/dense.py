@@ -44,14 +44,14 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
         swept += sum(map(len, clouds))
-        cloud = drawn(joined([taken(found, found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
+        cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
         agree, against = votes(cloud, pictures[k], depths[k])
-        cloud = among_others(taken(cloud, agree > 2 * against))
+        cloud = among_others(cloud.take(agree > 2 * against))
         elsewhere = [votes(cloud, pictures[i], depths[i]) for i in range(len(moments)) if i != k]
         agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
-        still.append(taken(cloud, steady))
-        timed.append(taken(cloud, ~steady))
+        still.append(cloud.take(steady))
+        timed.append(cloud.take(~steady))
     still = evenly(among_others(joined(still)), settings.points // 2)
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
@@ -104,7 +104,7 @@ def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
     """At most so many of the points, at random: each surface keeps its share, where an even choice would prefer strays."""
     if len(points) <= most:
         return points
-    return taken(points, np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
+    return points.take(np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
 
 
 def among_others(points: Points) -> Points:
@@ -112,7 +112,7 @@ def among_others(points: Points) -> Points:
     if len(points) <= COMPANY:
         return points
     apart = neighbour_distance(points.xyz, count=COMPANY)
-    return taken(points, apart <= LONELY * np.median(apart))
+    return points.take(apart <= LONELY * np.median(apart))
 
 
 def chosen_moments(capture) -> list[list[Shot]]:
@@ -167,11 +167,6 @@ def joined(clouds: list[Points]) -> Points:
     return Points(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("xyz", "rgb", "t")))
 
 
-def taken(points: Points, rows) -> Points:
-    """Some of the points."""
-    return Points(points.xyz[rows], points.rgb[rows], points.t[rows])
-
-
 def evenly(points: Points, most: int) -> Points:
     """At most so many of the points, spread evenly: the first in each cell of a grid that is as fine as the number allows."""
     if len(points) <= most:
@@ -187,4 +182,4 @@ def evenly(points: Points, most: int) -> Points:
             coarse, best = size, first
         else:
             fine = size
-    return taken(points, np.sort(best))
+    return points.take(np.sort(best))

@@ -59,8 +59,8 @@ def thinned(points: Points, most: int, seed: int) -> Points:
     rows = np.arange(len(points))
     if len(rows) > most:
         rows = np.sort(generator(seed, POINTS, 1).choice(rows, most, replace=False))
-    t = None if points.t is None else np.asarray(points.t, np.float32)[rows]
-    return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t)
+    t, size = (None if array is None else np.asarray(array, np.float32)[rows] for array in (points.t, points.size))
+    return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t, size)
 
 
 # The sources: functions of (capture, store, settings) that return points and a clause about them

@@ -70,9 +70,10 @@ def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:
 
 
 def model_from_points(points, settings, clip: Clip, axes: str, extent: float) -> GaussianModel:
-    """One Gaussian a point: points.xyz [P, 3], .rgb [P, 3] 0..1, .t [P] or None; NaN in t: there all the time.
+    """One Gaussian a point: captures.base.Points; NaN in t: there all the time.
 
-    Isotropic, as large as the mean distance to the three nearest points of the same time (3DGS, 3.1 of the recipe), not moving.
+    Isotropic, as large as the point says, else start_size times the mean distance to the three nearest points of the same time
+    (3DGS, 3.1 of the recipe), not moving.
     """
     xyz = np.asarray(points.xyz, np.float32)
     n = len(xyz)
@@ -83,6 +84,8 @@ def model_from_points(points, settings, clip: Clip, axes: str, extent: float) ->
         rows = np.flatnonzero(np.where(timed, time, -1.0) == moment)
         size[rows] = neighbour_distance(xyz[rows], seed=settings.seed)
     size = np.clip(np.where(np.isfinite(size), size, 0.01 * extent), 1e-5 * extent, 0.1 * extent) * settings.start_size
+    if points.size is not None:
+        size = np.where(np.isfinite(points.size), points.size, size)
     empty = empty_model(settings, clip, axes)
     arrays = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
     arrays["position"][:] = xyz

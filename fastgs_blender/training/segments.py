@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..captures.base import Capture, Points
+from ..captures.base import Capture
 from ..joining import Segment, join
 from ..model import Clip, GaussianModel
 
@@ -50,7 +50,7 @@ def part(capture: Capture, span: Span) -> Capture:
     if points is not None and points.t is not None:
         t = (np.asarray(points.t) - begin) / length
         inside = ~((t < 0) | (t >= 1))  # those without a time, NaN, stay
-        points = Points(points.xyz[inside], points.rgb[inside], t[inside])
+        points = replace(points, t=t).take(inside)
     return replace(capture, shots=shots, clip=clip, points=points)
 
 

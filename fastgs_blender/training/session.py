@@ -184,10 +184,8 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
     points = group.first_does(
         lambda: with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)))
     points = points and thinned(points, settings.max_gaussians, settings.seed)
-    arrays = {} if points is None else {name: np.asarray(getattr(points, name)) for name in ("xyz", "rgb", "t")
-                                        if getattr(points, name) is not None}
-    arrays = group.share_arrays(arrays)
-    points = Points(arrays["xyz"], arrays["rgb"], arrays.get("t"))
+    arrays = {} if points is None else {name: np.asarray(array) for name, array in vars(points).items() if array is not None}
+    points = Points(**group.share_arrays(arrays))
     model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
     return kind(capture, store, settings, model, group, decoder)
 
