@@ -63,7 +63,7 @@ def going():
             "left": [name for name in left if "fastgs" in name.lower() or "numba" in name.lower() or name.endswith(".so")]}
 
 
-def look(scene, width, height):
+def look(scene, width, height, eye=EYE, target=TARGET, lens=38):
     """The scene's camera before the model, and a picture whose numbers say what the splats are: no view transform of looks."""
     from mathutils import Vector
 
@@ -71,9 +71,9 @@ def look(scene, width, height):
     if camera.name not in scene.collection.all_objects:
         scene.collection.objects.link(camera)
     scene.camera = camera
-    camera.location = EYE
-    camera.rotation_euler = (Vector(TARGET) - Vector(EYE)).to_track_quat('-Z', 'Y').to_euler()
-    camera.data.lens, camera.data.sensor_width, camera.data.sensor_fit = 38, 36, 'HORIZONTAL'
+    camera.location = eye
+    camera.rotation_euler = (Vector(target) - Vector(eye)).to_track_quat('-Z', 'Y').to_euler()
+    camera.data.lens, camera.data.sensor_width, camera.data.sensor_fit = lens, 36, 'HORIZONTAL'
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
     render.dither_intensity, render.film_transparent = 0, True
@@ -82,7 +82,7 @@ def look(scene, width, height):
         render.image_settings.media_type = 'IMAGE'
     render.image_settings.file_format, render.image_settings.color_mode = 'PNG', 'RGBA'
     bpy.context.view_layer.update()
-    return {"matrix": [list(row) for row in camera.matrix_world], "width": width, "height": height, "focal": 38 / 36 * width}
+    return {"matrix": [list(row) for row in camera.matrix_world], "width": width, "height": height, "focal": lens / 36 * width}
 
 
 def bring(path):

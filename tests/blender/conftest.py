@@ -14,6 +14,7 @@ from PIL import Image
 
 import fastgs_blender as fg
 
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "playground.safetensors"
 ROOT = os.environ.get("FASTGS_BLENDER_ROOT", "")
 """A folder made by blender_root.sh."""
 OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
@@ -52,6 +53,12 @@ def model(newcomer):
 
 
 @pytest.fixture(scope="session")
+def example():
+    """The model that the extension brings along."""
+    return fg.load(EXAMPLE)
+
+
+@pytest.fixture(scope="session")
 def small_model(newcomer):
     """The same of a smaller one."""
     model = models.knot(4_000, seed=5)
@@ -67,11 +74,19 @@ def library_camera(facts) -> fg.Camera:
                      np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(pose))
 
 
+def region_camera(facts) -> fg.Camera:
+    """The library's camera for what the story `seen_by` says of a perspective view."""
+    p, (_, _, width, height) = np.array(facts["window"]), facts["region"]
+    return fg.Camera(width, height, width / 2 * p[0, 0], height / 2 * p[1, 1], width / 2 * (1 - p[0, 2]), height / 2 * (1 + p[1, 2]),
+                     np.diag([1.0, -1, -1, 1]) @ np.array(facts["view"]))
+
+
 @pytest.fixture(scope="session")
 def reference():
-    """reference(model, camera facts, clip frame, crops=()): what the library draws, RGBA premultiplied, 0 .. 1."""
+    """reference(model, camera or its facts, clip frame, crops=()): what the library draws, RGBA premultiplied, 0 .. 1."""
     def draw(model, camera, frame, crops=()):
-        out = fg.render([(model, np.eye(4), model.clip.t_of_frame(frame), crops)], library_camera(camera))
+        camera = camera if isinstance(camera, fg.Camera) else library_camera(camera)
+        out = fg.render([(model, np.eye(4), model.clip.t_of_frame(frame), crops)], camera)
         return np.concatenate([out["rgb"], out["alpha"][..., None]], -1)
 
     return draw

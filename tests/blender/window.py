@@ -123,18 +123,22 @@ def sidebar(area):
         yield 0.5
 
 
-def first_steps(model):
-    """What a newcomer does: import, look at it, open our tab, Rendered shading, F12."""
-    scene = bring(model)
-    camera = look(scene, 640, 420)
+def first_steps():
+    """What a newcomer does: import the example, look at it, open our tab, Rendered shading, F12."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.fastgs.import_example()
+    scene, obj = bpy.context.scene, bpy.context.view_layer.objects.active
+    camera = look(scene, 640, 420, eye=(1.4, -3.0, 2.2), target=(0.1, 0.1, 0.7), lens=30)
     scene.render.film_transparent = False
+    scene.camera.data.display_size = 0.2
     area = area_of()
     view = area.spaces.active.region_3d
-    view.view_rotation = Euler((1.1, 0, -0.35)).to_quaternion()
-    view.view_location, view.view_distance = (0.5, 0, 0.5), 7.5
+    view.view_rotation = Euler((1.08, 0, -0.3)).to_quaternion()
+    view.view_location, view.view_distance = (0.55, 0.1, 0.7), 3.8
     yield from sidebar(area)
     scene.frame_set(12)
     yield from settled("solid")
+    through = seen_by(area)
     area.spaces.active.shading.type = 'RENDERED'
     overlay = area.spaces.active.overlay
     overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = False  # their lines would run over the splats
@@ -143,8 +147,16 @@ def first_steps(model):
     shot("f12")
     areas = [a.type for a in bpy.context.window_manager.windows[0].screen.areas]
     bpy.data.images["Render Result"].save_render(os.path.abspath("f12-saved.png"))
-    obj = next(o for o in scene.objects if o.fastgs.filepath)
-    return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame}
+    return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame, **through}
+
+
+def seen_by(area):
+    """What a view shows where: its matrices, and the place of its region in a screenshot."""
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    view, window = ([list(row) for row in matrix] for matrix in (area.spaces.active.region_3d.view_matrix,
+                                                                 area.spaces.active.region_3d.window_matrix))
+    top = bpy.context.window_manager.windows[0].height - region.y - region.height
+    return {"view": view, "window": window, "region": [region.x, top, region.width, region.height]}
 
 
 def properties(model):

@@ -5,8 +5,8 @@ mkfifo /tmp/display
 Xvfb -displayfd 3 -screen 0 1280x800x24 -nolisten tcp 3>/tmp/display >xvfb.log 2>&1 &
 read -r number </tmp/display
 export DISPLAY=":$number"
-# no title bars: what Blender says of places in its window then holds for the screen
-echo '<openbox_config xmlns="http://openbox.org/3.4/rc"><applications><application class="*"><decor>no</decor></application>
-</applications></openbox_config>' >/tmp/openbox.xml
+# no title bars and no borders: what Blender says of places in its window then holds for the screen
+echo '<openbox_config xmlns="http://openbox.org/3.4/rc"><theme><keepBorder>no</keepBorder></theme>
+<applications><application class="*"><decor>no</decor></application></applications></openbox_config>' >/tmp/openbox.xml
 openbox --config-file /tmp/openbox.xml >/dev/null 2>&1 &
 exec blender --window-geometry 0 0 1280 800 --enable-event-simulate "$@"
