@@ -22,7 +22,7 @@ archive=$root.tar.zst
 log=$roots/$suite.log
 
 cannot() {
-    rm -rf "$root.part"
+    rm -rf "$root.part" "${probe:-}" 2>/dev/null || true
     echo "No Blender of Debian $suite here: $1." >&2
     exit 3
 }
@@ -79,7 +79,7 @@ build() {
 
 [[ $(id -u) == 0 ]] || cannot "only root can make and enter its folder"
 namespaced true 2>/dev/null || cannot "this machine does not let root make namespaces"
-mkdir -p "$roots"
+mkdir -p "$roots" 2>/dev/null && [[ -w $roots ]] || cannot "nothing can be written to $roots"
 exec 9>"$roots/$suite.lock"
 flock 9
 if [[ ! -d $root ]]; then
@@ -96,4 +96,8 @@ if [[ ! -d $root ]]; then
     fi
     mv "$root.part" "$root"
 fi
+probe=$(mktemp -d)
+"$(dirname "$0")/in_root.sh" "$root" "$probe" blender --version >"$probe/said" 2>&1 ||
+    cannot "it does not start ($(tail -n 1 "$probe/said"))"
+rm -rf "$probe"
 echo "$root"

@@ -8,7 +8,9 @@ REQUIRE_BLENDER   1: fail where no Blender can be set up, instead of saying so o
 """
 from __future__ import annotations
 
+import fcntl
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -19,14 +21,28 @@ import wheels
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "build" / "blender"
+PATIENCE = 1200
+"""Seconds to wait for a Debian mirror, whatever is slow about it."""
 
 
 def roots(suites: list[str]) -> dict[str, str]:
-    """Release -> folder, for those that could be made; the others say why by themselves."""
+    """Release -> folder, for those that could be made; of the others one line says why."""
     script = ROOT / "tools" / "blender_root.sh"
-    processes = {suite: subprocess.Popen([script, suite], stdout=subprocess.PIPE, text=True) for suite in suites}
-    folders = {suite: process.communicate()[0].strip() for suite, process in processes.items()}
-    return {suite: folder for suite, folder in folders.items() if processes[suite].returncode == 0}
+    processes = {suite: subprocess.Popen([script, suite], stdout=subprocess.PIPE, text=True, start_new_session=True) for suite in suites}
+    end, folders = time.monotonic() + PATIENCE, {}
+    for suite, process in processes.items():
+        try:
+            folder = process.communicate(timeout=max(end - time.monotonic(), 1))[0].strip()
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait()
+            print(f"No Blender of Debian {suite} here: its root was not ready after {PATIENCE // 60} minutes.", file=sys.stderr)
+            continue
+        if process.returncode == 0:
+            folders[suite] = folder
+        elif process.returncode != 3:  # at 3 the script has said it
+            print(f"No Blender of Debian {suite} here: blender_root.sh ended with {process.returncode}.", file=sys.stderr)
+    return folders
 
 
 def zips() -> dict[str, str]:
@@ -48,6 +64,9 @@ def main() -> int:
         return 1
     if not found:
         return 0
+    OUTPUT.mkdir(parents=True, exist_ok=True)
+    turn = (OUTPUT / ".lock").open("w")
+    fcntl.flock(turn, fcntl.LOCK_EX)  # another run would write into the same folders; the lock goes with this process
     try:
         environment = {**os.environ, **zips()}
     except wheels.Missing as reason:
