@@ -159,7 +159,7 @@ def procedural(frames: int) -> None:
     """A flickering flame, a cloth with travelling waves, balls that are thrown and do not return, fast small spinners."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.frame_start, scene.frame_end, scene.render.fps = 1, frames, 24
+    scene.frame_start, scene.frame_end, scene.render.fps = 1, frames + 1, 24
     time = np.arange(frames) / frames
     rng = np.random.default_rng(3)
     flame(time, rng)

@@ -42,10 +42,11 @@ def main():
         scenes.open_file(options.file, options.action)
     scene = bpy.context.scene
     first, last = scene.frame_start, scene.frame_end
-    step = 1.0 if options.scene == "procedural" else max((last - first) / options.frames, 1e-3)
+    step = min(1.0, max((last - first) / options.frames, 1e-3))
     times = first + step * np.arange(options.frames)
-    moving = scenes.moving_meshes(times)
-    centre, radius, floor = scenes.extent(moving, times)
+    whole = np.linspace(first, last, 40, endpoint=False)  # the rig is the same whatever part of the animation is filmed
+    moving = scenes.moving_meshes(whole)
+    centre, radius, floor = scenes.extent(moving, whole)
     subject = scenes.with_companions(moving)
     if options.scene == "procedural":
         floor = 0.0
@@ -67,7 +68,7 @@ def parse():
     parser.add_argument("--robot", type=Path, default=ROBOT, help="where RobotExpressive.blend lies")
     parser.add_argument("--action", help="which action the rigs do; for the robot Robot_Dance")
     parser.add_argument("--cameras", type=int)
-    parser.add_argument("--frames", type=int, help="spread evenly over the animation")
+    parser.add_argument("--frames", type=int, help="of the animation from its start, as many as it has a second; denser where it is shorter")
     parser.add_argument("--size", help="of a picture, as 480x360")
     parser.add_argument("--samples", type=int, help="of Cycles, for each pixel; denoised")
     parser.add_argument("--rig", choices=("dome", "arc"), default="dome")

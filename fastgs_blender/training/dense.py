@@ -11,12 +11,12 @@ from ..captures.base import Points, Shot
 from ..errors import FastGSError
 from . import features, sweep
 from .geometry import project, sample, visible
-from .model import neighbour_distance
+from .neighbours import neighbour_distance
 from .schedule import POINTS, generator
 from .targets import cover_of, small_camera, smaller, use_of_mask
 
-MOMENTS, FEATURE_MOMENTS = 8, 4
-"""Moments of the clip at which surfaces, and features, are looked for."""
+MOMENTS, FEATURE_MOMENTS, WITNESSES = 16, 4, 6
+"""Moments of the clip at which surfaces, and features, are looked for; and at which it is asked whether something stays."""
 FEW = 30
 """Features at a moment, on average, with fewer than which triangulation has failed."""
 MOST_VIEWS = 24
@@ -47,7 +47,8 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
         cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
         agree, against = votes(cloud, pictures[k], depths[k])
         cloud = among_others(cloud.take(agree > 2 * against))
-        elsewhere = [votes(cloud, pictures[i], depths[i]) for i in range(len(moments)) if i != k]
+        others = spread([i for i in range(len(moments)) if i != k], WITNESSES)
+        elsewhere = [votes(cloud, pictures[i], depths[i]) for i in others]
         agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
         still.append(cloud.take(steady))

@@ -12,6 +12,7 @@ from ..errors import FastGSError
 from ..model import Clip, GaussianModel, Raster
 from ..motion import Basis, Cosine, Fourier, Keyframes, Polynomial, Static
 from ..temporal import Always, Radial
+from .neighbours import neighbour_distance
 
 ORDERS = {"cosine": 10, "fourier": 5, "fourier+linear": 5, "paper": 5, "polynomial": 3, "keyframes": 11}
 """The usual order of each motion; about the same number of coefficients, but for STG's cubic."""
@@ -19,8 +20,6 @@ MARGIN = 0.1
 """What the Fourier series' period has to spare on either side of the clip, so that motion need not return (Gaussian-Flow)."""
 PLACE = slice(6, 9)
 """The decoder's inputs that say where the camera is."""
-LEAF = 96
-"""Points among which nearest neighbours are looked for."""
 
 
 def motion_basis(motion: str, order: int, clip: Clip) -> Basis:
@@ -109,39 +108,3 @@ def first_colours(rgb, appearance):
         inside = np.clip(rgb, 0.01, 0.99)
         return np.log(inside / (1 - inside))
     return rgb
-
-
-def neighbour_distance(xyz: np.ndarray, seed: int = 0, count: int = 3) -> np.ndarray:
-    """Root mean squared distance [P] of each point to its `count` nearest, by k-d trees turned against each other.
-
-    A neighbour beyond the border of a leaf of one tree is found in the other, or a slightly farther one is taken instead.
-    Points that have none get inf.
-    """
-    xyz = np.asarray(xyz, np.float64)
-    best = np.full(len(xyz), np.inf)
-    if len(xyz) < 2:
-        return best
-    trees = 1 if len(xyz) <= LEAF else 3
-    for tree in range(trees):
-        turn = np.linalg.qr(np.random.default_rng([seed, 2, tree]).normal(size=(3, 3)))[0]
-        turned = xyz @ turn
-        for leaf in _leaves(turned, np.arange(len(xyz))):
-            p = turned[leaf]
-            squared = ((p[:, None] - p[None]) ** 2).sum(-1)
-            k = min(count, len(leaf) - 1)
-            nearest = np.partition(squared, k, axis=1)[:, :k + 1].sum(1) / max(k, 1)  # the point itself adds 0
-            best[leaf] = np.minimum(best[leaf], np.sqrt(nearest) if k else np.inf)
-    return best
-
-
-def _leaves(xyz, rows):
-    """Groups of at most LEAF rows that lie close together."""
-    if len(rows) <= LEAF:
-        yield rows
-        return
-    inside = xyz[rows]
-    axis = int(np.argmax(inside.max(0) - inside.min(0)))
-    half = len(rows) // 2
-    order = np.argpartition(inside[:, axis], half)
-    yield from _leaves(xyz, rows[order[:half]])
-    yield from _leaves(xyz, rows[order[half:]])
