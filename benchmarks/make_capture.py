@@ -68,7 +68,7 @@ def parse():
     parser.add_argument("--robot", type=Path, default=ROBOT, help="where RobotExpressive.blend lies")
     parser.add_argument("--action", help="which action the rigs do; for the robot Robot_Dance")
     parser.add_argument("--cameras", type=int)
-    parser.add_argument("--frames", type=int, help="of the animation from its start, as many as it has a second; denser where it is shorter")
+    parser.add_argument("--frames", type=int, help="of the animation, from its start on; denser where it is shorter")
     parser.add_argument("--size", help="of a picture, as 480x360")
     parser.add_argument("--samples", type=int, help="of Cycles, for each pixel; denoised")
     parser.add_argument("--rig", choices=("dome", "arc"), default="dome")
