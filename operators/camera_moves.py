@@ -13,6 +13,7 @@ from ..fastgs_blender.errors import FastGSError
 from . import camera_keys
 from .splat_object import sentence
 
+USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
 SPREAD = 3.0
 """A splat is part of what a move is about up to so many median distances from the middle."""
 
@@ -61,6 +62,14 @@ def _most_of(splats) -> tuple[Vector, float]:
     near = points[away <= SPREAD * np.median(away)]
     low, high = near.min(0), near.max(0)
     return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def far_enough(scene, size: float) -> float:
+    """The distance from which a camera with Blender's usual lens has nearly all of a subject of that radius in its picture."""
+    render = scene.render
+    sides = render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y
+    half = np.arctan(USUAL_SENSOR / 2 / USUAL_LENS * min(sides) / max(sides))
+    return 0.9 * size / float(np.sin(half))
 
 
 def capture_cameras(scene) -> list[bpy.types.Object]:
@@ -166,7 +175,7 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
     def fitting(self, context):
         centre, size = subject_of(context)
         camera = target_camera(context, False)
-        away = camera.matrix_world.translation - centre if camera else Vector((0, -1, 0.35)) * size * 2.5
+        away = camera.matrix_world.translation - centre if camera else Vector((0, -1, 0.35)).normalized() * far_enough(context.scene, size)
         return {**super().fitting(context), "radius": max(away.length, 1e-3), "start": float(np.arctan2(away.y, away.x)),
                 "elevation": float(np.arctan2(away.z, away.xy.length))}
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -98,7 +100,10 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
                 raise FastGSError("no capture is chosen; choose its folder.")
             if not Path(capture).exists():
                 raise FastGSError(f"{capture}: there is no such capture; check the folder.")
-        for remark in checks.before_start(out):
+        pixels, views, frames = checks.picture_size(capture)
+        size = checks.size_of(self.preset, self.iterations, self.max_gaussians)
+        _, memory = checks.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
+        for remark in checks.before_start(out, memory):
             self.report({'WARNING'}, sentence(remark))
         options = arguments(self)
         if (Path(capture) / "points.ply").is_file():
@@ -296,12 +301,54 @@ class FASTGS_OT_train_check(bpy.types.Operator):
     capture: StringProperty(name="Capture", description="The capture's folder; the panel's unless given", subtype='DIR_PATH',
                             options={'SKIP_SAVE'})
 
-    def execute(self, context):
-        path = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture)
+    def invoke(self, context, event):
+        """Look in a thread, so that Blender goes on meanwhile."""
         try:
-            found = checks.inspect(store.python(), path.rstrip("/\\"))
+            work = self._work(context)
         except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
+            return self._tell(error)
+        self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
+        self._thread.start()
+        self._timer = context.window_manager.event_timer_add(0.2, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set("Checking the training Python and the capture")
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context, event):
+        if event.type != 'TIMER' or self._thread.is_alive():
+            return {'PASS_THROUGH'}
+        self.cancel(context)
+        watch.redraw()
+        return self._tell(self._found)
+
+    def cancel(self, context):
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+
+    def execute(self, context):
+        try:
+            self._run(self._work(context))
+        except FastGSError as error:
+            self._found = error
+        return self._tell(self._found)
+
+    def _work(self, context):
+        """What to do without Blender's data: a function that returns Facts."""
+        path = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture).rstrip("/\\")
+        return partial(checks.inspect, store.python(), path)
+
+    def _run(self, work):
+        try:
+            self._found = work()
+        except FastGSError as error:
+            self._found = error
+        except Exception as error:  # in a thread nobody else would tell
+            self._found = FastGSError(f"the capture could not be looked at ({error}).")
+
+    def _tell(self, found):
+        """Report Facts, or the error there was instead."""
+        if isinstance(found, FastGSError):
+            self.report({'ERROR'}, sentence(found))
             return {'CANCELLED'}
         for problem in found.problems:
             self.report({'WARNING'}, sentence(problem))

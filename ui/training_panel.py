@@ -11,39 +11,20 @@ from .object_panels import draw_rows, draw_trouble
 ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 'ERROR', 'FINISHED': 'CHECKMARK'}
 
 
-def estimate_rows(settings) -> list[tuple[str, str]]:
+def estimate_rows(scene, settings) -> list[tuple[str, str]]:
     """What a run will take, as far as the size of the pictures is known."""
-    pixels = 0
+    pixels = pictures = 0
     if settings.source == 'SCENE':
         pixels = settings.width * settings.height
+        frames = (scene.frame_end - scene.frame_start) // settings.frame_step + 1
+        pictures = settings.count * frames if settings.cameras in ('DOME', 'ARC') else 0
     elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
-        pixels = found.width * found.height
+        pixels, pictures = found.width * found.height, found.views * found.frames
     if not pixels:
         return [("Estimate", "Check first" if settings.source == 'FOLDER' else "Not known yet")]
     iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
-    seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians)
+    seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
     return [("Estimate", f"about {watch.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
-
-
-def draw_capture(layout, settings):
-    """How the open scene is to be filmed."""
-    col = layout.column()
-    col.prop(settings, "cameras")
-    if settings.cameras in ('DOME', 'ARC'):
-        col.prop(settings, "count")
-        col.prop(settings, "distance")
-        col.prop(settings, "angle")
-    col.prop(settings, "subject")
-    col = layout.column(align=True)
-    col.prop(settings, "width")
-    col.prop(settings, "height")
-    col.prop(settings, "frame_step")
-    col = layout.column()
-    col.prop(settings, "quality")
-    if settings.quality == 'FAST':
-        col.prop(settings, "samples")
-    col.prop(settings, "world")
-    col.prop(settings, "hold_out")
 
 
 class _Sidebar:
@@ -72,16 +53,48 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         elif settings.source == 'CAMERAS':
             draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
         else:
-            draw_capture(layout, settings)
+            layout.prop(settings, "cameras")
+            if settings.cameras in ('DOME', 'ARC'):
+                layout.prop(settings, "count")
+            col = layout.column(align=True)
+            col.prop(settings, "width")
+            col.prop(settings, "height")
         col = layout.column()
         col.prop(settings, "preset")
-        draw_rows(col, estimate_rows(settings))
+        draw_rows(col, estimate_rows(context.scene, settings))
         layout.prop(settings, "out")
         layout.prop(settings, "import_result", text="Import")
         row = layout.row(align=True)
         if settings.source == 'FOLDER':
             row.operator("fastgs.train_check", icon='VIEWZOOM')
         row.operator("fastgs.train", icon='PLAY')
+
+
+class FASTGS_PT_training_filming(_Sidebar, bpy.types.Panel):
+    bl_label = "Filming"
+    bl_parent_id = "FASTGS_PT_training"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene.fastgs.training.source == 'SCENE'
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.fastgs.training
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        col = layout.column()
+        if settings.cameras in ('DOME', 'ARC'):
+            col.prop(settings, "distance")
+            col.prop(settings, "angle")
+        col.prop(settings, "subject")
+        col.prop(settings, "frame_step")
+        col = layout.column()
+        col.prop(settings, "quality")
+        if settings.quality == 'FAST':
+            col.prop(settings, "samples")
+        col.prop(settings, "world")
+        col.prop(settings, "hold_out")
 
 
 class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
@@ -172,4 +185,4 @@ def unregister():
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
 
 
-CLASSES = (FASTGS_PT_training, FASTGS_PT_training_options, FASTGS_PT_training_runs)
+CLASSES = (FASTGS_PT_training, FASTGS_PT_training_runs, FASTGS_PT_training_filming, FASTGS_PT_training_options)

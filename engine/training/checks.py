@@ -9,6 +9,7 @@ import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ...fastgs_blender.captures import own
 from ...fastgs_blender.errors import FastGSError
 from ...fastgs_blender.training.settings import PRESETS, Settings
 from . import causes, pythons
@@ -65,8 +66,24 @@ def inspect(python: str, capture: str) -> Facts:
     return latest
 
 
-def before_start(out: str) -> list[str]:
-    """Remarks on disk and memory; raises FastGSError where there is no room for the results."""
+def picture_size(capture: str) -> tuple[int, int, int]:
+    """(pixels of a picture, cameras, frames) of a capture, as far as that is known without its files: looked at before, or of our layout.
+
+    Zeros where it is not.
+    """
+    if latest and latest.capture == capture:
+        return latest.width * latest.height, latest.views, latest.frames
+    path = Path(capture)
+    try:
+        values = json.loads((path / own.FILE if path.is_dir() else path).read_text("utf-8"))
+        sizes = [camera["width"] * camera["height"] for camera in values["cameras"]]
+        return int(max(sizes)), len(sizes), int(values["frame_count"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0, 0, 0
+
+
+def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:
+    """Remarks on disk and memory, of which the run will take so many bytes; raises FastGSError where there is no room for the results."""
     place = Path(out)
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -80,8 +97,9 @@ def before_start(out: str) -> list[str]:
     if free < LEAST_DISK:
         remarks.append(f"only {free / 1e6:.0f} MB are free for the results in {out}.")
     available = available_memory()
-    if available is not None and available < BASE_MEMORY + PICTURE_MEMORY:
-        remarks.append(f"only {available / 1e9:.1f} GB of memory are free, and training takes more; close other programs.")
+    if available is not None and available < memory:
+        remarks.append(f"only {available / 1e9:.1f} GB of memory are free, and training will take about {memory / 1e9:.1f} GB: close other "
+                       "programs, or train fewer Gaussians or smaller pictures.")
     return remarks
 
 
@@ -103,8 +121,12 @@ def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0) -> tuple[i
             max_gaussians or chosen.get("max_gaussians", Settings.max_gaussians))
 
 
-def estimate(pixels: int, iterations: int, gaussians: int) -> tuple[float, float]:
-    """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures."""
+def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) -> tuple[float, float]:
+    """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures.
+
+    pixels    of a picture; pictures: how many there are, 0: very many
+    """
     cores = max(os.cpu_count() or 1, 1)
     seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
-    return seconds, BASE_MEMORY + PICTURE_MEMORY + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
+    held = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
+    return seconds, BASE_MEMORY + held + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels

@@ -4,6 +4,10 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..capturing.options import CaptureOptions
+from . import checks
+
+PREVIEWS = 30
+"""Pictures to look at that a run makes on its way."""
 
 
 class TrainingOptions:
@@ -54,7 +58,9 @@ class FASTGS_PG_training(CaptureOptions, TrainingOptions, bpy.types.PropertyGrou
 
 def arguments(options) -> list[str]:
     """The options as `fastgs train` takes them."""
-    chosen = ["--preset", options.preset.lower(), "--motion-weight", f"{options.motion_weight:.6g}"]
+    steps, _ = checks.size_of(options.preset, options.iterations)
+    chosen = ["--preset", options.preset.lower(), "--motion-weight", f"{options.motion_weight:.6g}",
+              "--set", f"preview_every={max(steps // PREVIEWS, 1)}"]
     for name, flag in (("iterations", "--iterations"), ("max_gaussians", "--max-gaussians"), ("order", "--order")):
         if getattr(options, name):
             chosen += [flag, str(getattr(options, name))]

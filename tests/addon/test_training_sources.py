@@ -163,5 +163,26 @@ def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
     with pytest.raises(module("fastgs_blender").FastGSError, match="10 MB are free"):
         checks.before_start(str(tmp_path / "new" / "run"))
     monkeypatch.setattr(checks.shutil, "disk_usage", lambda path: SimpleNamespace(free=10 << 30))
-    monkeypatch.setattr(checks, "available_memory", lambda: 2**29)
-    assert "memory" in checks.before_start(str(tmp_path))[0]
+    monkeypatch.setattr(checks, "available_memory", lambda: 2**31)
+    few, many = (checks.estimate(640 * 480, 100, gaussians, 100)[1] for gaussians in (20_000, 2_000_000))
+    assert not checks.before_start(str(tmp_path), few)
+    remark, = checks.before_start(str(tmp_path), many)
+    assert "memory" in remark and f"{many / 1e9:.1f} GB" in remark
+
+
+def test_the_memory_that_a_run_takes_is_known_before_it_starts(module, capture, scene, tmp_path, monkeypatch):
+    """From the size and number of the capture's pictures and the most Gaussians."""
+    checks, store = module("engine.training.checks"), module("engine.training.store")
+    monkeypatch.setattr(checks, "latest", None)
+    assert checks.picture_size(str(capture)) == (40 * 30, 2, 3) and checks.picture_size(str(tmp_path / "none")) == (0, 0, 0)
+    told = []
+
+    def before_start(out, memory):
+        told.append(memory)
+        raise module("fastgs_blender").FastGSError("enough.")
+
+    monkeypatch.setattr(checks, "before_start", before_start)
+    monkeypatch.setattr(store, "python", lambda: "python")
+    with pytest.raises(RuntimeError, match="Enough"):
+        bpy.ops.fastgs.train(capture=str(capture), out=str(tmp_path / "run"), max_gaussians=1000)
+    assert told[0] == checks.estimate(1200, 1, 1000, 6)[1]

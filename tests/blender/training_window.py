@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stories of training in Blender's window (see inside.py and window.py): the open scene is filmed, trained on, and rendered."""
+from __future__ import annotations
+
+import os
+from importlib import import_module
+
+import addon_utils
+import bpy
+from background import ADDON, look
+from mathutils import Euler
+from window import area_of, f12, settled, shot, sidebar, until, within
+
+
+def part(name):
+    """A module of the extension."""
+    return import_module(f"{ADDON}.{name}")
+
+
+def matter(name, colour):
+    """A material of one colour."""
+    material = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*colour, 1)
+    return material
+
+
+def toy():
+    """A head that turns and rises over a plate, for six frames; saved beside the tests."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 6
+    scene.render.engine = 'CYCLES'
+    scene.view_settings.view_transform = 'Standard'
+    with within(area_of()):
+        bpy.ops.mesh.primitive_cylinder_add(radius=1.5, depth=0.2, location=(0, 0, -0.1), vertices=48)
+        bpy.context.object.data.materials.append(matter("Plate", (0.1, 0.3, 0.5)))
+        bpy.ops.mesh.primitive_monkey_add(size=1.6)
+        head = bpy.context.object
+        head.data.materials.append(matter("Head", (0.9, 0.4, 0.1)))
+        bpy.ops.object.shade_smooth()
+        for frame, turn, height in ((1, -0.5, 0.9), (6, 0.4, 1.2)):
+            head.rotation_euler.z, head.location.z = turn, height
+            head.keyframe_insert("rotation_euler", frame=frame)
+            head.keyframe_insert("location", frame=frame)
+        bpy.ops.object.light_add(type='SUN', rotation=(0.6, 0.2, 0.3))
+        bpy.context.object.data.energy = 2.5
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.color = (0.05, 0.05, 0.05)
+    look(scene, 320, 240, eye=(2.4, -3.4, 2.4), target=(0, 0, 0.6), lens=40)
+    scene.render.film_transparent = False
+    scene.camera.data.display_size = 0.3
+    bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath("toy.blend"))
+    return scene
+
+
+def set_the_table():
+    """The panel of training open, a wide 3D view, an Image Editor and a Text Editor beside it."""
+    panels = [cls for cls in part("ui").CLASSES if getattr(cls, "bl_category", "") == "FAST-GS" and not hasattr(cls, "bl_parent_id")]
+    addon_utils.disable(ADDON)
+    for cls in panels:  # as the user would leave them: one open, the others not
+        cls.bl_options = set() if cls.__name__ == "FASTGS_PT_training" else {'DEFAULT_CLOSED'}
+    addon_utils.enable(ADDON)
+    with within(area_of('DOPESHEET_EDITOR')):
+        bpy.ops.screen.area_close()
+    area_of('PROPERTIES').type = 'IMAGE_EDITOR'
+    area_of('OUTLINER').type = 'TEXT_EDITOR'
+    yield 0.5
+    beside, below = area_of('TEXT_EDITOR'), area_of('IMAGE_EDITOR')
+    for x, y, delta in ((beside.x - 2, beside.y + 20, -120), (below.x + 20, below.y + below.height, -60)):
+        with within(beside):
+            bpy.ops.screen.area_move(x=x, y=y, delta=delta)
+        yield 0.5
+    area = area_of()
+    view = area.spaces.active.region_3d
+    view.view_rotation = Euler((1.15, 0, 0.5)).to_quaternion()
+    view.view_location, view.view_distance = (0, 0, 0.6), 6.0
+    yield from sidebar(area)
+    return area
+
+
+def click(area, command, across=0.5):
+    """Press the button of the sidebar that runs an operator: Blender says which one is under the mouse."""
+    window = bpy.context.window_manager.windows[0]
+    region = next(region for region in area.regions if region.type == 'UI')
+    x = int(region.x + across * region.width)
+    for y in range(region.y + region.height - 10, region.y, -9):
+        window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
+        yield 0.08
+        bpy.context.window_manager.clipboard = ""
+        with bpy.context.temp_override(window=window, area=area, region=region):
+            if bpy.ops.ui.copy_python_command_button.poll():
+                bpy.ops.ui.copy_python_command_button()
+        if bpy.context.window_manager.clipboard.startswith(f"bpy.ops.{command}("):
+            break
+    else:
+        raise AssertionError(f"the sidebar has no button {command}")
+    for value in ('PRESS', 'RELEASE'):
+        window.event_simulate(type='LEFTMOUSE', value=value, x=x, y=y)
+        yield 0.1
+    x, y = area.x + area.width // 4, area.y + area.height // 4
+    window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)  # away from where a tooltip would come
+    yield 0.2
+
+
+def from_scene_to_shot(environment, cache):
+    """The panel's Train button on the open scene; screenshots while it trains and of what it brings; F12 of that, and of the truth."""
+    os.environ["FASTGS_CACHE_DIR"] = cache
+    scene = toy()
+    yield 0.5
+    area = yield from set_the_table()
+    preferences = bpy.context.preferences.addons[ADDON].preferences
+    preferences.training_choice, preferences.training_python = 'CHOSEN', environment
+    settings = scene.fastgs.training
+    settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
+    settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
+    for region in area.regions:
+        region.tag_redraw()
+    yield 1.0
+    watch, show = part("engine.training.watch"), part("engine.training.show")
+    yield from click(area, "fastgs.train")
+    if not (yield from until(watch.found, 200)):
+        raise AssertionError("nothing is trained")
+    job = watch.found()[0][0]
+    kinds, texts = [], set()
+    images = area_of('IMAGE_EDITOR').spaces.active
+
+    def look_at():
+        kind = watch.found()[0][1].kind
+        if kind not in kinds:
+            kinds.append(kind)
+        texts.add(watch.line())
+        images.image = bpy.data.images.get(show.PREVIEW)
+        return kind
+
+    area_of('TEXT_EDITOR').spaces.active.text = None
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or images.image is not None, 300)
+    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts.get(show.LOG)
+    with within(area_of('IMAGE_EDITOR')):
+        bpy.ops.image.view_all(fit_view=True)
+    yield 0.5
+    shot("training")
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED'), 300)
+    state = watch.found()[0][1]
+    if state.kind == 'FAILED':
+        raise AssertionError(state.text)
+    yield from until(lambda: any("fastgs_job" in obj for obj in scene.objects), 20)
+    model = next(obj for obj in scene.objects if "fastgs_job" in obj)
+    yield 0.5
+    shot("notified")
+    window = bpy.context.window_manager.windows[0]
+    window.event_simulate(type='ESC', value='PRESS')
+    window.event_simulate(type='ESC', value='RELEASE')
+    yield 0.5
+    for obj in scene.objects:
+        obj.hide_set(obj != model)
+    yield from click(area, "fastgs.train_report", 0.8)
+    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts["FAST-GS Report"]
+    scene.frame_set(3)
+    yield from settled("trained")
+
+    settings.source = 'FOLDER'
+    yield from click(area, "fastgs.train_check", 0.3)
+    yield from until(lambda: part("engine.training.checks").latest, 100)
+    checked = part("engine.training.checks").latest.text
+
+    for obj in scene.objects:
+        obj.hide_render = obj == model
+    camera = look(scene, 320, 240, eye=(-1.6, -3.8, 1.9), target=(0, 0, 0.6), lens=40)
+    scene.render.film_transparent, scene.cycles.samples = False, 16
+    scene.render.filepath = os.path.abspath("toy-truth.png")
+    bpy.ops.render.render(write_still=True)
+    for obj in scene.objects:
+        obj.hide_render = obj != model
+    scene.render.engine = 'FASTGS'
+    yield from f12(area)
+    shot("trained-f12")
+    bpy.data.images["Render Result"].save_render(os.path.abspath("toy-model.png"))
+    report = bpy.data.texts["FAST-GS Report"].as_string()
+    return {"kinds": kinds, "lines": sorted(texts), "camera": camera, "matrix": [list(row) for row in model.matrix_world],
+            "gaussians": model.fastgs.gaussian_count, "python": job.python, "report": report, "checked": checked}
