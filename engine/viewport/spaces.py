@@ -78,11 +78,11 @@ def shows_over(space, scene) -> bool:
 
 def _draw(context, depsgraph, look, region, rendered, hidden=False):
     shown = contents(context.space_data, depsgraph)
+    _forget_closed()
     view = _views.get((region.as_pointer(), rendered))
     if view is None:
         if not shown.shown and not rendered:
             return
-        _forget_closed()
         compiling.start_on_first_use()
         view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
     settings, matrices = context.scene.fastgs, context.region_data
@@ -241,7 +241,7 @@ def _regions():
 
 
 def _forget_closed():
-    """Free the viewports that are gone, and the models that no viewport shows."""
+    """Free the viewports that are gone."""
     open_ = {region.as_pointer() for region in _regions()}
     for key in [key for key in _views if key[0] not in open_]:
         _views.pop(key).free()

@@ -157,6 +157,8 @@ class View:
         clouds = [Part(*part[:3], camera.world_to_camera) for part in parts]
         if clouds:
             self.atlas.hold([part.model for part in clouds], self.others())
+        elif not contents.shown and self.atlas.nbytes and not self.others():
+            self.atlas.clear()  # the last object is gone or hidden
         self.picture.draw(camera, clouds, self.atlas, self._order[1], depth)
         self.picture.resolve(**vars(look))
 

@@ -254,6 +254,15 @@ def test_models_that_nobody_shows_leave_the_gpu(module, fg, make_model, scene):
     assert atlas.nbytes == 0 and not atlas.has([one]) and atlas.geometry is None
 
 
+def test_the_gpu_holds_nothing_when_the_last_object_is_gone(make_model, model_file, contents, eye, draw, view):
+    path = model_file(make_model(50))
+    draw(contents(path), eye(), wait=True)
+    assert view.atlas.nbytes > 0
+    assert not draw(contents(), eye(), wait=True).any()
+    assert view.atlas.nbytes == 0
+    assert draw(contents(path), eye(), wait=True).any()
+
+
 def test_replaced_textures_are_freed(module, make_model, model_file, contents, eye, draw, view):
     """Not even the picture that was drawn from them holds them."""
     import gc
