@@ -95,7 +95,7 @@ class Settings:
       checkpoint_seconds, log_every, preview_every (0: none)
     """
 
-    iterations: int = 7000
+    iterations: int = 10_000
     batch: int = 1
     seed: int = 0
     preset: str = "standard"
@@ -138,8 +138,8 @@ class Settings:
     start_model: str = ""
     points: int = 20_000
     start_opacity: float = 0.5
-    start_size: float = 1.0
-    start_life: float = 0.1
+    start_size: float = 0.7
+    start_life: float = 0.06
     static_life: float = 4.0
 
     density: str = "default"
