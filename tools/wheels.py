@@ -18,8 +18,13 @@ PACKAGES = {
     "llvmlite": "BSD-2-Clause AND Apache-2.0 WITH LLVM-exception",
     "safetensors": "Apache-2.0",
     "OpenEXR": "BSD-3-Clause",
+    "pillow": "MIT-CMU",
+    "av": "BSD-3-Clause AND GPL-3.0-or-later",
 }
-"""What Blender's Python lacks, with its licence as SPDX writes it.  In the versions that the tests ran with."""
+"""What Blender's Python lacks, with its licence as SPDX writes it.  In the versions that the tests ran with.
+
+Rendering needs the first three.  Captures have films (av, with FFmpeg in it), and pictures without their lenses' distortion (pillow).
+"""
 
 SHIPPED = {
     "autopep8", "cattrs", "certifi", "charset-normalizer", "cython", "fastjsonschema", "idna", "numpy", "pycodestyle", "requests",
@@ -92,7 +97,8 @@ def notices(wheels: list[Path]) -> str:
         seen.add(name.lower())
         table.append(f"| {name} | {version} | {licence(name)} |")
         with zipfile.ZipFile(wheel) as file:
-            members = sorted(member for member in file.namelist() if ".dist-info/" in member and "/licen" in member.lower())
+            files = (member for member in file.namelist() if not member.endswith("/"))
+            members = sorted(member for member in files if ".dist-info/" in member and "/licen" in member.lower())
             if not members:
                 raise ValueError(f"{wheel.name} brings no text of its licence.")
             for member in members:

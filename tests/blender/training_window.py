@@ -85,6 +85,8 @@ def click(area, command, across=0.5):
     window = bpy.context.window_manager.windows[0]
     region = next(region for region in area.regions if region.type == 'UI')
     x = int(region.x + across * region.width)
+    region.tag_redraw()
+    yield 1.0
     for y in range(region.y + region.height - 10, region.y, -9):
         window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
         yield 0.08
@@ -115,9 +117,6 @@ def from_scene_to_shot(environment, cache):
     settings = scene.fastgs.training
     settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
     settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
-    for region in area.regions:
-        region.tag_redraw()
-    yield 1.0
     watch, show = part("engine.training.watch"), part("engine.training.show")
     yield from click(area, "fastgs.train")
     if not (yield from until(watch.found, 200)):
