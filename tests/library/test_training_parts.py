@@ -14,6 +14,7 @@ from fastgs_blender.captures.store import Pixels
 from fastgs_blender.training import checkpoint, density, schedule, targets
 from fastgs_blender.training import model as starting
 from fastgs_blender.training import settings as options
+from fastgs_blender.training.neighbours import neighbour_distance
 
 
 def test_settings_survive_json():
@@ -68,26 +69,28 @@ def test_cosines_span_the_clip():
 def test_neighbour_distance(rng, count):
     xyz = rng.normal(size=(count, 3))
     squared = np.sort(((xyz[:, None] - xyz[None]) ** 2).sum(-1), 1)[:, 1:4]
-    found, exact = starting.neighbour_distance(xyz), np.sqrt(squared.mean(1))
+    found, exact = neighbour_distance(xyz), np.sqrt(squared.mean(1))
     assert (found >= exact * (1 - 1e-9)).all()
     assert np.mean(found / exact) < 1.03
 
 
 def test_one_point_has_no_neighbour():
-    assert starting.neighbour_distance(np.zeros((1, 3)))[0] == np.inf
+    assert neighbour_distance(np.zeros((1, 3)))[0] == np.inf
 
 
 @pytest.mark.parametrize("appearance", ["features", "rgb", "sh2"])
 def test_the_first_model_shows_the_points(rng, appearance):
-    points = Points(rng.uniform(-1, 1, (300, 3)), rng.uniform(0.1, 0.9, (300, 3)), np.where(np.arange(300) < 200, np.nan, 0.25))
-    chosen = options.settings(appearance=appearance, start_opacity=0.5)
+    points = Points(rng.uniform(-1, 1, (300, 3)), rng.uniform(0.1, 0.9, (300, 3)), np.where(np.arange(300) < 200, np.nan, 0.25),
+                    np.where(np.arange(300) < 190, np.nan, 0.5))
+    chosen = options.settings(appearance=appearance, start_opacity=0.5, start_size=0.8, start_life=0.1)
     model = starting.model_from_points(points, chosen, fg.Clip(20, 25.0, 3), "RUB", 20.0)
     assert model.axes == "RUB" and model.clip == fg.Clip(20, 25.0, 3) and len(model) == 300
     early, at = fg.slice_model(model, 0.0, cull=False), fg.slice_model(model, 0.25, cull=False)
     np.testing.assert_allclose(at.position, points.xyz, atol=1e-6)
     np.testing.assert_allclose(at.opacity[200:], 0.5, atol=1e-5)
     assert early.opacity[:200].min() > 0.48 and early.opacity[200:].max() < 0.5 * np.exp(-0.9)
-    np.testing.assert_allclose(np.exp(model.scale[:200, 0]), starting.neighbour_distance(points.xyz[:200]), rtol=1e-4)
+    np.testing.assert_allclose(np.exp(model.scale[:190, 0]), 0.8 * neighbour_distance(points.xyz[:200])[:190], rtol=1e-4)
+    np.testing.assert_allclose(np.exp(model.scale[190:]), 0.5, rtol=1e-4)
 
 
 def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():

@@ -21,7 +21,8 @@ from fastgs_blender.training.trainer import Trainer, run  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = dict(iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),
-           position_rate=1e-3, position_rate_end=1e-4, motion_rate=2e-3, start_opacity=0.1, start_life=0.25, preview_every=0)
+           position_rate=1e-3, position_rate_end=1e-4, motion_rate=2e-3, start_opacity=0.1, start_size=1.0, start_life=0.25,
+           preview_every=0)
 
 
 def trainer(capture=None, **choices):
