@@ -49,6 +49,8 @@ class RigCamera:
 def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (), **settings) -> Capture:
     """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them."""
     count = settings.pop("frame_count", None) or max((len(camera.pictures) for camera in cameras), default=0)
+    if count < 1 and faults:
+        raise FastGSError(faults[0])
     check_count(path, count, len(cameras))
     chosen = _chosen(count, options.frames, path)
     entries, gaps = [], []

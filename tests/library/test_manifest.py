@@ -87,7 +87,8 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     (path,) = builder.main(["--no-wheels", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         names = {name for name in file.namelist() if not name.endswith("/")}
-    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples/playground.safetensors"}
+    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples/playground.safetensors",
+              "examples/capture_train_render.py"}
     wanted |= {str(p.relative_to(ROOT)) for package in ("fastgs_blender", "engine", "operators", "ui")
                for p in (ROOT / package).rglob("*.py")}
     assert names == wanted
