@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Does it help?  The paper's comparisons on our captures: Fourier order, motion regulariser, kind of motion.
+"""Does it help?  The paper's comparisons on our captures: Fourier order, motion regulariser, kind of motion; and density control.
 
     python benchmarks/make_capture.py --scene robot --out captures/robot          (and procedural)
     python benchmarks/ablation.py captures/robot captures/procedural
 
-All runs on a capture have the same starting points, steps and most Gaussians, and differ in the motion alone.  PSNR in the held-out
-view, over the whole picture and over the moving subject (masks).  Runs that lie within CLOSE of the best of their table get two more
-seeds, and the mean of all three counts.  Results go into benchmarks/results/ablation.json as they come, and what is in there is not
+All runs on a capture have the same starting points, steps and most Gaussians, and differ in what the table says alone.  PSNR in the
+held-out view, over the whole picture and over the moving subject (masks).  Runs that lie within CLOSE of the best of their table get two
+more seeds, and the mean of all three counts.  Results go into benchmarks/results/ablation.json as they come, and what is in there is not
 run again; --table prints the tables and draws ablation.png.
 """
 from __future__ import annotations
@@ -44,6 +44,10 @@ TABLES = {
         "keyframes, 11": dict(motion="keyframes", order=11),
         "polynomial, cubic": dict(motion="polynomial", order=3),
         "polynomial, degree 10": dict(motion="polynomial", order=10)},
+    "density control (cosines, 10)": {
+        "clone, split, prune": dict(motion="cosine", order=10),
+        "the same with resets of opacity": dict(motion="cosine", order=10, reset_every=600),
+        "MCMC": dict(motion="cosine", order=10, density="mcmc")},
 }
 """Tables of runs; the same settings in two tables are one run."""
 
