@@ -16,7 +16,7 @@ from . import causes, pythons
 
 LEAST_DISK = 500 << 20
 """Bytes that a run's folder should have free: a checkpoint, its successor, the model, pictures."""
-BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 500 << 20, 768 << 20, 2600, 260
+BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
 STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
 """Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
 CORES = 2
@@ -53,7 +53,7 @@ def inspect(python: str, capture: str) -> Facts:
         raise FastGSError(report.sentence)
     if not capture:
         raise FastGSError("no capture is chosen; choose its folder.")
-    here = Path(__file__)
+    here = Path(__file__).resolve()
     command = [python, str(here.with_name("child.py")), str(here.parents[2]), "", "", "info", capture, "--json"]
     done = subprocess.run(command, env=pythons.environment(python), stdin=subprocess.DEVNULL, capture_output=True, check=False)
     try:

@@ -163,7 +163,7 @@ class Jobs:
     def command(self, job: Job, more=()) -> list[str]:
         """What its process is."""
         files = [str(self.folder / f"{job.id}{suffix}") for suffix in (".lock", ".stop")]
-        here = Path(__file__)
+        here = Path(__file__).resolve()  # one place for the kernels that numba keeps by path
         return [job.python, str(here.with_name("child.py")), str(here.parents[2]), *files,
                 "train", job.capture, "--out", job.out, "--quiet", *job.options, *more]
 
