@@ -57,6 +57,7 @@ def main():
     parser.add_argument("captures", nargs="*", type=Path)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="runs side by side, with one thread each")
+    parser.add_argument("--seeds", type=int, default=len(SEEDS), help="of runs that are close; 1: do not repeat any")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a training option for all runs")
     parser.add_argument("--table", action="store_true", help="print and draw what there is, run nothing")
     parser.add_argument("--one", help=argparse.SUPPRESS)
@@ -78,7 +79,7 @@ def work(capture: Path, common, results, options):
     """All runs of a capture that have no result yet; then further seeds of those that are close."""
     prepare(capture, common)
     runs = {name_of(settings): settings for rows in TABLES.values() for settings in rows.values()}
-    for seeds in (SEEDS[:1], SEEDS[1:]):
+    for seeds in (SEEDS[:1], SEEDS[1:options.seeds]):
         chosen = runs if seeds == SEEDS[:1] else close_runs(results, capture.name)
         todo = [(name, settings, seed) for seed in seeds for name, settings in chosen.items()
                 if results.get(key(capture.name, name, seed), {}).get("settings") != {**common, **settings, "seed": seed}]
