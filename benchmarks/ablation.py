@@ -29,25 +29,28 @@ RESULTS = ROOT / "benchmarks" / "results" / "ablation.json"
 CLOSE = 0.3
 """dB in the subject's pixels."""
 SEEDS = (0, 1, 2)
-COMMON = dict(iterations=3000, max_gaussians=10_000, points=6000, densify_every=100, preview_every=0)
+COMMON = dict(iterations=3000, max_gaussians=10_000, points=6000, densify_every=100, motion_weight=0.1, preview_every=0)
 CAPTURES = {"robot": dict(scale=0.5, frames=slice(0, None, 2)), "procedural": dict(scale=0.75, frames=None)}
 """How much of a capture is used; by the folder's name, others as robot."""
-PAPER = dict(motion="paper", order=5, motion_weight=0.1)
+PAPER = dict(motion="paper", order=5)
+COSINES = dict(motion="cosine", order=10)
 TABLES = {
     "Fourier order L (lambda 0.1)": {f"L = {n}": {**PAPER, "order": n} for n in (1, 3, 5, 7)},
     "motion regulariser lambda (Fourier, L = 5)": {f"lambda = {x:g}": {**PAPER, "motion_weight": x} for x in (0, 0.01, 0.1, 1)},
-    "kind of motion": {
+    "motion regulariser lambda (cosines, 10)": {
+        f"lambda = {x:g}": {**COSINES, "motion_weight": x} for x in (0, 0.01, 0.1)},
+    "kind of motion (lambda 0.1)": {
         "Fourier, period 1, L = 5 (the paper's)": PAPER,
         "Fourier, longer period, L = 5": dict(motion="fourier", order=5),
         "Fourier + linear, L = 5": dict(motion="fourier+linear", order=5),
-        "cosines, 10": dict(motion="cosine", order=10),
+        "cosines, 10": COSINES,
         "keyframes, 11": dict(motion="keyframes", order=11),
         "polynomial, cubic": dict(motion="polynomial", order=3),
         "polynomial, degree 10": dict(motion="polynomial", order=10)},
     "density control (cosines, 10)": {
-        "clone, split, prune": dict(motion="cosine", order=10),
-        "the same with resets of opacity": dict(motion="cosine", order=10, reset_every=600),
-        "MCMC": dict(motion="cosine", order=10, density="mcmc")},
+        "clone, split, prune": COSINES,
+        "the same with resets of opacity": {**COSINES, "reset_every": 600},
+        "MCMC": {**COSINES, "density": "mcmc"}},
 }
 """Tables of runs; the same settings in two tables are one run."""
 
