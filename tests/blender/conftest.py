@@ -75,10 +75,15 @@ def library_camera(facts) -> fg.Camera:
 
 
 def region_camera(facts) -> fg.Camera:
-    """The library's camera for what the story `seen_by` says of a perspective view."""
+    """The library's camera for what the story `seen_by` says of a view."""
     p, (_, _, width, height) = np.array(facts["window"]), facts["region"]
-    return fg.Camera(width, height, width / 2 * p[0, 0], height / 2 * p[1, 1], width / 2 * (1 - p[0, 2]), height / 2 * (1 + p[1, 2]),
-                     np.diag([1.0, -1, -1, 1]) @ np.array(facts["view"]))
+    pose = np.diag([1.0, -1, -1, 1]) @ np.array(facts["view"])
+    orthographic = p[3, 3] == 1
+    centre = p[:2, 3] if orthographic else -p[:2, 2]
+    if orthographic:
+        pose[2, 3] += 100  # such a view also shows what lies behind its matrix's origin
+    return fg.Camera(width, height, width / 2 * p[0, 0], height / 2 * p[1, 1], width / 2 * (1 + centre[0]), height / 2 * (1 - centre[1]),
+                     pose, orthographic=bool(orthographic))
 
 
 @pytest.fixture(scope="session")
@@ -102,3 +107,11 @@ def read_png(path: Path) -> np.ndarray:
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
     """dB, for pictures in 0 .. 1."""
     return float(-10 * np.log10(max(np.mean((a - b) ** 2), 1e-12)))
+
+
+def black_behind(rgba: np.ndarray) -> np.ndarray:
+    """The sRGB colours [h, w, 3] that Blender shows for premultiplied splats over black: it fades linear light."""
+    alpha = rgba[..., 3:]
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
+    linear = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4) * alpha
+    return np.clip(np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055), 0, 1)

@@ -11,7 +11,7 @@ MEMORIES = ("objects._entries", "objects._loading", "paths._before", "spaces._vi
 
 def test_monkey(user, model, small_model, pytestconfig):
     seconds = 60 * pytestconfig.getoption("--monkey-minutes")
-    facts = user.story("monkey.run", window=True, limit=seconds * 2 + 500, seconds=seconds, seed=pytestconfig.getoption("--monkey-seed"),
+    facts = user.story("monkey.run", window=True, limit=seconds * 2 + 1200, seconds=seconds, seed=pytestconfig.getoption("--monkey-seed"),
                        laps=12, models=[model[1], small_model[1]], files=["monkey-1.blend", "monkey-2.blend"])
     print(facts)
     assert all(facts["done"].values())

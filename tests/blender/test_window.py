@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import psnr, read_png, region_camera
+from conftest import black_behind, psnr, read_png, region_camera
 from PIL import Image
 
 from fastgs_blender.crops import Crop
@@ -12,14 +12,6 @@ from fastgs_blender.crops import Crop
 EDGE = 4
 INNER = slice(EDGE, -EDGE), slice(EDGE, -EDGE)
 """A picture without its edge, on which Blender draws lines."""
-
-
-def black_behind(rgba: np.ndarray) -> np.ndarray:
-    """The sRGB colours [h, w, 3] that Blender shows for premultiplied splats over black: it fades linear light."""
-    alpha = rgba[..., 3:]
-    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
-    linear = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4) * alpha
-    return np.clip(np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055), 0, 1)
 
 
 def found_in(picture: np.ndarray, screen: np.ndarray) -> tuple[float, tuple[int, int]]:

@@ -140,8 +140,7 @@ def first_steps():
     yield from settled("solid")
     through = seen_by(area)
     area.spaces.active.shading.type = 'RENDERED'
-    overlay = area.spaces.active.overlay
-    overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = False  # their lines would run over the splats
+    area.spaces.active.overlay.show_overlays = False  # their lines would run over the splats
     yield from settled("rendered")
     yield from f12(area)
     shot("f12")
@@ -150,13 +149,13 @@ def first_steps():
     return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame, **through}
 
 
-def seen_by(area):
-    """What a view shows where: its matrices, and the place of its region in a screenshot."""
-    region = next(region for region in area.regions if region.type == 'WINDOW')
-    view, window = ([list(row) for row in matrix] for matrix in (area.spaces.active.region_3d.view_matrix,
-                                                                 area.spaces.active.region_3d.window_matrix))
+def seen_by(area, region=None, view=None):
+    """What a view shows where: its matrices, and the place of its region in a screenshot.  By default the area's only one."""
+    region = region or next(region for region in area.regions if region.type == 'WINDOW')
+    view = view or area.spaces.active.region_3d
+    matrices = {name: [list(row) for row in matrix] for name, matrix in (("view", view.view_matrix), ("window", view.window_matrix))}
     top = bpy.context.window_manager.windows[0].height - region.y - region.height
-    return {"view": view, "window": window, "region": [region.x, top, region.width, region.height]}
+    return {**matrices, "region": [region.x, top, region.width, region.height]}
 
 
 def properties(model):
