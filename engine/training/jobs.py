@@ -27,6 +27,8 @@ CONSOLE, STATUS, RUN, MODEL, REPORT, PLOT = (
     "console.log", "status.json", "run.json", "model.safetensors", "report.json", "loss.png")
 RUNNING = ('STARTING', 'PREPARING', 'TRAINING', 'STOPPING')
 ENDED = ('FINISHED', 'FAILED', 'STOPPED')
+GRACE = 5.0
+"""Seconds that a process has for taking its lock."""
 _children: dict[str, subprocess.Popen] = {}
 
 
@@ -41,6 +43,7 @@ class Job:
     scene     about the scene that it belongs to, for the finished model: start_frame, world (16 numbers), blend
     first     what `fastgs train` is told about the folder at the first start: "", --resume or --overwrite
     begun     whether it has been started before
+    started   when its process was started last, in seconds of the epoch
     console   length of console.log when the process began
     told      whether its end has been told
     """
@@ -55,6 +58,7 @@ class Job:
     created: float = 0.0
     first: str = ""
     begun: bool = False
+    started: float = 0.0
     console: int = 0
     told: bool = False
 
@@ -150,6 +154,7 @@ class Jobs:
         there = ["--resume"] if (out / RUN).exists() else []
         more = there if job.begun else [job.first] if job.first else []
         job.console, job.wish, job.told, job.begun = (out / CONSOLE).stat().st_size, "RUN", False, True
+        job.started = time.time()
         self.save(job)
         with console:
             try:
@@ -181,7 +186,10 @@ class Jobs:
         child = _children.get(job.id)
         if child is not None:
             return child.poll() is None
-        return is_held(self.folder / f"{job.id}.lock")
+        if is_held(self.folder / f"{job.id}.lock"):
+            return True
+        begins = 0 <= time.time() - job.started < GRACE  # another Blender started it just now, and Python has to come up first
+        return begins and not (Path(job.out) / STATUS).exists()
 
     def state(self, job: Job) -> State:
         """How the job stands; a process that has ended without saying so has crashed, and the reason is looked for."""

@@ -2,6 +2,7 @@
 """Training from inside Blender: the scene is filmed, a process of its own trains, and what goes wrong is told in one sentence."""
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -61,7 +62,7 @@ def toy(tmp_path_factory):
 def compiled(module, toy, tmp_path_factory):
     """The kernels of training are compiled, which may take minutes on a busy machine, once for each version of them."""
     pytest.importorskip("torch")
-    child = Path(module("engine.training.jobs").__file__).with_name("child.py")
+    child = Path(module("engine.training.jobs").__file__).resolve().with_name("child.py")
     out = tmp_path_factory.mktemp("first") / "run"
     subprocess.run([sys.executable, child, child.parents[2], "", "", "train", toy, "--out", out, "--quiet", *FEW, "--iterations", "3"],
                    check=True, capture_output=True, timeout=1800)
@@ -201,21 +202,92 @@ def test_own_cameras_film_as_they_move(moving_scene, add_camera, module, tmp_pat
     assert abs(capture.shots[0].camera.fx - 30 / 36 * 32) < 1e-4
 
 
-def test_killed_and_gone_on_with(jobs, toy, tmp_path):
-    """kill -9 in the middle is told, and so is a capture that has gone; the run goes on to the same end."""
-    job = add(jobs, toy, tmp_path / "run", 60)
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 16 MB; None where none can be mounted."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = sys.platform == "linux" and not subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", place], capture_output=True, check=False).returncode
+    yield place if mounted else None
+    if mounted:
+        subprocess.run(["umount", "-l", place], check=True)
+
+
+def trained_for_a_while(jobs, job):
+    """The process of a job that has begun to train."""
+    def process():
+        state = jobs.state(job)
+        assert state.kind not in ('FINISHED', 'FAILED'), "it has ended already"
+        return state.kind == 'TRAINING' and state.values.get("iteration") and state.values["process"]
+
+    return until(process)
+
+
+def told(state):
+    """The one sentence about a run that has failed."""
+    assert state.kind == 'FAILED' and "\n" not in state.text and "Traceback" not in state.text and state.text.endswith(".")
+    return state.text
+
+
+def test_killed_and_gone_on_with(jobs, toy, tmp_path, small_disk):
+    """kill -9 in the middle is told, and so are a full disk and a capture that has gone; the run goes on to the same end."""
+    job = add(jobs, toy, (small_disk or tmp_path) / "run", 250)
     jobs.start(job)
-    values = until(lambda: (state := jobs.state(job)).kind == 'TRAINING' and state.values.get("iteration") and state.values)
-    os.kill(values["process"], signal.SIGKILL)
-    state = end_of(jobs, job)
-    assert state.kind == 'FAILED' and "memory" in state.text and "resum" in state.text
+    os.kill(trained_for_a_while(jobs, job), signal.SIGKILL)
+    text = told(end_of(jobs, job))
+    assert "memory" in text and "resum" in text
+    if small_disk:
+        jobs.start(job)
+        process = trained_for_a_while(jobs, job)
+        os.kill(process, signal.SIGSTOP)
+        with contextlib.suppress(OSError), (small_disk / "other").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+        os.kill(process, signal.SIGCONT)
+        assert "disk is full" in told(end_of(jobs, job))
+        (small_disk / "other").unlink()
     toy.rename(toy.with_name("gone"))
     jobs.start(job)
-    assert "there is no such capture" in end_of(jobs, job).text
+    assert "there is no such capture" in told(end_of(jobs, job))
     toy.with_name("gone").rename(toy)
     jobs.start(job)
     assert end_of(jobs, job).kind == 'FINISHED'
-    assert json.loads((tmp_path / "run" / "report.json").read_text())["iterations"] == 60
+    assert json.loads((Path(job.out) / "report.json").read_text())["iterations"] == 250
+
+
+OTHER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from blender_setup import enable_addon
+module = enable_addon()
+import bpy
+store = module("engine.training.store")
+store.folder = lambda name: __import__("pathlib").Path(sys.argv[2], name)
+few = sys.argv[5:]
+options = module("operators.train")
+arguments = options.arguments
+options.arguments = lambda given: [*arguments(given), *few]
+assert bpy.ops.fastgs.train(capture=sys.argv[3], out=sys.argv[4], iterations=500, wait=False) == {'FINISHED'}
+"""
+
+
+def test_training_goes_on_when_blender_is_closed(jobs, module, toy, tmp_path):
+    """A Blender begins a run and ends at once; the next one finds the run alive, stops it, and goes on with it."""
+    files = module("engine.training.jobs")
+    tools = Path(__file__).resolve().parents[2] / "tools"
+    subprocess.run([sys.executable, "-c", OTHER, tools, tmp_path / "user", toy, tmp_path / "run", *FEW], check=True, capture_output=True,
+                   timeout=300)
+    later = files.Jobs(tmp_path / "user" / "training" / "jobs")
+    job, = later.all()
+    trained_for_a_while(later, job)
+    first = until(lambda: later.state(job).values["iteration"])
+    until(lambda: later.state(job).values["iteration"] > first)
+    later.ask(job, 'STOP')
+    state = end_of(later, job)
+    assert state.kind == 'STOPPED' and first < state.values["iteration"] < 500
+    later.start(job)
+    assert end_of(later, job).kind == 'FINISHED'
 
 
 def test_another_blender_finds_pauses_and_resumes(jobs, module, toy, tmp_path, monkeypatch):
