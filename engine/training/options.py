@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from ...fastgs_blender.training.settings import PRESETS, Settings
 from ..capturing.options import CaptureOptions
 from . import checks
 
@@ -26,19 +27,16 @@ class TrainingOptions:
         subtype='DIR_PATH')
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
-        items=(
-            ('DRAFT', "Draft", "2,500 steps, at most 20,000 Gaussians: to see whether it works", 0),
-            ('STANDARD', "Standard", "7,000 steps, at most 50,000 Gaussians", 1),
-            ('FINAL', "Final", "30,000 steps, at most 150,000 Gaussians", 2),
-        ), default='STANDARD')
+        items=tuple((name.upper(), name.capitalize(), "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
+                    for number, name in enumerate(PRESETS)), default='STANDARD')
     iterations: IntProperty(name="Steps", description="Steps of training; 0 leaves them to the preset", default=0, min=0)
     max_gaussians: IntProperty(
         name="Most Gaussians", description="Never more Gaussians than this; 0 leaves it to the preset", default=0, min=0)
     order: IntProperty(
         name="Order", description="Order L of the motion; 0 takes the usual one for the clip's length", default=0, min=0, max=64)
     motion_weight: FloatProperty(
-        name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=0.1, min=0.0, soft_max=10.0,
-        precision=3)
+        name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=Settings.motion_weight, min=0.0,
+        soft_max=10.0, precision=3)
     scale: FloatProperty(
         name="Picture Scale", description="Size of the pictures against the files; 0 leaves it to the capture's layout",
         default=0.0, min=0.0, max=1.0)
