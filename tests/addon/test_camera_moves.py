@@ -193,6 +193,35 @@ def test_bullet_time_slows_and_goes_on_without_a_jump(bpy, scene, module, moving
         bpy.ops.fastgs.bullet_time(start=40, length=5)
 
 
+@pytest.mark.parametrize(("move", "options"), [
+    ("camera_orbit", dict(turns=0.6, ease=0.5)), ("camera_dolly", dict(distance=2.0, ease=1.0)),
+    ("camera_dolly", dict(distance=2.0, zoom=True)), ("camera_through", {}), ("camera_through", dict(closed=True, ease=0.3))])
+def test_moves_are_smooth_and_stay_editable(bpy, scene, module, cube, add_camera, move, options):
+    """Ordinary keys and nothing else: a key that is moved moves the camera there, and leaves it alone beyond its neighbours."""
+    for i in range(4):
+        place = (1 + 6 * np.sin(i), 2 - 6 * np.cos(i), 3 + 0.3 * i)
+        add_camera(location=place, rotation=(90, 0, np.degrees(i)), lens=35 + i).select_set(True)
+    bpy.context.view_layer.update()
+    scene.frame_start, scene.frame_end = 1, 81
+    assert getattr(bpy.ops.fastgs, move)(spacing=8, frame_start=1, frame_end=81, **options) == {'FINISHED'}
+    camera = scene.camera
+    before = track(scene, camera, 4)
+    assert_smooth(before)
+    assert not camera.constraints and not camera.animation_data.drivers and all(not curve.modifiers for curve in keyed(module, camera))
+    curve = keyed(module, camera).find("location", index=2)
+    frames = [point.co.x for point in curve.keyframe_points]
+    assert frames == [1, 11, 21, 31, 41, 51, 61, 71, 81] or frames == list(range(1, 82, 8))
+    middle = len(frames) // 2
+    point = curve.keyframe_points[middle]
+    for part in ("co", "handle_left", "handle_right"):
+        getattr(point, part).y += 0.5
+    curve.update()
+    moved = track(scene, camera, 4)[:, 2] - before[:, 2]
+    at = np.arange(scene.frame_start, scene.frame_end + 1e-9, 0.25)
+    assert abs(moved[at == frames[middle]][0] - 0.5) < 1e-4
+    assert np.abs(moved[(at <= frames[middle - 1]) | (at >= frames[middle + 1])]).max() < 1e-4
+
+
 def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, module, make_model, model_file):
     """As trained models have them: a third of the splats on a sphere far away."""
     model = make_model(900, spread=1.0)
@@ -215,7 +244,7 @@ def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, mo
 
 
 @pytest.mark.parametrize("how", ['LOOK', 'MOVE'])
-def test_following_a_region(bpy, scene, moving_splat, add_camera, how):
+def test_following_a_region(bpy, scene, module, moving_splat, add_camera, how):
     scene.render.fps = 24
     camera = add_camera(location=(0, -5, 0))
     bpy.context.view_layer.objects.active = moving_splat
@@ -233,6 +262,11 @@ def test_following_a_region(bpy, scene, moving_splat, add_camera, how):
             assert -matrix[:3, 2] @ aim / np.linalg.norm(aim) > 0.995
         rows.append(matrix[:3, 3] - middle)
     assert how == 'LOOK' or np.ptp(rows, axis=0).max() < 0.02
+    scene.frame_start, scene.frame_end = 4, 38
+    assert_smooth(track(scene, camera, 4), 0.15)
+    empty = next(o for o in scene.objects if o.type == 'EMPTY')
+    keys = module("operators.camera_keys").curves(empty).find("location", index=0).keyframe_points
+    assert [point.co.x for point in keys] == list(range(1, 42)) and not camera.animation_data
     scene.cursor.location = (0, 0, 90)
     with pytest.raises(RuntimeError, match="no visible Gaussians"):
         bpy.ops.fastgs.follow_region(radius=1.0)
