@@ -155,7 +155,10 @@ def from_scene_to_shot(environment, cache):
     for obj in scene.objects:
         obj.hide_set(obj != model)
     yield from click(area, "fastgs.train_report", 0.8)
-    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts["FAST-GS Report"]
+    editor = area_of('TEXT_EDITOR').spaces.active
+    editor.text = bpy.data.texts["FAST-GS Report"]
+    yield 0.5
+    editor.top = 0
     scene.frame_set(3)
     yield from settled("trained")
 
