@@ -32,6 +32,7 @@ def toy():
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = 1, 6
     scene.render.engine = 'CYCLES'
+    scene.cycles.use_denoising = False  # not every build can
     scene.view_settings.view_transform = 'Standard'
     with within(area_of()):
         bpy.ops.mesh.primitive_cylinder_add(radius=1.5, depth=0.2, location=(0, 0, -0.1), vertices=48)
