@@ -21,6 +21,8 @@ from .plot import write_plot
 LOG, STATUS, PLOT, PREVIEWS, BOARD = "log.jsonl", "status.json", "loss.png", "previews", "tensorboard"
 SMOOTHING = 0.98
 STATUS_SECONDS = 1.0
+UNTIMED_STEPS = 2
+"""A process' first steps compile kernels, which takes many times as long as a step does: the time left is not told from them."""
 
 
 class Silent:
@@ -56,15 +58,14 @@ class Reporter(Silent):
     """
 
     def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False, log_every: int = 20):
-        from tqdm import tqdm
-
         self.folder, self.iterations, self.log_every = Path(folder), iterations, log_every
         self.before, self.started, self.begin = elapsed, time.monotonic(), begin
+        self.timed: tuple[int, float] | None = None
         self.smooth: dict[str, float] = {}
         self.last: dict = {"iteration": begin} if begin else {}
         self.told, self.status_time = set(), 0.0
-        self.bar = tqdm(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
-                        bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
+        self.bar = self._bar(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
+                             bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
         self._drop_log_after(begin)
         self.log = self._safely("the log", lambda: open(self.folder / LOG, "a", encoding="utf-8", buffering=1))  # noqa: SIM115
         self.board = self._board()
@@ -73,6 +74,14 @@ class Reporter(Silent):
     def elapsed(self) -> float:
         """Seconds of training, those before the last resumption included."""
         return self.before + time.monotonic() - self.started
+
+    @property
+    def speed(self) -> float:
+        """Steps a second since the first few, 0 while only those are done."""
+        if self.timed is None:
+            return 0.0
+        iteration, begun = self.timed
+        return (self.last["iteration"] - iteration) / max(time.monotonic() - begun, 1e-9)
 
     def say(self, text):
         self.bar.clear()
@@ -91,6 +100,8 @@ class Reporter(Silent):
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""
         iteration = values["iteration"]
         self.last = values
+        if self.timed is None and iteration >= self.begin + UNTIMED_STEPS:
+            self.timed = iteration, time.monotonic()
         for name in ("loss", "psnr"):
             if name in values:
                 old = self.smooth.get(name, values[name])
@@ -109,7 +120,7 @@ class Reporter(Silent):
         self.status_time = time.monotonic()
         values = {**self.last, **values}
         done = values.get("iteration", self.begin)
-        speed = (done - self.begin) / max(time.monotonic() - self.started, 1e-9)
+        speed = self.speed
         left = (self.iterations - done) / speed if speed > 0 else None
         about = {"state": state, "process": os.getpid(), "iterations": self.iterations, **values, **self.smooth,
                  "elapsed_seconds": round(self.elapsed, 2), "seconds_left": None if left is None else round(left, 1)}
@@ -130,6 +141,19 @@ class Reporter(Silent):
         if self.board:
             self.board.close()
         self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
+
+    def _bar(self, **options):
+        """A bar that tells the time left as status.json does."""
+        from tqdm import tqdm
+
+        reporter = self
+
+        class Bar(tqdm):
+            @property
+            def format_dict(self):
+                return {**super().format_dict, "rate": reporter.speed}
+
+        return Bar(**options)
 
     def _write_preview(self, iteration, picture):
         from PIL import Image
