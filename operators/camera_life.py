@@ -223,6 +223,25 @@ def _clear(camera, paths):
             setattr(camera, path, rest)
 
 
+def _eye(space, view) -> Matrix:
+    """Where a 3D view looks from, in the world; also before it is drawn, unless it is locked to something."""
+    if space.lock_object or space.lock_cursor:
+        return view.view_matrix.inverted()
+    return Matrix.Translation(view.view_location) @ view.view_rotation.to_matrix().to_4x4() @ Matrix.Translation((0, 0, view.view_distance))
+
+
+def _place(camera, matrix):
+    """Put a camera there in the world.  Of the numbers that mean the same turn it gets those next to its former ones: no key spins."""
+    quaternion, euler = camera.rotation_quaternion.copy(), camera.rotation_euler.copy()
+    camera.matrix_world = matrix
+    if camera.rotation_mode == 'QUATERNION':
+        turned = camera.rotation_quaternion.copy()
+        turned.make_compatible(quaternion)
+        camera.rotation_quaternion = turned
+    elif camera.rotation_mode != 'AXIS_ANGLE':
+        camera.rotation_euler = camera.rotation_euler.to_matrix().to_euler(camera.rotation_mode, euler)
+
+
 class FASTGS_OT_key_from_view(bpy.types.Operator):
     """Put the scene's camera where the 3D view looks from, and key it on the current frame"""
 
@@ -238,7 +257,7 @@ class FASTGS_OT_key_from_view(bpy.types.Operator):
         camera = target_camera(context, False) or target_camera(context, True)
         view = context.region_data
         if view.view_perspective != 'CAMERA':
-            camera.matrix_world = view.view_matrix.inverted()
+            _place(camera, _eye(context.space_data, view))
             # a view shows, at the same focal length, twice what a camera with Blender's standard sensor does
             camera.data.lens = context.space_data.lens * camera.data.sensor_width / 72.0
         channels = {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}

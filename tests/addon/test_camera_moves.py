@@ -2,6 +2,7 @@
 """Camera moves in Blender: smooth between their keys, ordinary keyframes, undone by deleting them."""
 import numpy as np
 import pytest
+from camera_tracks import assert_smooth, keyed, track
 
 
 @pytest.fixture
@@ -22,27 +23,6 @@ def cube(scene, bpy):
     bpy.context.view_layer.objects.active = obj
     bpy.context.view_layer.update()
     return obj
-
-
-def track(scene, obj, steps=8):
-    """Positions, view directions and focal lengths of a camera, `steps` times a frame."""
-    rows = []
-    for at in np.arange(scene.frame_start, scene.frame_end + 1e-9, 1 / steps):
-        scene.frame_set(int(at), subframe=float(at % 1))
-        matrix = np.array(obj.matrix_world)
-        rows.append([*matrix[:3, 3], *(-matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])), obj.data.lens])
-    return np.array(rows)
-
-
-def assert_smooth(rows, bound=0.1):
-    """Neither position, direction nor their speeds jump: no step's change is more than a share of the largest step."""
-    for part in (rows[:, :3], rows[:, 3:6]):
-        step = np.diff(part, axis=0)
-        assert np.linalg.norm(np.diff(step, axis=0), axis=1).max() <= bound * np.linalg.norm(step, axis=1).max() + 1e-6
-
-
-def keyed(module, obj):
-    return module("operators.camera_keys").curves(obj)
 
 
 def test_an_orbit_is_a_circle_of_ordinary_keys(bpy, scene, module, cube, add_camera):
@@ -150,49 +130,6 @@ def test_a_dolly_zoom_keeps_the_subject(bpy, scene, cube, add_camera):
         bpy.ops.fastgs.camera_dolly(distance=30.0, zoom=True)
 
 
-@pytest.fixture
-def moving_splat(bpy, scene, make_model, model_file, splat_object, fg):
-    """A cloud that moves along x by 4 during a clip of 48 frames at 24 fps, and a cloud that stays."""
-    model = make_model(60, spread=0.3, opacity=np.full(60, 3.0))
-    model.position[30:, 2] += 5
-    motion = np.zeros((60, 1, 3))
-    motion[:30, 0, 0] = 4.0
-    from dataclasses import replace
-
-    path = model_file(replace(model, motion=motion, basis=fg.Polynomial(1), clip=fg.Clip(48, 24.0)))
-    obj = splat_object(path)
-    obj.fastgs.fps, obj.fastgs.frame_count, obj.fastgs.start_frame = 24, 48, 1
-    obj.select_set(True)
-    bpy.context.view_layer.objects.active = obj
-    bpy.context.view_layer.update()
-    return obj
-
-
-def shown(module, scene, obj, at):
-    import bpy
-
-    scene.frame_set(int(at), subframe=float(at % 1))
-    settings = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    retime = module("engine.frame").retime_of(settings)
-    return module("engine.time").clip_frame(at, scene.render.fps, retime, module("engine.objects").load_model(obj.fastgs.filepath).clip)
-
-
-@pytest.mark.parametrize(("speed", "ramp"), [(0.0, 6), (0.25, 6), (0.0, 0)])
-def test_bullet_time_slows_and_goes_on_without_a_jump(bpy, scene, module, moving_splat, speed, ramp):
-    scene.render.fps = 24
-    assert bpy.ops.fastgs.bullet_time(start=11, length=20, speed=speed, ramp=ramp) == {'FINISHED'}
-    frames = np.arange(1, 45, 0.25)
-    clip = np.array([shown(module, scene, moving_splat, at) for at in frames])
-    rate = np.diff(clip) / 0.25
-    np.testing.assert_allclose(rate[frames[:-1] < 11], 1, atol=1e-3)
-    np.testing.assert_allclose(rate[(frames[:-1] >= 11 + ramp) & (frames[:-1] < 31 - ramp)], speed, atol=1e-2)
-    np.testing.assert_allclose(rate[frames[:-1] >= 31], 1, atol=1e-3)
-    if ramp:
-        assert np.abs(np.diff(rate)).max() < 0.06
-    with pytest.raises(RuntimeError, match="animated offset already"):
-        bpy.ops.fastgs.bullet_time(start=40, length=5)
-
-
 @pytest.mark.parametrize(("move", "options"), [
     ("camera_orbit", dict(turns=0.6, ease=0.5)), ("camera_dolly", dict(distance=2.0, ease=1.0)),
     ("camera_dolly", dict(distance=2.0, zoom=True)), ("camera_through", {}), ("camera_through", dict(closed=True, ease=0.3))])
@@ -241,49 +178,3 @@ def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, mo
     places = np.array(seen)
     inside = ((places[:, :2] > 0) & (places[:, :2] < 1)).all(1) & (places[:, 2] > 0)
     assert inside.mean() > 0.97 and np.ptp(places[:, 1]) > 0.3
-
-
-@pytest.mark.parametrize("how", ['LOOK', 'MOVE'])
-def test_following_a_region(bpy, scene, module, moving_splat, add_camera, how):
-    scene.render.fps = 24
-    camera = add_camera(location=(0, -5, 0))
-    bpy.context.view_layer.objects.active = moving_splat
-    bpy.context.view_layer.update()
-    scene.cursor.location = (0, 0, 0)
-    scene.frame_set(1)
-    bpy.ops.fastgs.follow_region(radius=1.0, how=how, frame_start=1, frame_end=41, smooth=2.0)
-    rows = []
-    for at in range(4, 39):
-        scene.frame_set(at)
-        matrix = np.array(camera.matrix_world)
-        middle = np.array([4 * (at - 1) / 48, 0, 0])
-        if how == 'LOOK':
-            aim = middle - matrix[:3, 3]
-            assert -matrix[:3, 2] @ aim / np.linalg.norm(aim) > 0.995
-        rows.append(matrix[:3, 3] - middle)
-    assert how == 'LOOK' or np.ptp(rows, axis=0).max() < 0.02
-    scene.frame_start, scene.frame_end = 4, 38
-    assert_smooth(track(scene, camera, 4), 0.15)
-    empty = next(o for o in scene.objects if o.type == 'EMPTY')
-    keys = module("operators.camera_keys").curves(empty).find("location", index=0).keyframe_points
-    assert [point.co.x for point in keys] == list(range(1, 42)) and not camera.animation_data
-    scene.cursor.location = (0, 0, 90)
-    with pytest.raises(RuntimeError, match="no visible Gaussians"):
-        bpy.ops.fastgs.follow_region(radius=1.0)
-
-
-@pytest.mark.parametrize("mode", ['XYZ', 'QUATERNION'])
-def test_a_hand_shakes_the_camera_and_lets_go(bpy, scene, add_camera, mode):
-    camera = add_camera()
-    camera.rotation_mode = mode
-    scene.frame_start, scene.frame_end = 1, 121
-    still = track(scene, camera, 1)
-    bpy.ops.fastgs.handheld(sway=0.05, turn=0.02, seed=3)
-    shaken = track(scene, camera, 4)
-    off = np.abs(shaken[:, :3] - still[0, :3])
-    assert 0.005 < off.max() < 0.2 and np.abs(shaken[:, 3:6] - still[0, 3:6]).max() > 0.002
-    assert_smooth(shaken, 0.6)
-    bpy.ops.fastgs.handheld(sway=0.05, turn=0.02, seed=3)
-    np.testing.assert_allclose(track(scene, camera, 4), shaken, atol=1e-6)  # the same seed, the same hand; once, not twice
-    bpy.ops.fastgs.handheld(remove=True)
-    np.testing.assert_allclose(track(scene, camera, 1), still, atol=1e-6)
