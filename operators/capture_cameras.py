@@ -19,6 +19,7 @@ from ..fastgs_blender.moves import one_sign, quaternions
 from . import camera_keys, camera_space, undistorted
 from .fit_scene import frame_rate
 from .splat_object import sentence
+from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
 """Pictures that an import undistorts unasked: more take minutes."""
@@ -105,12 +106,13 @@ def use_render_size(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = own.pixel_aspect_x, own.pixel_aspect_y
 
 
-class FASTGS_OT_import_capture(bpy.types.Operator, ImportHelper):
+class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     """Import the cameras of a multi-view capture, with their films or pictures as backgrounds"""
 
     bl_idname = "fastgs.import_capture"
     bl_label = "Import Capture Cameras"
     bl_options = {'REGISTER', 'UNDO', 'PRESET'}
+    doing = "Correcting the lenses' pictures"
 
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
@@ -137,23 +139,30 @@ class FASTGS_OT_import_capture(bpy.types.Operator, ImportHelper):
         for name in ("space", "backgrounds", "scale", "set_scene"):
             layout.prop(self, name)
 
-    def execute(self, context):
-        from ..fastgs_blender.captures import open_capture
+    def invoke(self, context, event):
+        self._interactive = True
+        return ImportHelper.invoke(self, context, event)
 
+    def execute(self, context):
         path = bpy.path.abspath(self.filepath or self.directory)
         if not path:
             self.report({'ERROR'}, "No capture was chosen; choose its folder, or a file that describes it.")
             return {'CANCELLED'}
         if context.mode != 'OBJECT':
             bpy.ops.object.mode_set(mode='OBJECT')
-        try:
-            capture = open_capture(path.rstrip("/\\") or path, scale=self.scale or None)
-            if not capture.posed:
-                raise FastGSError(f"{capture.path} does not say where its cameras are; calibrate it first (train it, or use COLMAP).")
-            reels = self._reels(context, capture)
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+        return self.begin(context, self._read(path))
+
+    def _read(self, path):
+        """The capture and what plays behind each of its views; yields the progress of writing pictures."""
+        from ..fastgs_blender.captures import open_capture
+
+        capture = open_capture(path.rstrip("/\\") or path, scale=self.scale or None)
+        if not capture.posed:
+            raise FastGSError(f"{capture.path} does not say where its cameras are; calibrate it first (train it, or use COLMAP).")
+        return capture, (yield from self._reels(capture))
+
+    def finish(self, context, result):
+        capture, reels = result
         for problem in (*capture.faults, *capture.notes):
             self.report({'WARNING'}, sentence(problem))
         made = self._create(context, capture, reels)
@@ -205,14 +214,14 @@ class FASTGS_OT_import_capture(bpy.types.Operator, ImportHelper):
         context.view_layer.objects.active = made[0]
         return made
 
-    def _reels(self, context, capture) -> dict[str, Reel]:
-        """What plays behind each view."""
+    def _reels(self, capture):
+        """What plays behind each view {view: Reel}; yields progress."""
         if self.backgrounds == 'NONE':
             return {}
         distorted = [shot for shot in capture.shots if not shot.image.lens.is_pinhole]
         undistort = self.backgrounds == 'UNDISTORTED' or (self.backgrounds == 'AUTO' and len(distorted) <= MOST_UNDISTORTED)
         if distorted and undistort:
-            copies = undistorted.write(context.window_manager, capture, distorted)
+            copies = yield from undistorted.steps(capture, distorted)
             capture.shots[:] = [copies.get(shot, shot) for shot in capture.shots]
         elif distorted:
             self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their backgrounds; import again "

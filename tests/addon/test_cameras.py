@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 
 import bpy
 import by_hand
@@ -281,6 +282,38 @@ def test_distorted_pictures_are_undistorted_once(scene, capture, capfd, module):
     stamp = os.stat(path).st_mtime_ns
     bpy.ops.fastgs.import_capture(filepath=str(folder))
     assert os.stat(path).st_mtime_ns == stamp
+
+
+def test_writing_undistorted_pictures_can_be_interrupted_and_goes_on(scene, capture, module, monkeypatch):
+    """Every film is decoded once for all of its pictures; what an interruption has left is not written again."""
+    undistorted = module("operators.undistorted")
+    opened = module("fastgs_blender.captures").open_capture(capture(lens=True)[0])
+    decode, calls = undistorted.decoding.decode, []
+
+    def counted(shots, scale):
+        calls.append(sorted(shot.frame for shot in shots))
+        return decode(shots, scale)
+
+    save, saved, held = undistorted._save, [], threading.Event()
+
+    def saving(file, pixels):
+        if len(saved) >= 4:
+            held.wait()  # until the interruption
+        saved.append(file)
+        save(file, pixels)
+
+    monkeypatch.setattr(undistorted.decoding, "decode", counted)
+    monkeypatch.setattr(undistorted, "_save", saving)
+    steps = undistorted.steps(opened, opened.shots)
+    while (now := next(steps))[0] < 4:
+        assert now[1] == 3 * FRAMES
+    threading.Timer(0.2, held.set).start()
+    steps.close()
+    assert 4 <= len(saved) < 3 * FRAMES
+    first, calls[:] = set(saved), []
+    assert list(undistorted.steps(opened, opened.shots))[-1] == (3 * FRAMES - len(first),) * 2
+    assert len(saved) == len(set(saved)) == 3 * FRAMES and all(file.exists() for file in saved)
+    assert len(calls) <= 3 and sum(map(len, calls)) == 3 * FRAMES - len(first)
 
 
 def test_what_is_no_capture_leaves_nothing(tmp_path, capture):

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Long work of operators: Esc ends it at once and cleanly, errors are told, and without a window it blocks."""
+from types import SimpleNamespace
+
+import pytest
+
+
+@pytest.fixture
+def stepwise(module):
+    return module("operators.stepwise")
+
+
+@pytest.fixture
+def context():
+    """What an operator uses of a window; `told` collects what happened."""
+    told = []
+    manager = SimpleNamespace(
+        progress_begin=lambda low, high: told.append("begin"), progress_update=told.append, progress_end=lambda: told.append("end"),
+        event_timer_add=lambda seconds, window: "timer", event_timer_remove=lambda timer: told.append(f"no {timer}"),
+        modal_handler_add=lambda operator: told.append("modal"))
+    return SimpleNamespace(window_manager=manager, window=None, workspace=SimpleNamespace(status_text_set=told.append), told=told)
+
+
+@pytest.fixture
+def operator(stepwise):
+    class Operator(stepwise.Stepwise):
+        doing = "Counting"
+        closed, reports = False, ()
+
+        def report(self, kind, text):
+            self.reports += ((*kind, text),)
+
+        def finish(self, context, result):
+            self.result = result
+            return {'FINISHED'}
+
+        def steps(self, error=None):
+            try:
+                yield 1, 2
+                if error:
+                    raise error
+                yield 2, 2
+                return "counted"
+            finally:
+                self.closed = True
+
+    return Operator()
+
+
+def event(kind):
+    return SimpleNamespace(type=kind)
+
+
+def test_a_script_waits(operator, context):
+    assert operator.begin(context, operator.steps()) == {'FINISHED'} and operator.result == "counted"
+    assert context.told == ["begin", 50, 100, "end"]
+
+
+def test_in_a_window_it_goes_on_with_the_timer_once(operator, context, stepwise, monkeypatch):
+    monkeypatch.setattr(stepwise, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    operator._interactive = True
+    assert operator.begin(context, operator.steps()) == {'RUNNING_MODAL'} and not operator._interactive
+    assert operator.modal(context, event('MOUSEMOVE')) == operator.modal(context, event('TIMER')) == {'RUNNING_MODAL'}
+    assert operator.modal(context, event('TIMER')) == {'FINISHED'} and operator.closed
+    assert "Counting: 2 of 2   (Esc interrupts)" in context.told and context.told[-3:] == ["end", None, "no timer"]
+
+
+def test_escape_ends_it(operator, context, stepwise, monkeypatch):
+    monkeypatch.setattr(stepwise, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    operator._interactive = True
+    operator.begin(context, operator.steps())
+    assert operator.modal(context, event('ESC')) == {'CANCELLED'} and operator.closed
+    assert "interrupted" in operator.reports[0][1] and context.told[-3:] == ["end", None, "no timer"]
+
+
+def test_errors_are_told_and_faults_pass(operator, context, fg):
+    assert operator.begin(context, operator.steps(fg.FastGSError("there is no room."))) == {'CANCELLED'} and operator.closed
+    assert operator.reports == (('ERROR', "There is no room."),) and context.told[-1] == "end"
+    with pytest.raises(ZeroDivisionError):
+        operator.begin(context, operator.steps(ZeroDivisionError()))
+    assert context.told[-1] == "end"
