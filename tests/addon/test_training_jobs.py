@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -363,6 +364,26 @@ def test_a_python_without_torch_says_so(module, scene, toy, tmp_path, monkeypatc
 def test_no_environment_is_made_without_leave(scene):
     assert not bpy.app.online_access
     assert not bpy.ops.fastgs.make_training_python.poll()
+
+
+def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch):
+    operators, store = module("operators.training_python"), module("engine.training.store")
+    app = SimpleNamespace(online_access=True, online_access_override=False, background=False)
+    monkeypatch.setattr(operators, "bpy", SimpleNamespace(app=app))
+    said, asked = [], []
+    layout = SimpleNamespace(column=lambda **_: SimpleNamespace(label=lambda text, **_: said.append(text)))
+    dialog = SimpleNamespace(window_manager=SimpleNamespace(invoke_props_dialog=lambda operator, **_: asked.append(operator)))
+    operator, this = operators.FASTGS_OT_make_training_python, SimpleNamespace(layout=layout)
+    assert operators.offline_reason() == ""
+    operator.invoke(this, dialog, None)
+    operator.draw(this, dialog)
+    text = " ".join(said)
+    assert asked == [this] and store.maker is None and not store.made_environment().exists()
+    assert "PyTorch" in text and "3 GB" in text and str(store.made_environment()) in text
+    app.online_access = False
+    assert "Allow Online Access" in operators.offline_reason()
+    app.online_access_override = True
+    assert "--online-mode" in operators.offline_reason()
 
 
 def test_causes(module):
