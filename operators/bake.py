@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,8 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.baking import bake, surface_colours, surface_samples
 from . import baked_light, splat_object
 from .material_colour import MaterialColours
+from .stepwise import BUDGET, Stepwise
 from .surface import Recorder, bakeable, frame_kept, go_to, whole_frames_only
-
-BUDGET = 0.1
-"""Seconds between two looks at the keyboard."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +126,13 @@ def _run(work, in_background, begin, end):
     return state["result"]
 
 
-class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
+class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
     """Turn the selected animated objects into a model of 4D Gaussians, without training, and import it"""
 
     bl_idname = "fastgs.bake"
     bl_label = "Bake to 4D Gaussians"
     bl_options = {'UNDO', 'PRESET'}
+    doing, interrupted = "Baking to 4D Gaussians", "The bake was cancelled; nothing was written"
 
     filename_ext = ".safetensors"
     filter_glob: StringProperty(default="*.safetensors", options={'HIDDEN'})
@@ -220,101 +220,38 @@ class FASTGS_OT_bake(bpy.types.Operator, ExportHelper):
         layout.prop(self, "import_result")
 
     def execute(self, context):
-        interactive = getattr(self, "_interactive", False) and not bpy.app.background
+        self._began = time.monotonic()
+        return self.begin(context, self._bake(context))
+
+    def _bake(self, context):
+        """Yields the share that is done; returns what bake_steps does."""
         self._fill_range(context.scene)
-        try:
-            self._path = self._check()
-        except fg.FastGSError as error:
-            return self._fail(error)
+        self._path = self._check()
         objects = [obj for obj in context.selected_objects if bakeable(obj)]
         settings = Settings(self.frame_start, self.frame_end, self.count, self.tolerance / 100, self.max_order, self.basis.lower(),
                             self.samples_per_frame, self.lighting, self.light_samples, self.light_frames)
-        self._began = time.monotonic()
-        self._steps = bake_steps(context, objects, settings, interactive)
-        context.window_manager.progress_begin(0, 100)
-        if not interactive:
-            try:
-                while not self._advance(context):
-                    pass
-            except fg.FastGSError as error:
-                return self._fail(error)
-            finally:
-                self._close(context)
-            return self._finish(context)
-        self._timer = context.window_manager.event_timer_add(0.01, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {'RUNNING_MODAL'}
+        with closing(bake_steps(context, objects, settings, self.in_window)) as steps:
+            while True:
+                try:
+                    yield next(steps), 1
+                except StopIteration as end:
+                    return end.value
+                except MemoryError:
+                    raise fg.FastGSError(
+                        "there is too little memory for this bake; bake fewer Gaussians, frames or objects at once.") from None
 
-    def modal(self, context, event):
-        if event.type == 'ESC':
-            self._close(context)
-            self.report({'INFO'}, "The bake was cancelled; nothing was written")
-            return {'CANCELLED'}
-        if event.type != 'TIMER':
-            return {'RUNNING_MODAL'}  # nobody edits what is being baked
-        try:
-            until = time.monotonic() + BUDGET
-            done = self._advance(context)
-            while not done and time.monotonic() < until:
-                done = self._advance(context)
-        except fg.FastGSError as error:
-            self._close(context)
-            return self._fail(error)
-        except BaseException:
-            self._close(context)
-            raise
-        if not done:
-            return {'RUNNING_MODAL'}
-        self._close(context)
-        return self._finish(context)
-
-    def cancel(self, context):
-        self._close(context)
-
-    def _advance(self, context) -> bool:
-        try:
-            fraction = next(self._steps)
-        except StopIteration as end:
-            self._result = end.value
-            return True
-        except MemoryError:
-            raise fg.FastGSError("there is too little memory for this bake; bake fewer Gaussians, frames or objects at once.") from None
-        context.window_manager.progress_update(100 * fraction)
-        if context.workspace and not bpy.app.background:
-            context.workspace.status_text_set(f"Baking to 4D Gaussians: {100 * fraction:.0f} %   (Esc cancels)")
-        return False
-
-    def _close(self, context):
-        if getattr(self, "_steps", None) is None:
-            return
-        self._steps.close()
-        self._steps = None
-        context.window_manager.progress_end()
-        if context.workspace and not bpy.app.background:
-            context.workspace.status_text_set(None)
-        if getattr(self, "_timer", None):
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-
-    def _finish(self, context):
-        model, report, notes = self._result
-        try:
-            fg.save(model, self._path)
-            if self.import_result:
-                obj = splat_object.create(context, self._path, relative=True)
-                obj.fastgs.start_frame = self.frame_start
-        except fg.FastGSError as error:
-            return self._fail(error)
+    def finish(self, context, result):
+        model, report, notes = result
+        fg.save(model, self._path)
+        if self.import_result:
+            obj = splat_object.create(context, self._path, relative=True)
+            obj.fastgs.start_frame = self.frame_start
         for note in notes:
             self.report({'WARNING'}, note)
         if report.warning:
             self.report({'WARNING'}, report.warning[0].upper() + report.warning[1:])
         self.report({'INFO'}, f"{report}; {time.monotonic() - self._began:.1f} s, {self._path}")
         return {'FINISHED'}
-
-    def _fail(self, error):
-        self.report({'ERROR'}, str(error)[0].upper() + str(error)[1:])
-        return {'CANCELLED'}
 
     def _fill_range(self, scene):
         for name in ("frame_start", "frame_end"):

@@ -12,16 +12,15 @@ from ..engine.capturing.options import CaptureOptions
 from ..engine.training import places
 from ..fastgs_blender.errors import FastGSError
 from .splat_object import sentence
-
-REPORT_EVERY = 5.0
-"""Seconds between two lines of progress without a window."""
+from .stepwise import Stepwise
 
 
-class FASTGS_OT_capture_scene(CaptureOptions, bpy.types.Operator):
+class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
     """Film the open scene with its own render engine from many cameras, as a capture to train on; what is filmed already is kept"""
 
     bl_idname = "fastgs.capture_scene"
     bl_label = "Capture This Scene"
+    doing = "Capturing"
 
     out: StringProperty(
         name="Folder", description="Where the capture goes; empty for a folder beside the .blend", subtype='DIR_PATH')
@@ -45,48 +44,16 @@ class FASTGS_OT_capture_scene(CaptureOptions, bpy.types.Operator):
         for name in ("frame_start", "frame_end"):
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(scene, name))
-        try:
-            self._out = bpy.path.abspath(self.out) if self.out else places.fresh("capture")
-            self._steps = film_steps(scene, self._plan(context), self._out)
-        except FastGSError as error:
-            return self._fail(error)
-        self._began = self._told = time.monotonic()
-        context.window_manager.progress_begin(0, 100)
-        if bpy.app.background or not getattr(self, "_interactive", False):
-            try:
-                while not self._advance(context):
-                    pass
-            except FastGSError as error:
-                return self._fail(error)
-            finally:
-                self._close(context)
-            return self._finish(context)
-        self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {'RUNNING_MODAL'}
+        self._began = time.monotonic()
+        return self.begin(context, self._film(context))
 
-    def modal(self, context, event):
-        if event.type == 'ESC':
-            self._close(context)
-            self.report({'INFO'}, f"The capture was interrupted; capturing into {self._out} again goes on")
-            return {'CANCELLED'}
-        if event.type != 'TIMER':
-            return {'RUNNING_MODAL'}  # nobody edits what is being filmed
+    def _film(self, context):
+        """Yields the progress in pictures, and returns what is to be noted about them."""
+        self._out = bpy.path.abspath(self.out) if self.out else places.fresh("capture")
         try:
-            done = self._advance(context)
-        except FastGSError as error:
-            self._close(context)
-            return self._fail(error)
-        except BaseException:
-            self._close(context)
-            raise
-        if not done:
-            return {'RUNNING_MODAL'}
-        self._close(context)
-        return self._finish(context)
-
-    def cancel(self, context):
-        self._close(context)
+            return (yield from film_steps(context.scene, self._plan(context), self._out))
+        except RuntimeError as error:  # Blender's own words about a render that failed
+            raise FastGSError(f"a picture could not be rendered ({str(error).strip()}); render the scene by itself to see why.") from error
 
     def _plan(self, context) -> Plan:
         scene = context.scene
@@ -106,51 +73,18 @@ class FASTGS_OT_capture_scene(CaptureOptions, bpy.types.Operator):
             names, self.count, 'arc' if self.cameras == 'ARC' else 'dome', float(self.angle) * 57.29577951308232, self.distance, selected,
             self.hold_out, self.world)
 
-    def _advance(self, context) -> bool:
-        try:
-            done, whole = next(self._steps)
-        except StopIteration as end:
-            self._notes = end.value
-            return True
-        except RuntimeError as error:  # Blender's own words about a render that failed
-            raise FastGSError(f"a picture could not be rendered ({str(error).strip()}); render the scene by itself to see why.") from error
-        context.window_manager.progress_update(100 * done / max(whole, 1))
-        text = f"Capturing: picture {done} of {whole}"
-        if not bpy.app.background and context.workspace:
-            context.workspace.status_text_set(f"{text}   (Esc interrupts)")
-        elif time.monotonic() - self._told > REPORT_EVERY:
-            self._told = time.monotonic()
-            print(f"FAST-GS: {text}", flush=True)
-        return False
-
-    def _close(self, context):
-        if getattr(self, "_steps", None) is None:
-            return
-        self._steps.close()
-        self._steps = None
-        context.window_manager.progress_end()
-        if context.workspace and not bpy.app.background:
-            context.workspace.status_text_set(None)
-        if getattr(self, "_timer", None):
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-
-    def _finish(self, context):
-        for note in self._notes:
+    def finish(self, context, notes):
+        for note in notes:
             self.report({'WARNING'}, sentence(note))
         context.scene.fastgs.training.capture = self._out
         self.report({'INFO'}, f"The capture is in {self._out}; it took {time.monotonic() - self._began:.0f} s")
         if self.train:
             try:
-                bpy.ops.fastgs.train('INVOKE_DEFAULT' if getattr(self, "_interactive", False) else 'EXEC_DEFAULT',
+                bpy.ops.fastgs.train('INVOKE_DEFAULT' if self.in_window else 'EXEC_DEFAULT',
                                      source='FOLDER', capture=self._out, start_frame=self.frame_start)
             except RuntimeError as error:  # the capture is there all the same
                 self.report({'ERROR'}, str(error).strip().removeprefix("Error: "))
         return {'FINISHED'}
-
-    def _fail(self, error):
-        self.report({'ERROR'}, sentence(error))
-        return {'CANCELLED'}
 
 
 CLASSES = (FASTGS_OT_capture_scene,)

@@ -2,19 +2,31 @@
 """Long work of an operator in steps: with a window Blender shows its progress and Esc ends it, without one it runs to its end."""
 from __future__ import annotations
 
+import math
+import time
+
 import bpy
 
 from ..fastgs_blender.errors import FastGSError
 from .splat_object import sentence
 
+BUDGET = 0.1
+"""Seconds of work between two looks at the keyboard."""
+REPORT_EVERY = 5.0
+"""Seconds between two lines of progress without a window."""
+
 
 class Stepwise:
-    """For operators: the work is a generator of (done, whole), and what it returns goes to finish().
+    """For operators: the work is a generator of (done, whole), a share where whole is 1; what it returns goes to finish().
 
     invoke() of the class must set `_interactive`; a call from a script, or a repetition with other values, blocks.
     """
 
     doing = "Working"
+    interrupted = "{} was interrupted; what is done is kept, and the next time goes on from there"
+    _interactive = False
+    in_window = False
+    """Whether Blender goes on beside this work; known from the first step on."""
 
     def finish(self, context, result) -> set:
         """What is left when all steps are done; returns what execute() is to return."""
@@ -22,36 +34,37 @@ class Stepwise:
 
     def begin(self, context, steps) -> set:
         """Do the steps, or let them be done; returns what execute() is to return."""
-        self._steps, self._timer = steps, None
-        interactive, self._interactive = getattr(self, "_interactive", False) and not bpy.app.background, False
+        self._steps, self._timer, self._told = steps, None, time.monotonic()
+        self.in_window, self._interactive = self._interactive and not bpy.app.background, False
         context.window_manager.progress_begin(0, 100)
-        try:
-            done = self._advance(context)
-            while not done and not interactive:
-                done = self._advance(context)
-        except FastGSError as error:
-            self._close(context)
-            return self._fail(error)
-        except BaseException:
-            self._close(context)
-            raise
-        if done:
-            self._close(context)
-            return self.finish(context, self._result)
-        self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {'RUNNING_MODAL'}
+        outcome = self._go_on(context, 0.0 if self.in_window else math.inf)  # what is wrong from the start is told at once
+        if outcome is None:
+            self._timer = context.window_manager.event_timer_add(0.01, window=context.window)
+            context.window_manager.modal_handler_add(self)
+        return outcome or {'RUNNING_MODAL'}
 
     def modal(self, context, event):
         if event.type == 'ESC':
             self._close(context)
-            self.report({'INFO'}, f"{self.doing} was interrupted; what is done is kept, and the next time goes on from there")
+            self.report({'INFO'}, self.interrupted.format(self.doing))
             return {'CANCELLED'}
         if event.type != 'TIMER':
-            return {'RUNNING_MODAL'}
+            return {'RUNNING_MODAL'}  # nobody edits what is being worked on
+        return self._go_on(context, BUDGET) or {'RUNNING_MODAL'}
+
+    def cancel(self, context):
+        self._close(context)
+
+    def _go_on(self, context, seconds: float) -> set | None:
+        """One step, and more for so long; None where work is left."""
+        until = time.monotonic() + seconds
         try:
-            if not self._advance(context):
-                return {'RUNNING_MODAL'}
+            while True:
+                self._show(context, *next(self._steps))
+                if time.monotonic() >= until:
+                    return None
+        except StopIteration as end:
+            result = end.value
         except FastGSError as error:
             self._close(context)
             return self._fail(error)
@@ -59,21 +72,19 @@ class Stepwise:
             self._close(context)
             raise
         self._close(context)
-        return self.finish(context, self._result)
-
-    def cancel(self, context):
-        self._close(context)
-
-    def _advance(self, context) -> bool:
         try:
-            done, whole = next(self._steps)
-        except StopIteration as end:
-            self._result = end.value
-            return True
+            return self.finish(context, result)
+        except FastGSError as error:
+            return self._fail(error)
+
+    def _show(self, context, done, whole):
         context.window_manager.progress_update(100 * done / max(whole, 1))
+        text = f"{self.doing}: {done} of {whole}" if whole != 1 else f"{self.doing}: {done:.0%}"
         if not bpy.app.background and context.workspace:
-            context.workspace.status_text_set(f"{self.doing}: {done} of {whole}   (Esc interrupts)")
-        return False
+            context.workspace.status_text_set(f"{text}   (Esc interrupts)")
+        if not self.in_window and time.monotonic() - self._told > REPORT_EVERY:
+            self._told = time.monotonic()
+            print(f"FAST-GS: {text}", flush=True)
 
     def _close(self, context):
         if getattr(self, "_steps", None) is None:

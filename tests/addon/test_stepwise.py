@@ -6,8 +6,10 @@ import pytest
 
 
 @pytest.fixture
-def stepwise(module):
-    return module("operators.stepwise")
+def stepwise(module, monkeypatch):
+    stepwise = module("operators.stepwise")
+    monkeypatch.setattr(stepwise, "BUDGET", 0.0)  # a step at a time
+    return stepwise
 
 
 @pytest.fixture
@@ -79,3 +81,18 @@ def test_errors_are_told_and_faults_pass(operator, context, fg):
     with pytest.raises(ZeroDivisionError):
         operator.begin(context, operator.steps(ZeroDivisionError()))
     assert context.told[-1] == "end"
+
+
+def test_an_error_at_the_end_is_told(operator, context, fg):
+    def finish(context, result):
+        raise fg.FastGSError("the disk is full.")
+
+    operator.finish = finish
+    assert operator.begin(context, operator.steps()) == {'CANCELLED'} and operator.reports == (('ERROR', "The disk is full."),)
+
+
+def test_without_a_window_the_terminal_shows_it(operator, context, stepwise, monkeypatch, capsys):
+    monkeypatch.setattr(stepwise, "REPORT_EVERY", -1.0)
+    operator.begin(context, operator.steps())
+    operator.begin(context, (step for step in [(0.25, 1)]))
+    assert capsys.readouterr().out.splitlines() == [f"FAST-GS: Counting: {text}" for text in ("1 of 2", "2 of 2", "25%")]
