@@ -43,7 +43,7 @@ def draw(context, depsgraph) -> None:
     looked_through = (space.camera if space.use_local_camera else scene.camera) if region.view_perspective == 'CAMERA' else None
     playing = context.screen is not None and context.screen.is_animation_playing
     for obj in depsgraph.objects:
-        if obj.type == 'CAMERA' and obj.original != looked_through and obj.original.visible_in_viewport_get(space):
+        if obj.type == 'CAMERA' and obj.original != looked_through and obj.visible_in_viewport_get(space):
             texture = _texture(obj.original.data, scene.frame_current, playing)
             if texture is not None:
                 place = np.array(obj.matrix_world.normalized())  # a frustum's size is its display size
