@@ -124,6 +124,9 @@ class Picture:
         frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
         """
         look = working, background, border, opacity, frame, outside
+        if not self.groups:  # the background alone
+            self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *look, size=(1, 1))
+            return
         if len(self.groups) == 1:
             self._resolve(self.groups[0], self._targets[0][0], *look)
             return
@@ -144,7 +147,7 @@ class Picture:
         return {space: textures for space, (textures, _) in sums.items()}
 
     def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
-                 first=True, own=False, summed=False, raw=False):
+                 first=True, own=False, summed=False, raw=False, size=None):
         values = np.zeros((1, 37, 4), np.float32)
         row = values[0]
         appearance = group.part and group.part.model.appearance
@@ -153,7 +156,7 @@ class Picture:
         row[1] = (0, 0, 0, 0) if background is None else (*background, 1)
         row[2] = border
         row[3] = first, opacity, 0, 0
-        row[4] = self.camera.width, self.camera.height, self.camera.orthographic, outside
+        row[4] = *(size or self.size), self.camera.orthographic, outside
         row[5] = self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
         if appearance:
             row[6:9] = group.part.camera_to_model[:3]

@@ -193,3 +193,5 @@ def test_broken_numbers_are_not_drawn(module, fg, moving, camera, drawn):
 def test_nothing_to_draw(fg, moving, camera, drawn):
     assert not drawn([], camera()).any()
     assert not drawn([(moving(fg.RGB(), n=0), np.eye(4), 0.0)], camera()).any()
+    left = drawn([], camera(), background=(0.25, 0.5, 1.0), border=(0.0, 0.0, 0.5, 1.0))
+    assert np.allclose(left[:, :SIZE[0] // 2], (0.25, 0.5, 1.0, 1.0)) and not left[:, SIZE[0] // 2:].any()
