@@ -50,7 +50,9 @@ TABLES = {
     "kind of motion (lambda 0.01)": {
         "Fourier, period 1, L = 5 (the paper's)": {**PAPER, "motion_weight": 0.01},
         "Fourier + linear, L = 5": dict(motion="fourier+linear", order=5, motion_weight=0.01),
-        "cosines, 10": {**COSINES, "motion_weight": 0.01}},
+        "cosines, 10": {**COSINES, "motion_weight": 0.01},
+        "keyframes, 11": dict(motion="keyframes", order=11, motion_weight=0.01),
+        "polynomial, cubic": dict(motion="polynomial", order=3, motion_weight=0.01)},
     "density control (cosines, 10)": {
         "clone, split, prune": COSINES,
         "the same with resets of opacity": {**COSINES, "reset_every": 600},

@@ -20,7 +20,7 @@ FLAGS = {
     "iterations": (int, "N", "steps (default: by the preset)"),
     "batch": (int, "N", "views per step and process"),
     "max_gaussians": (int, "N", "never more Gaussians than this (default: by the preset)"),
-    "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.1)"),
+    "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.01)"),
     "density": (str, "KIND", "density control: default or mcmc"),
     "start": (str, "KIND", "where points to start from come from: auto, triangulate, file, model or random (default: auto)"),
     "masks": (str, "USE", "what masks are for: auto, cut, weight, only or off (default: auto)"),

@@ -110,7 +110,7 @@ class Settings:
     antialiased: bool = False
 
     dssim: float = 0.2
-    motion_weight: float = 0.1
+    motion_weight: float = 0.01
     regulariser: str = "mean"
     opaque_weight: float = 0.01
     masks: str = "auto"
