@@ -37,7 +37,7 @@ PER_LN2 = 1.0 / math.log(2.0)
 
 @inline
 def _clear(n, gradients):
-    """Zeros for a Gaussian that was not drawn."""
+    """Zeros for a Gaussian that was not drawn, or not seen."""
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = gradients
     zero = float32(0.0)
     for i in range(3):
@@ -55,6 +55,20 @@ def _clear(n, gradients):
     for i in range(temporal.shape[1]):
         temporal[n, i] = zero
     opacity[n], mu_tau[n] = zero, zero
+
+
+@inline
+def _moves_nothing(row, g_geometry, g_log2, g_channels):
+    """Whether a splat's gradient is zero: it was drawn, behind others that let nothing through."""
+    if g_log2[row] != 0.0:
+        return False
+    for i in range(g_geometry.shape[1]):
+        if g_geometry[row, i] != 0.0:
+            return False
+    for i in range(g_channels.shape[1]):
+        if g_channels[row, i] != 0.0:
+            return False
+    return True
 
 
 @inline
@@ -159,6 +173,10 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     for n in range(first, last):
         if row == end or source[row] != n:
             _clear(n, gradients)
+            continue
+        if _moves_nothing(row, g_geometry, g_log2, g_channels):
+            _clear(n, gradients)
+            row += 1
             continue
         delta = t - np.float64(mu_tau[n])
         px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)

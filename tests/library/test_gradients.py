@@ -234,6 +234,22 @@ def test_nothing_to_learn_from(rng, appearance):
         assert not any(array.any() for array in (*got.values(), *statistics.state().values()))
 
 
+def test_what_is_behind_a_wall_does_not_move(rng):
+    """It is drawn, so its gradients are written: zeros, whatever stood in that memory."""
+    camera = small_camera(rng)
+    functional = Functional(rng, camera, depth=True)
+    model = small_model(rng, "cubic", "line", "radial", "sigmoid", n=20)
+    wall = slice(10, 20)
+    places = np.linalg.inv(camera.world_to_camera) @ np.stack([*np.zeros((2, 10)), np.linspace(0.6, 0.8, 10), np.ones(10)])
+    model.position[wall], model.scale[wall], model.opacity[wall], model.mu_tau[wall] = places[:3].T, np.log(1.5), 9.0, T
+    model.motion[wall] *= 0.01
+    got, alone = gradients_of(model, functional), gradients_of(model.take(np.s_[wall]), functional)
+    for name in alone:
+        np.testing.assert_array_equal(got[name] if name in ("w1", "w2") else got[name][wall], alone[name])
+        if name not in ("w1", "w2"):
+            assert alone[name].any() and not got[name][:10].any(), name
+
+
 def test_gaussians_that_are_no_numbers_harm_no_others(rng):
     model, functional = small_model(rng, "cubic", "line", "radial", "sigmoid", n=16), Functional(rng, small_camera(rng), depth=True)
     broken = tuple(model.arrays)
