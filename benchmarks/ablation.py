@@ -29,7 +29,7 @@ RESULTS = ROOT / "benchmarks" / "results" / "ablation.json"
 CLOSE = 0.3
 """dB in the subject's pixels."""
 SEEDS = (0, 1, 2)
-COMMON = dict(iterations=3000, max_gaussians=10_000, points=6000, densify_every=100, motion_weight=0.1, preview_every=0)
+COMMON = dict(iterations=3000, max_gaussians=10_000, points=6000, densify_every=100, motion_weight=0.1, backdrop_hold=0.0, preview_every=0)
 CAPTURES = {"robot": dict(scale=0.5, frames=slice(0, None, 2)), "procedural": dict(scale=0.75, frames=None)}
 """How much of a capture is used; by the folder's name, others as robot."""
 PAPER = dict(motion="paper", order=5)
@@ -179,7 +179,7 @@ def one(capture: str, settings: dict) -> dict:
     store = filmed.frames()
     with np.load(points_file(Path(capture), settings)) as arrays:
         points = Points(**arrays)
-    trainer = Trainer(filmed, store, made, model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent))
+    trainer = Trainer(filmed, store, made, model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent), sizes=points.size)
     began = time.process_time()
     losses = [trainer.step()["loss"] for _ in range(made.iterations)]
     seconds = time.process_time() - began

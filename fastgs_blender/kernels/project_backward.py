@@ -60,15 +60,12 @@ def _clear(n, gradients):
 @inline
 def _moves_nothing(row, g_geometry, g_log2, g_channels):
     """Whether a splat's gradient is zero: it was drawn, behind others that let nothing through."""
-    if g_log2[row] != 0.0:
-        return False
+    moved = g_log2[row] != 0.0
     for i in range(g_geometry.shape[1]):
-        if g_geometry[row, i] != 0.0:
-            return False
+        moved = moved or g_geometry[row, i] != 0.0
     for i in range(g_channels.shape[1]):
-        if g_channels[row, i] != 0.0:
-            return False
-    return True
+        moved = moved or g_channels[row, i] != 0.0
+    return not moved
 
 
 @inline

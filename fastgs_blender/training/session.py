@@ -187,7 +187,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
     arrays = {} if points is None else {name: np.asarray(array) for name, array in vars(points).items() if array is not None}
     points = Points(**group.share_arrays(arrays))
     model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
-    return kind(capture, store, settings, model, group, decoder)
+    return kind(capture, store, settings, model, group, decoder, points.size)
 
 
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:

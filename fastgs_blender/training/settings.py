@@ -66,6 +66,7 @@ class Settings:
       start_model     a model, as a bake makes one, whose Gaussians are starting points
       points          most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
+      backdrop_hold   pixels whose wish it takes to move a colour of theirs by 0.1 (hold.py)
       start_opacity   their opacity
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side
@@ -134,6 +135,7 @@ class Settings:
     free_centre: bool = False
 
     backdrop: float = 0.3
+    backdrop_hold: float = 100.0
     start: str = "auto"
     start_model: str = ""
     points: int = 20_000
@@ -191,6 +193,7 @@ class Settings:
 LIMITS = (
     ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
     ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
+    ("backdrop_hold", 0, 1e6),
     ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),

@@ -16,6 +16,7 @@ from . import schedule
 from .density import STRATEGIES
 from .differentiable import Statistics, render
 from .distributed import Group
+from .hold import HELD, held_features, pull
 from .losses import MotionPenalty, photometric
 from .model import empty_model
 from .optimiser import Optimiser
@@ -30,12 +31,13 @@ class Trainer:
     capture, store  the pictures (captures.base.Capture, FrameStore)
     settings        Settings
     model           where to begin: a GaussianModel (model.model_from_points), or None before restore()
+    sizes           of the points that it was made from (captures.base.Points.size)
     group           the processes that share the views
     decoder         a model whose decoder is used as it is; None: the decoder is trained
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
-                 decoder: GaussianModel | None = None):
+                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None):
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
         self.iteration = 0
@@ -45,6 +47,7 @@ class Trainer:
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
         self.views = schedule.Views(self.shots, settings.seed)
+        self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
         self.penalty = MotionPenalty(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
@@ -52,6 +55,7 @@ class Trainer:
             arrays = dict(model.arrays)
             if isinstance(model.appearance, Features):
                 arrays |= {name: getattr((decoder or model).appearance, name) for name in DECODER}
+            arrays[HELD] = held_features(model.features, sizes)
             self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()})
             self.statistics = Statistics(len(model))
 
@@ -65,7 +69,7 @@ class Trainer:
         count = s.batch * group.size
         chosen = self.views.at(i, count)
         reduction = schedule.reduction(s, i)
-        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in arrays.items()}
+        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in arrays.items() if name != HELD}
         statistics = self.statistics if group.size == 1 else Statistics(n)
         seen = np.zeros(n, np.float32)
         sums = np.zeros(4)
@@ -113,13 +117,14 @@ class Trainer:
             times = np.zeros(len(self), np.float32)
             times[rows] = self.optimiser.waited(rows)
             value = s.motion_weight * self.penalty.add(motion, gradients["motion"], s.motion_weight, times)
+        pull(self.optimiser.arrays, gradients, rows, s.backdrop_hold, self.pixels // schedule.reduction(s, self.iteration) ** 2)
         for name, gradient in self.strategy.penalty(self.optimiser.arrays).items():
             gradients[name] += gradient
         return value
 
     def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
         """The model as it is now; its arrays are those that are being trained."""
-        arrays = dict(self.optimiser.arrays)
+        arrays = {name: array for name, array in self.optimiser.arrays.items() if name != HELD}
         decoder = {name: arrays.pop(name) for name in DECODER if name in arrays}
         look = replace(self.template.appearance, **decoder) if decoder else self.template.appearance
         return replace(self.template, appearance=look, provenance=provenance or {}, **arrays)

@@ -37,7 +37,7 @@ def steps(who, count):
 
 
 def same(a, b):
-    return all(np.array_equal(x, b.optimiser.arrays[name]) for name, x in a.optimiser.arrays.items())
+    return all(np.array_equal(x, b.optimiser.arrays[name], equal_nan=True) for name, x in a.optimiser.arrays.items())
 
 
 @pytest.mark.parametrize("choices", [

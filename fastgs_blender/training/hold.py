@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gaussians of which pictures show next to nothing keep the colours that they began with.
+
+Adam's steps are as long for a Gaussian of which one picture shows a fringe as for one in the middle of all of them.  Those of the
+backdrop at the edge of what was filmed would take on any colour that helps the fringe, and a camera that stands elsewhere would see
+blotches.  A pull towards the first colours, as strong as a few pixels, decides where there are no more pixels than that.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+HELD = "held"
+"""Name of the optimiser's array [N, F] of the features to keep, NaN in rows that are free.  It is not trained; density control copies
+it with its row."""
+OFF = 0.1
+"""Difference in a feature at which the pull is as strong as the given number of pixels."""
+
+
+def held_features(features: np.ndarray, sizes: np.ndarray | None) -> np.ndarray:
+    """The array for a model that begins with these features [N, F]; points that know their size [N] (backdrop.py) are held."""
+    held = np.zeros(len(features), bool) if sizes is None else np.isfinite(sizes)
+    return np.where(held[:, None], features, np.nan).astype(np.float32)
+
+
+def pull(arrays, gradients, rows: np.ndarray, votes: float, pixels: int) -> None:
+    """Add to the gradient of the features of the rows that are held.
+
+    votes   how many pixels of a picture a difference of OFF is worth
+    pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels
+    """
+    if HELD not in arrays or not votes:
+        return
+    rows = rows[np.isfinite(arrays[HELD][rows, 0])]
+    gradients["features"][rows] += np.float32(votes / (3 * OFF * pixels)) * (arrays["features"][rows] - arrays[HELD][rows])
