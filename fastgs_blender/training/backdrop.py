@@ -17,7 +17,8 @@ SIDE = 128
 """Pixels of the pictures that are looked at, along the longer side."""
 EMPTY = 5
 """Pixels around a pixel in which no point lies, for it to show the backdrop."""
-MOST_SHOTS = 40
+MOST_SHOTS, MOMENTS = 40, 5
+"""Poses whose pictures are looked at; and pictures of each, whose median has nothing in it that passes by."""
 BEYOND = 25.0
 """Degrees about what is seen to which the backdrop goes on, for cameras that look there later."""
 
@@ -39,10 +40,11 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
     radius = DISTANCE * float(np.median(np.linalg.norm(capture.centres() - centre, axis=1)))
     radius = max(radius, capture.extent, float(np.percentile(np.linalg.norm(points.xyz - centre, axis=1), 98)) if len(points) else 0.0)
     clouds = []
-    for shot in spread(_different(capture.training), MOST_SHOTS):
-        image, camera, inside = picture(capture, store, settings, shot, SIDE)
-        if inside is not None:
+    for shots in spread(_of_each_pose(capture.training), MOST_SHOTS):
+        pictures = [picture(capture, store, settings, shot, SIDE) for shot in spread(shots, MOMENTS)]
+        if any(inside is not None for _, _, inside in pictures):
             continue
+        image, camera = np.median([image for image, _, _ in pictures], axis=0), pictures[0][1]
         h, w = image.shape[:2]
         free = np.ones((h, w), bool)
         seen = visible(camera, points.xyz)
@@ -66,9 +68,12 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
                   np.concatenate([np.full(len(points), np.nan), np.full(len(xyz), apart)]).astype(np.float32))
 
 
-def _different(shots):
-    """One shot of each camera pose."""
-    return list({shot.camera.world_to_camera.tobytes(): shot for shot in shots}.values())
+def _of_each_pose(shots):
+    """The shots of each camera pose, a list of lists."""
+    poses = {}
+    for shot in shots:
+        poses.setdefault((shot.camera.world_to_camera.tobytes(), shot.camera.width, shot.camera.height), []).append(shot)
+    return list(poses.values())
 
 
 def _eroded(mask, reach):
