@@ -16,10 +16,9 @@ OFF = 0.1
 """Difference in a feature at which the pull is as strong as the given number of pixels."""
 
 
-def held_features(features: np.ndarray, sizes: np.ndarray | None) -> np.ndarray:
+def held_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The array for a model that begins with these features [N, F]; points that know their size [N] (backdrop.py) are held."""
-    held = np.zeros(len(features), bool) if sizes is None else np.isfinite(sizes)
-    return np.where(held[:, None], features, np.nan).astype(np.float32)
+    return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
 
 
 def pull(arrays, gradients, rows: np.ndarray, votes: float, pixels: int) -> None:

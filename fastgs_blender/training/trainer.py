@@ -55,7 +55,8 @@ class Trainer:
             arrays = dict(model.arrays)
             if isinstance(model.appearance, Features):
                 arrays |= {name: getattr((decoder or model).appearance, name) for name in DECODER}
-            arrays[HELD] = held_features(model.features, sizes)
+            if sizes is not None:
+                arrays[HELD] = held_features(model.features, sizes)
             self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()})
             self.statistics = Statistics(len(model))
 
