@@ -28,7 +28,7 @@ def main():
     capture, run = work / "capture", work / "run"
     steps = [[ROOT / "benchmarks" / "make_capture.py", "--scene", "procedural", "--out", capture],
              ["-m", "fastgs_blender", "train", capture, "--out", run, "--max-gaussians", GAUSSIANS, "--set", f"points={POINTS}",
-              "--resume"]]
+              "--motion", "fourier+linear", "--resume"]]  # things spin and fly
     for step in steps:
         subprocess.run([sys.executable, *map(str, step)], check=True, cwd=ROOT)
     made = run / "model.safetensors"
