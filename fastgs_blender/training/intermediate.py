@@ -11,6 +11,7 @@ from .. import formats
 from ..errors import FastGSError
 from ..model import Clip, GaussianModel
 from . import checkpoint
+from .hold import HELD
 from .model import empty_model
 from .session import SEGMENTS
 from .settings import from_dict
@@ -41,6 +42,7 @@ def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
         raise FastGSError("this checkpoint was written by an earlier version; it can be gone on with, but not looked at.")
     empty = empty_model(from_dict(about["settings"]), Clip(*about["clip"]), about["axes"])
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
+    values.pop(HELD, None)
     decoder = {name: values.pop(name) for name in DECODER if name in values}
     look = replace(empty.appearance, **decoder) if decoder else empty.appearance
     model = replace(empty, appearance=look, **values)
