@@ -12,6 +12,7 @@ import numpy as np
 
 from ..appearance import Features
 from ..slicing import sigmoid, unit_quaternions
+from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 
 
@@ -259,4 +260,4 @@ def _logit(p):
 
 
 def _per_gaussian(name):
-    return name not in ("w1", "w2")
+    return name not in SHARED

@@ -2,7 +2,7 @@
 """Pictures that torch can differentiate: the kernels that render, and their backward passes, as autograd functions."""
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,9 +13,8 @@ from ..kernels import cpu
 from ..kernels.jit import announce
 from ..model import GaussianModel
 from ..scene import Layout, Part
+from .model import DECODER, with_arrays
 from .statistics import Statistics
-
-DECODER = ("w1", "w2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +93,6 @@ class Decode(torch.autograd.Function):
         return None, *(torch.from_numpy(g) for g in gradients)
 
 
-def with_parameters(template: GaussianModel, parameters: dict[str, torch.Tensor]) -> GaussianModel:
-    """The template with these float32 arrays instead of its own; they are not copied."""
-    arrays = {name: tensor.detach().numpy() for name, tensor in parameters.items()}
-    decoder = {name: arrays.pop(name) for name in DECODER if name in arrays}
-    return replace(template, appearance=replace(template.appearance, **decoder), **arrays)
-
-
 def render(parameters: dict[str, torch.Tensor], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
            statistics: Statistics | None = None, detach_time: bool = False, band: float = 0.0) -> Rendered:
     """What rendering.render() gives for the same model, pixel for pixel, and differentiable.
@@ -113,7 +105,7 @@ def render(parameters: dict[str, torch.Tensor], template: GaussianModel, camera:
     band         alpha fades in over this width above the cut: for checks of the gradients
     """
     announce()
-    model = with_parameters(template, parameters)
+    model = with_arrays(template, {name: tensor.detach().numpy() for name, tensor in parameters.items()})
     part = Part(model, np.eye(4), float(t), camera.world_to_camera)
     view = View(part, camera, Layout([part], depth), statistics, detach_time, float(band))
     channels, alpha, deep = Splat.apply(view, *(parameters[name] for name in model.arrays))

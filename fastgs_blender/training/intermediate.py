@@ -2,7 +2,6 @@
 """The model of a run that is still going on, from its last checkpoint; without torch."""
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +10,12 @@ from .. import formats
 from ..errors import FastGSError
 from ..model import Clip, GaussianModel
 from . import checkpoint
-from .hold import HELD
-from .model import empty_model
+from .model import empty_model, lasting, with_arrays
 from .session import SEGMENTS
 from .settings import from_dict
 
 NAME = "so-far.safetensors"
 VALUE = "optimiser.value."
-DECODER = ("w1", "w2")
 
 
 def write_model(out) -> Path:
@@ -42,9 +39,4 @@ def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
         raise FastGSError("this checkpoint was written by an earlier version; it can be gone on with, but not looked at.")
     empty = empty_model(from_dict(about["settings"]), Clip(*about["clip"]), about["axes"])
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
-    values.pop(HELD, None)
-    decoder = {name: values.pop(name) for name in DECODER if name in values}
-    look = replace(empty.appearance, **decoder) if decoder else empty.appearance
-    model = replace(empty, appearance=look, **values)
-    peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
-    return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))
+    return lasting(with_arrays(empty, values))

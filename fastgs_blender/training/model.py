@@ -12,12 +12,14 @@ from ..errors import FastGSError
 from ..model import Clip, GaussianModel, Raster
 from ..motion import Basis, Cosine, Fourier, Keyframes, Polynomial, Static
 from ..temporal import Always, Radial
+from .hold import HELD
 from .neighbours import neighbour_distance
 
 ORDERS = {"cosine": 10, "fourier": 5, "fourier+linear": 5, "paper": 5, "polynomial": 3, "keyframes": 11}
 """The usual order of each motion; about the same number of coefficients, but for STG's cubic."""
 MARGIN = 0.1
 """What the Fourier series' period has to spare on either side of the clip, so that motion need not return (Gaussian-Flow)."""
+DECODER = ("w1", "w2")
 PLACE = slice(6, 9)
 """The decoder's inputs that say where the camera is."""
 
@@ -98,6 +100,19 @@ def model_from_points(points, settings, clip: Clip, axes: str, extent: float) ->
     if isinstance(empty.temporal_kind, Radial):
         arrays["temporal"][:, 0] = -2 * np.log(np.where(timed, settings.start_life, settings.static_life))
     return replace(empty, **arrays)
+
+
+def with_arrays(template: GaussianModel, arrays: dict[str, np.ndarray], provenance: dict[str, str] | None = None) -> GaussianModel:
+    """The template with what an optimiser trains instead of its own arrays: float32, not copied; the decoder's matrices among them."""
+    fields = {name: array for name, array in arrays.items() if name != HELD}
+    decoder = {name: fields.pop(name) for name in DECODER if name in fields}
+    return replace(template, appearance=replace(template.appearance, **decoder), provenance=provenance or {}, **fields)
+
+
+def lasting(model: GaussianModel) -> GaussianModel:
+    """The model without the Gaussians that can never be seen."""
+    peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
+    return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))
 
 
 def first_colours(rgb, appearance):

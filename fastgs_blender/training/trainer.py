@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -18,11 +17,9 @@ from .differentiable import Statistics, render
 from .distributed import Group
 from .hold import HELD, held_features, pull
 from .losses import MotionPenalty, photometric
-from .model import empty_model
+from .model import DECODER, empty_model, lasting, with_arrays
 from .optimiser import Optimiser
 from .targets import cover_of, target, use_of_mask
-
-DECODER = ("w1", "w2")
 
 
 class Trainer:
@@ -125,16 +122,11 @@ class Trainer:
 
     def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
         """The model as it is now; its arrays are those that are being trained."""
-        arrays = {name: array for name, array in self.optimiser.arrays.items() if name != HELD}
-        decoder = {name: arrays.pop(name) for name in DECODER if name in arrays}
-        look = replace(self.template.appearance, **decoder) if decoder else self.template.appearance
-        return replace(self.template, appearance=look, provenance=provenance or {}, **arrays)
+        return with_arrays(self.template, self.optimiser.arrays, provenance)
 
     def final_model(self, provenance: dict[str, str]) -> GaussianModel:
         """The model without the Gaussians that can never be seen."""
-        model = self.model(provenance)
-        peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
-        return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))
+        return lasting(self.model(provenance))
 
     def measure(self, shots):
         """measure() of the model as it is now."""
