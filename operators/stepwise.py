@@ -81,7 +81,7 @@ class Stepwise:
         context.window_manager.progress_update(100 * done / max(whole, 1))
         text = f"{self.doing}: {done} of {whole}" if whole != 1 else f"{self.doing}: {done:.0%}"
         if not bpy.app.background and context.workspace:
-            context.workspace.status_text_set(f"{text}   (Esc interrupts)")
+            context.workspace.status_text_set(f"{text}   (Esc interrupts)" if self.in_window else text)
         if not self.in_window and time.monotonic() - self._told > REPORT_EVERY:
             self._told = time.monotonic()
             print(f"FAST-GS: {text}", flush=True)

@@ -193,8 +193,7 @@ class Settings:
 LIMITS = (
     ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
     ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
-    ("backdrop_hold", 0, 1e6),
-    ("max_gaussians", 1, 10**8),
+    ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
