@@ -59,7 +59,7 @@ def test_what_pictures_show_takes_their_colours():
     grid = np.stack(np.meshgrid(np.linspace(-6, 6, 9), np.linspace(-5, 5, 7)), -1).reshape(-1, 2)
     xyz = np.concatenate([grid, np.full((len(grid), 1), 3.0)], 1).astype(np.float32)
     points = Points(xyz, np.full((len(xyz), 3), 0.3), None, np.full(len(xyz), 1.2))
-    trainer = trained(capture, store, points, backdrop_hold=5.0)
+    trainer = trained(capture, store, points, backdrop_hold=5.0, appearance="rgb")  # a decoder could take their part
     shot = capture.held_out[0]
     picture = fg.render(trainer.model(), shot.camera, shot.t)["rgb"]
     assert np.abs(picture - 0.6).mean() < 0.03
