@@ -7,9 +7,9 @@ import atexit
 
 
 def _packages():
-    from . import engine, operators, ui
+    from . import engine, operators, scene, ui
 
-    return engine, operators, ui
+    return scene, engine, operators, ui
 
 
 def _leave():

@@ -74,7 +74,7 @@ def main():
     if options.one:
         print(json.dumps(one(**json.loads(options.one))))
         return
-    from fastgs_blender.training.settings import option_from_text
+    from fastgs_blender.training.core.settings import option_from_text
 
     common = {**COMMON, **dict(option_from_text(text) for text in options.set)}
     results = json.loads(options.results.read_text("utf-8")) if options.results.exists() else {}
@@ -147,10 +147,10 @@ def points_file(folder: Path, common) -> Path:
 
 def prepare(folder: Path, common):
     """The starting points that all runs share, made once."""
-    from fastgs_blender.formats.outputs import replacing
-    from fastgs_blender.training.backdrop import with_backdrop
-    from fastgs_blender.training.initial import initial_points
-    from fastgs_blender.training.settings import settings
+    from fastgs_blender.training.core.settings import settings
+    from fastgs_blender.training.initial.backdrop import with_backdrop
+    from fastgs_blender.training.initial.points import initial_points
+    from fastgs_blender.util.outputs import replacing
 
     path = points_file(folder, common)
     if path.exists():
@@ -168,10 +168,10 @@ def one(capture: str, settings: dict) -> dict:
     """Train once and measure in the held-out views."""
     import torch
 
-    from fastgs_blender.captures.base import Points
-    from fastgs_blender.training.model import model_from_points
-    from fastgs_blender.training.settings import settings as make
-    from fastgs_blender.training.trainer import Trainer
+    from fastgs_blender.captures.capture import Points
+    from fastgs_blender.training.core.model import model_from_points
+    from fastgs_blender.training.core.settings import settings as make
+    from fastgs_blender.training.core.trainer import Trainer
 
     torch.set_num_threads(1)
     made = make(**settings)
@@ -194,7 +194,7 @@ def one(capture: str, settings: dict) -> dict:
 
 
 def write(path: Path, results):
-    from fastgs_blender.formats.outputs import replacing
+    from fastgs_blender.util.outputs import replacing
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing([path]) as (part,):
@@ -235,7 +235,7 @@ def draw(results, captures, path: Path):
     """Bars of the subject's PSNR: a row of panels for each table, a column for each capture."""
     from PIL import Image, ImageDraw
 
-    from fastgs_blender.formats.outputs import replacing
+    from fastgs_blender.util.outputs import replacing
 
     wide, line, label_width = 470, 20, 250
     heights = [34 + line * len(rows) + 14 for rows in TABLES.values()]

@@ -25,9 +25,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import capture_scenes as scenes  # noqa: E402
 
-from fastgs_blender import colour  # noqa: E402
 from fastgs_blender.captures import generated  # noqa: E402
-from fastgs_blender.formats.outputs import replacing  # noqa: E402
+from fastgs_blender.rendering import colour  # noqa: E402
+from fastgs_blender.util.outputs import replacing  # noqa: E402
 
 ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
 PRESETS = {"robot": dict(cameras=18, frames=40, size="480x360", samples=8, angle=42.0, distance=0.9),

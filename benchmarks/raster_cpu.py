@@ -29,9 +29,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import fastgs_blender as fg  # noqa: E402
-from fastgs_blender.kernels import cpu, raster, threads  # noqa: E402
-from fastgs_blender.kernels.project import SCALE  # noqa: E402
-from fastgs_blender.scene import Layout, Part  # noqa: E402
+from fastgs_blender.kernels.cpu import backend as cpu  # noqa: E402
+from fastgs_blender.kernels.cpu import raster  # noqa: E402
+from fastgs_blender.kernels.cpu.project import SCALE  # noqa: E402
+from fastgs_blender.rendering.scene import Layout, Part  # noqa: E402
+from fastgs_blender.util import threads  # noqa: E402
 
 
 def scene(n: int, width: int, height: int, appearance: str = "rgb") -> tuple[fg.GaussianModel, fg.Camera]:

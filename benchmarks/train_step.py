@@ -21,12 +21,12 @@ import numpy as np
 import torch
 from raster_cpu import fg, scene, threads, timed
 
-from fastgs_blender.kernels import cpu
-from fastgs_blender.kernels.loss import photometric as compare
-from fastgs_blender.scene import Layout, Part
-from fastgs_blender.training.differentiable import Statistics, render
-from fastgs_blender.training.losses import MotionPenalty, photometric
-from fastgs_blender.training.optimiser import Optimiser
+from fastgs_blender.kernels.cpu import backend as cpu
+from fastgs_blender.kernels.cpu.loss import photometric as compare
+from fastgs_blender.rendering.scene import Layout, Part
+from fastgs_blender.training.core.differentiable import Statistics, render
+from fastgs_blender.training.core.losses import MotionPenalty, photometric
+from fastgs_blender.training.core.optimiser import Optimiser
 
 TIME = 0.4
 EXTENT = 6.0

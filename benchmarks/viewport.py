@@ -61,7 +61,7 @@ def capture(fg, n: int):
 
 def sort_milliseconds(runs: int = 31) -> list[float]:
     """Sorting 1 M depths."""
-    order_by = module("fastgs_blender.kernels.parallel_sort").order_by
+    order_by = module("fastgs_blender.kernels.cpu.parallel_sort").order_by
     depth = np.random.default_rng(0).uniform(0.5, 40, 1_000_000).astype(np.float32)
     index = np.arange(len(depth), dtype=np.int32)
     order_by(depth, index)
@@ -99,7 +99,7 @@ def playback(fg, n: int, frames: int) -> dict:
     atlas, textures, view, eye, frame, worker, shaders, sorting = (module(f"engine.{name}") for name in (
         "viewport.atlas", "viewport.textures", "viewport.view", "viewport.eye", "frame", "viewport.worker", "viewport.shaders",
         "viewport.sorting"))
-    retime = module("engine.time").Retime(start_frame=0.0)
+    retime = module("scene.time").Retime(start_frame=0.0)
     path = Path(tempfile.mkdtemp()) / "capture.safetensors"
     fg.save(capture(fg, n), path)
     focal = 1.2
@@ -151,7 +151,7 @@ def main():
     from gpu_context import open_gpu
 
     open_gpu(bpy.context.scene)
-    fg, threads = module("fastgs_blender"), module("fastgs_blender.kernels.threads")
+    fg, threads = module("fastgs_blender"), module("fastgs_blender.util.threads")
     sort = sort_milliseconds()
     played = playback(fg, arguments.gaussians, arguments.frames)
     own, sent = played["main thread"], played["upload"]

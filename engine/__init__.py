@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's side of rendering: the render engine, the objects that it shows and their properties."""
-from . import compiling, handlers, panels, properties, render_engine, settings, viewport
-from .training import watch
+"""The render engine: final frames, passes and what viewports draw."""
+from . import compiling, handlers, panels, render_engine, viewport
 
-_MODULES = (settings, properties, render_engine, panels, handlers, compiling, viewport, watch)
+_MODULES = (render_engine, panels, handlers, compiling, viewport)
 
 
 def register():

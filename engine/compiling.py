@@ -14,7 +14,7 @@ from pathlib import Path
 
 import bpy
 
-from ..fastgs_blender.kernels import cache
+from ..fastgs_blender.kernels.cpu import cache
 
 log = logging.getLogger(__name__)
 TEXT = "FAST-GS compiles its renderer for this machine, once; this takes about half a minute"
@@ -29,7 +29,7 @@ names = package.split(".")
 for i in range(len(names)):
     module = sys.modules[".".join(names[:i + 1])] = types.ModuleType(names[i])
     module.__path__ = [root] if i + 1 == len(names) else []
-importlib.import_module(package + ".fastgs_blender.kernels.warm").compile_all()
+importlib.import_module(package + ".fastgs_blender.kernels.cpu.warm").compile_all()
 """
 
 

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.kernels.threads import set_threads
-from . import camera, colour, compiling, frame, notices, objects, passes, settings, worker, world
+from ..fastgs_blender.util.threads import set_threads
+from ..scene import camera, colour, notices, objects, passes, settings, world
+from ..scene import snapshot as frame
+from . import compiling, worker
 
 
 def render(engine, depsgraph):

@@ -3,7 +3,8 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from . import compiling, notices, objects, paths
+from ..scene import notices, objects, paths
+from . import compiling
 
 
 @persistent

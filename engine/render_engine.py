@@ -2,7 +2,8 @@
 """FASTGS, the render engine.  Blender makes an instance for each frame and frees it: whatever lasts lives in modules."""
 import bpy
 
-from . import final, objects, passes
+from ..scene import objects, passes
+from . import final
 from .viewport import spaces
 
 

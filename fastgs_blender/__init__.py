@@ -6,16 +6,16 @@
     camera = fg.Camera(1280, 720, fx=900, fy=900, cx=640, cy=360, world_to_camera=matrix)
     image = fg.render(model, camera, t=0.25)["rgb"]
 """
-from .appearance import RGB, SH, Features
-from .baking import BakeReport, bake
-from .camera import Camera
-from .errors import FastGSError, LossWarning
+from .cameras.camera import Camera
 from .formats import load, save
-from .model import Clip, GaussianModel, Raster
-from .motion import Cosine, Fourier, Keyframes, Polynomial, Static
-from .rendering import render
-from .slicing import Slice, freeze, slice_model
-from .temporal import Always, Radial, Window, WindowedRadial
+from .model.appearance import RGB, SH, Features
+from .model.gaussians import Clip, GaussianModel, Raster
+from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
+from .model.slicing import Slice, freeze, slice_model
+from .model.temporal import Always, Radial, Window, WindowedRadial
+from .rendering.api import render
+from .surfaces.bake import BakeReport, bake
+from .util.errors import FastGSError, LossWarning
 
 __version__ = "0.1.0"
 __all__ = [

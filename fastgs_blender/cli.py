@@ -12,7 +12,7 @@ import warnings
 from . import __version__
 from .commands import COMMANDS
 from .commands.shared import note
-from .errors import FastGSError, LossWarning
+from .util.errors import FastGSError, LossWarning
 
 FAILED, STOPPED = 2, 130
 

@@ -10,9 +10,7 @@ from . import (
     capture_cameras,
     capture_scene,
     crop,
-    keymap,
     maintenance,
-    menus,
     train,
     training_python,
 )
@@ -45,12 +43,8 @@ CLASSES = (
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    menus.register()
-    keymap.register()
 
 
 def unregister():
-    keymap.unregister()
-    menus.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

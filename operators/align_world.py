@@ -7,12 +7,12 @@ import numpy as np
 from bpy.props import EnumProperty, FloatProperty
 from mathutils import Matrix, Vector
 
-from ..engine import objects
-from ..engine.camera import OPENCV
-from ..fastgs_blender import alignment
-from ..fastgs_blender.errors import FastGSError
+from ..fastgs_blender.cameras import alignment
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects
+from ..scene.camera import OPENCV
+from ..scene.splats.splat_object import sentence
 from .camera_moves import capture_cameras
-from .splat_object import sentence
 
 LOWEST = 2.0
 """Percentile of a proxy's points, by height, that is taken for the floor."""

@@ -15,11 +15,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.baking import bake, surface_colours, surface_samples
-from . import baked_light, splat_object
-from .material_colour import MaterialColours
+from ..fastgs_blender.surfaces.bake import bake, surface_colours, surface_samples
+from ..scene.meshes import baked_light
+from ..scene.meshes.material_colour import MaterialColours
+from ..scene.meshes.surface import Recorder, bakeable, frame_kept, go_to, whole_frames_only
+from ..scene.splats import splat_object
 from .stepwise import BUDGET, Stepwise
-from .surface import Recorder, bakeable, frame_kept, go_to, whole_frames_only
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Matrix, Vector
 
 from .. import fastgs_blender as fg
-from ..engine import frame, objects
-from ..engine.time import clip_frame
-from . import camera_keys
+from ..scene import objects
+from ..scene import snapshot as frame
+from ..scene.cameras import keys as camera_keys
+from ..scene.splats.splat_object import sentence
+from ..scene.time import clip_frame
 from .camera_moves import subject_of, target_camera
-from .splat_object import sentence
 
 
 def active_splat(context) -> bpy.types.Object | None:

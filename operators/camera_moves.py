@@ -7,11 +7,11 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Vector
 
-from ..engine import objects
-from ..fastgs_blender import moves
-from ..fastgs_blender.errors import FastGSError
-from . import camera_keys
-from .splat_object import sentence
+from ..fastgs_blender.cameras import moves
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects
+from ..scene.cameras import keys as camera_keys
+from ..scene.splats.splat_object import sentence
 
 USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
 SPREAD = 3.0

@@ -10,13 +10,13 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..engine import camera as cameras
-from ..fastgs_blender.camera_paths import FORMATS, CameraPath, Picture, format_named, load_path, save_path
-from ..fastgs_blender.errors import FastGSError
-from . import camera_space
+from ..fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, format_named, load_path, save_path
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import camera as cameras
+from ..scene.cameras import space as camera_space
+from ..scene.splats.splat_object import sentence
 from .capture_cameras import animate, set_optics, set_pose, use_render_size
 from .fit_scene import frame_rate
-from .splat_object import sentence
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""

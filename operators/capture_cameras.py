@@ -13,12 +13,14 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Quaternion
 
 from .. import fastgs_blender as fg
-from ..engine import camera as cameras
-from ..fastgs_blender.errors import FastGSError
-from ..fastgs_blender.moves import one_sign, quaternions
-from . import camera_keys, camera_space, undistorted
+from ..fastgs_blender.cameras.moves import one_sign, quaternions
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import camera as cameras
+from ..scene.cameras import keys as camera_keys
+from ..scene.cameras import space as camera_space
+from ..scene.cameras import undistorted
+from ..scene.splats.splat_object import sentence
 from .fit_scene import frame_rate
-from .splat_object import sentence
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600

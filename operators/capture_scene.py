@@ -7,11 +7,11 @@ import time
 import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from ..engine.capturing.filming import Plan, film_steps
-from ..engine.capturing.options import CaptureOptions
-from ..engine.training import places
-from ..fastgs_blender.errors import FastGSError
-from .splat_object import sentence
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene.filming.film import Plan, film_steps
+from ..scene.filming.options import CaptureOptions
+from ..scene.splats.splat_object import sentence
+from ..scene.training import places
 from .stepwise import Stepwise
 
 

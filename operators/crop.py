@@ -9,9 +9,9 @@ from bpy.props import IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
-from ..engine import crops, objects
-from ..fastgs_blender.crops import cropped
-from . import splat_object
+from ..fastgs_blender.rendering.crops import cropped
+from ..scene import crops, objects
+from ..scene.splats import splat_object
 
 
 def _editable(context) -> bool:

@@ -6,7 +6,7 @@ from math import ceil
 
 import bpy
 
-from ..engine.objects import is_splat
+from ..scene.objects import is_splat
 
 
 def frame_rate(fps: float) -> tuple[int, float]:

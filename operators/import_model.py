@@ -10,10 +10,10 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntPropert
 from bpy_extras.io_utils import ImportHelper
 
 from ..engine import compiling
-from ..fastgs_blender.errors import FastGSError
-from . import splat_object
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene.splats import splat_object
+from ..scene.splats.proxy import LIMIT
 from .fit_scene import fit_scene
-from .proxy import LIMIT
 
 EXTENSIONS = (".safetensors", ".ply", ".splatv")
 

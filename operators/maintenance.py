@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import compiling
-from ..fastgs_blender.kernels import cache
-from . import diagnostics
+from ..engine import compiling, diagnostics
+from ..fastgs_blender.kernels.cpu import cache
 
 
 class FASTGS_OT_compile_kernels(bpy.types.Operator):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import objects
-from ..fastgs_blender.errors import FastGSError
-from .splat_object import refresh, sentence
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects
+from ..scene.splats.splat_object import refresh, sentence
 
 
 def _targets(context) -> list[bpy.types.Object]:

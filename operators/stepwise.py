@@ -7,8 +7,8 @@ import time
 
 import bpy
 
-from ..fastgs_blender.errors import FastGSError
-from .splat_object import sentence
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene.splats.splat_object import sentence
 
 BUDGET = 0.1
 """Seconds of work between two looks at the keyboard."""

@@ -12,11 +12,13 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..engine.training import alignment, checks, jobs, places, plates, store, watch
-from ..engine.training.options import TrainingOptions, arguments
-from ..fastgs_blender.errors import FastGSError
-from . import splat_object
-from .splat_object import sentence
+from ..fastgs_blender.jobs import checks
+from ..fastgs_blender.jobs import queue as jobs
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene.splats import splat_object
+from ..scene.splats.splat_object import sentence
+from ..scene.training import alignment, places, plates, store, watch
+from ..scene.training.options import TrainingOptions, arguments
 
 REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
@@ -73,7 +75,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         return {'FINISHED'}
 
     def _capture_first(self, context, settings):
-        from ..engine.capturing.options import CaptureOptions
+        from ..scene.filming.options import CaptureOptions
 
         chosen = {name: getattr(settings, name) for name in CaptureOptions.__annotations__}
         try:
@@ -285,7 +287,7 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
         path = Path(job.out) / jobs.MODEL
         so_far = state.kind != 'FINISHED'
         if so_far:
-            from ..fastgs_blender.training.intermediate import write_model
+            from ..fastgs_blender.training.run.intermediate import write_model
 
             path = write_model(job.out)
         obj = add_model(context, job, path)

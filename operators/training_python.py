@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import settings
-from ..engine.training import pythons, store
-from ..fastgs_blender.errors import FastGSError
-from .splat_object import sentence
+from ..fastgs_blender.jobs import environment as pythons
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import settings
+from ..scene.splats.splat_object import sentence
+from ..scene.training import store
 
 
 def offline_reason() -> str:

@@ -14,7 +14,7 @@ ADDON = "bl_ext.user_default.fastgs_blender"
 
 
 def enable_addon():
-    """Enable the extension in a user folder of its own, which goes when the process ends; returns module("engine.time").
+    """Enable the extension in a user folder of its own, which goes when the process ends; returns module("scene.time").
 
     To be called before bpy is imported for the first time.
     """

@@ -2,8 +2,8 @@
 """Panels and preferences."""
 import bpy
 
-from ..engine import settings
-from . import camera_panel, capture_panel, object_panels, preferences, render_panels, training_panel, viewport_panel
+from ..scene import settings
+from . import camera_panel, capture_panel, keymap, menus, object_panels, preferences, render_panels, training_panel, viewport_panel
 
 CLASSES = (
     *object_panels.CLASSES,
@@ -19,6 +19,8 @@ CLASSES = (
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    menus.register()
+    keymap.register()
     training_panel.register()
     if settings.preferences():
         settings.apply(settings.preferences())
@@ -26,5 +28,7 @@ def register():
 
 def unregister():
     training_panel.unregister()
+    keymap.unregister()
+    menus.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

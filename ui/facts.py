@@ -8,8 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import frame, objects, time
-from ..fastgs_blender.model import Clip
+from ..fastgs_blender.model.gaussians import Clip
+from ..scene import objects, time
+from ..scene import snapshot as frame
 
 
 def known(obj: bpy.types.Object) -> bool:

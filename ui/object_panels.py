@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import objects
+from ..scene import objects
 from . import facts
 
 

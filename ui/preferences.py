@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import compiling, settings
-from ..engine.training import store
-from ..fastgs_blender.kernels import cache
+from ..engine import compiling
+from ..fastgs_blender.kernels.cpu import cache
+from ..scene import settings
+from ..scene.training import store
 from .object_panels import draw_rows
 
 

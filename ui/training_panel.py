@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine.training import checks, plates, watch
+from ..fastgs_blender.jobs import checks
+from ..scene.training import plates, watch
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 

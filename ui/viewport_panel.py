@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import objects
 from ..engine.viewport import spaces
+from ..scene import objects
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model import GaussianModel
+from ...fastgs_blender.model.gaussians import GaussianModel
 from . import records
 from .textures import ROWS, WIDTH, rows_of, upload
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ..camera import OPENCV
+from ...scene.camera import OPENCV
 from .parameters import Depths
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)

@@ -8,7 +8,7 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ... import fastgs_blender as fg
-from ..colour import film, scene_linear
+from ...scene.colour import film, scene_linear
 from .textures import upload
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shaders' text.  The maths is fastgs_blender/reference.py's; the layout of the textures is records.py's and parameters.py's.
+"""The shaders' text.  The maths is fastgs_blender/rendering/oracle.py's; the layout of the textures is records.py's and parameters.py's.
 
 Written to be translated to Vulkan and Metal too: no integer textures, no arrays of samplers, no mixing of int and float.
 """

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.camera import Camera
-from ...fastgs_blender.motion import Basis
-from ...fastgs_blender.scene import Part
+from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.model.motion import Basis
+from ...fastgs_blender.rendering.scene import Part
 from .atlas import Atlas
 from .textures import WIDTH
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import gpu
 import numpy as np
 
-from ...fastgs_blender.appearance import ACTIVATIONS, Features
-from ...fastgs_blender.camera import Camera
-from ...fastgs_blender.scene import Part
+from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
+from ...fastgs_blender.rendering.scene import Part
 from . import parameters, shaders
 from .atlas import Atlas
 from .eye import WHOLE

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.appearance import SH, SH_C0, Features
-from ...fastgs_blender.model import GaussianModel
+from ...fastgs_blender.model.appearance import SH, SH_C0, Features
+from ...fastgs_blender.model.gaussians import GaussianModel
 
 RGB, HARMONICS, FEATURES = range(3)
 

@@ -9,10 +9,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...fastgs_blender import visibility
-from ...fastgs_blender.scene import Part, Placed
-from .. import compiling, objects
-from ..frame import Contents
+from ...fastgs_blender.rendering import visibility
+from ...fastgs_blender.rendering.scene import Part, Placed
+from ...scene import objects
+from ...scene.snapshot import Contents
+from .. import compiling
 from .atlas import Atlas
 
 MOST = 1 << 24

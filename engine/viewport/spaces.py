@@ -9,7 +9,9 @@ import bpy
 import gpu
 import numpy as np
 
-from .. import colour, compiling, frame, objects, proxies, world
+from ...scene import colour, objects, proxies, world
+from ...scene import snapshot as frame
+from .. import compiling
 from . import frusta, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in

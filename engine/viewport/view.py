@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...fastgs_blender.scene import Part
-from .. import objects
-from ..frame import Contents
+from ...fastgs_blender.rendering.scene import Part
+from ...scene import objects
+from ...scene.snapshot import Contents
 from . import fallback, sorting
 from .atlas import Atlas, TooLarge
 from .picture import Order, Picture, SceneDepth

@@ -12,24 +12,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
-from ..errors import FastGSError
-from .base import Capture, Options, Points, Shot
+from ..util.errors import FastGSError
+from .capture import Capture, Options, Points, Shot
 
 LAYOUTS = ("own", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
-"""Modules of this package, asked in this order."""
-__all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layouts", "open_capture", "recognised"]
+"""Modules of layouts/, asked in this order."""
+__all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layout_modules", "open_capture", "recognised"]
 
 
-def layouts() -> list[ModuleType]:
+def layout_modules() -> list[ModuleType]:
     """All layouts, in the order in which they are asked."""
-    return [importlib.import_module(f".{name}", __name__) for name in LAYOUTS]
+    return [importlib.import_module(f".layouts.{name}", __name__) for name in LAYOUTS]
 
 
 def identify(path, layout: str | None = None) -> ModuleType:
     """The layout of a capture, or the one of that name (its module's or the one users know); raises FastGSError."""
     path = _existing(path)
     if layout is not None:
-        for module in layouts():
+        for module in layout_modules():
             if layout in {module.name, module.__name__.rpartition(".")[2]}:
                 return module
         raise FastGSError(f"there is no layout {layout!r}; there are {', '.join(LAYOUTS)}.")
@@ -42,7 +42,7 @@ def identify(path, layout: str | None = None) -> ModuleType:
 
 def recognised(path: Path) -> ModuleType | None:
     """The first layout that recognises a path that exists; None where none does."""
-    for module in layouts():
+    for module in layout_modules():
         try:
             if module.recognises(path):
                 return module

@@ -6,9 +6,9 @@ import contextlib
 from collections import Counter
 from dataclasses import asdict
 
-from ..errors import FastGSError
-from .base import Capture, Shot
-from .probe import Facts, facts
+from ..util.errors import FastGSError
+from .capture import Capture, Shot
+from .pixels.probe import Facts, facts
 
 MEANINGS = {"foreground": "mask files, white is the subject", "valid": "mask files, black is ignored", "alpha": "alpha channel"}
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FastGSError
 from ..formats import ply
-from .base import Points
+from ..model.points import Points, usable
+from ..util.errors import FastGSError
 
 GREY = 0.5
 
@@ -36,12 +36,3 @@ def load_points(path: Path) -> Points:
     elif all(p.code[0] in "iu" for p in header.vertex.properties if p.name in rgb):
         colours = colours / 255
     return usable(columns["xyz"], colours, columns["t"][:, 0] if time else None)
-
-
-def usable(xyz, rgb, t=None) -> Points:
-    """Points as float32, without those that are not finite; colours and times kept within 0..1, NaN in t stays: always there."""
-    good = np.isfinite(xyz).all(1) & (np.abs(xyz) < 1e9).all(1)
-    if t is not None:
-        good &= ~np.isinf(t)
-    xyz, rgb = np.ascontiguousarray(xyz[good], np.float32), np.nan_to_num(np.asarray(rgb, np.float32)[good])
-    return Points(xyz, np.clip(rgb, 0, 1), None if t is None else np.clip(np.asarray(t, np.float32)[good], 0, 1))

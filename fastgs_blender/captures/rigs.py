@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
-from ..errors import FastGSError
-from ..model import Clip
-from .base import Capture, Options, Points, Shot
-from .lens import pinhole_for
+from ..cameras.camera import Camera
+from ..cameras.lens import pinhole_for
+from ..model.gaussians import Clip
+from ..util.errors import FastGSError
+from .capture import Capture, Options, Points, Shot
 from .sources import Source
 
 MOST_SHOTS = 1_000_000

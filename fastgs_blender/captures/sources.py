@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import FastGSError
-from .lens import Intrinsics, Lens
+from ..cameras.lens import Intrinsics, Lens
+from ..util.errors import FastGSError
 
 PICTURES = (".png", ".jpg", ".jpeg", ".exr")
 VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".mpg", ".mpeg", ".mts", ".ts")
@@ -76,7 +76,7 @@ def video_frames(path: Path, problems: list[str], **settings) -> tuple[Sequence[
 
     For a video that cannot be read: none, None, and a sentence more in problems.
     """
-    from .video import index
+    from .pixels.video import index
 
     try:
         found = index(path)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import statistics
 import time
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 from .shared import add_backend, image_size, print_json, use_threads
 
 
@@ -25,7 +25,7 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
-    from ..cameras import choose, load_cameras, resized
+    from ..cameras.cameras_json import choose, load_cameras, resized
 
     if not (1 <= args.gaussians <= 100_000_000 and 1 <= args.repeat <= 10_000):
         raise FastGSError("--gaussians must be from 1 to 100000000 and --repeat from 1 to 10000.")
@@ -53,10 +53,10 @@ def synthetic(count: int):
     """A cloud of moving Gaussians in a ball, the same for the same count."""
     import numpy as np
 
-    from ..appearance import SH
-    from ..model import Clip, GaussianModel
-    from ..motion import Fourier, Polynomial
-    from ..temporal import Radial
+    from ..model.appearance import SH
+    from ..model.gaussians import Clip, GaussianModel
+    from ..model.motion import Fourier, Polynomial
+    from ..model.temporal import Radial
 
     rng = np.random.default_rng(1)
     basis, turn = Fourier(), Polynomial(1)
@@ -75,7 +75,7 @@ def overview(model, width: int, height: int):
     """A camera outside the model that sees all of its centres at t = 0, looking along the axis that the model calls forward."""
     import numpy as np
 
-    from ..camera import Camera
+    from ..cameras.camera import Camera
     from .info import bounds
 
     low, high = bounds(model)
@@ -93,8 +93,8 @@ def overview(model, width: int, height: int):
 
 def measure(model, camera, backend: str, repeat: int) -> dict:
     """Median milliseconds of the stages and of the whole frame, at the middle of the clip."""
-    from ..kernels.threads import thread_count
-    from ..rendering import render
+    from ..rendering.api import render
+    from ..util.threads import thread_count
 
     def frame():
         render(model, camera, 0.5, backend=backend)
@@ -118,8 +118,8 @@ def _stages(model, camera, repeat):
     """What kernels.cpu.draw does, stage by stage."""
     import numpy as np
 
-    from ..kernels import cpu
-    from ..scene import Layout, Part
+    from ..kernels.cpu import backend as cpu
+    from ..rendering.scene import Layout, Part
 
     part = Part(model, np.eye(4), 0.5, camera.world_to_camera)
     layout = Layout([part], depth=False)

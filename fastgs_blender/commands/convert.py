@@ -12,7 +12,7 @@ import re
 import warnings
 from pathlib import Path
 
-from ..errors import FastGSError, LossWarning
+from ..util.errors import FastGSError, LossWarning
 from .shared import human_bytes, note, print_json
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
@@ -27,8 +27,8 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
-    from ..frames import parse_frames
-    from ..slicing import freeze
+    from ..model.slicing import freeze
+    from ..util.frames import parse_frames
 
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)

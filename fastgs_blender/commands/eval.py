@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 from .shared import add_backend, human_bytes, note, print_json, use_threads
 
 
@@ -118,7 +118,7 @@ def _views(text, capture):
 
 
 def _frames(text):
-    from ..frames import parse_frames
+    from ..util.frames import parse_frames
 
     if text is None:
         return None

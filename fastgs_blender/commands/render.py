@@ -18,7 +18,7 @@ import threading
 import time
 from pathlib import Path
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 from .shared import add_backend, image_size, note, print_json, use_threads
 
 NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
@@ -42,9 +42,10 @@ def add_arguments(parser):
 
 
 def run(args):
-    from .. import formats, images
-    from ..cameras import load_cameras
-    from ..frames import parse_frames
+    from .. import formats
+    from ..cameras.cameras_json import load_cameras
+    from ..rendering import images
+    from ..util.frames import parse_frames
 
     use_threads(args.threads)
     passes = _passes(args)
@@ -87,7 +88,7 @@ def run(args):
 def _render_all(args, model, cameras, frames, files, todo, write, passes, background):
     from tqdm import tqdm
 
-    from ..rendering import render
+    from ..rendering.api import render
 
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
     done = 0
@@ -119,7 +120,7 @@ def _stop_on_sigterm():
 
 
 def _passes(args) -> tuple[str, ...]:
-    from ..rendering import PASSES
+    from ..rendering.api import PASSES
 
     if args.format == "png":
         if args.passes is not None:
@@ -151,7 +152,7 @@ def _over(image, background, colour_space):
     """The image with an opaque background, blended in the model's own space like everything else in it."""
     import numpy as np
 
-    from .. import colour
+    from ..rendering import colour
 
     srgb = np.array(background, np.float32)
     if "rgb" not in image:
@@ -162,7 +163,7 @@ def _over(image, background, colour_space):
 
 def _cameras(views, frames, args, size) -> list:
     """The camera of each frame."""
-    from ..cameras import choose, resized
+    from ..cameras.cameras_json import choose, resized
 
     if args.view is not None:
         chosen = [choose(views, args.view, args.camera)] * len(frames)

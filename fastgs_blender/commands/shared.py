@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 
 
 def add_backend(parser):
@@ -20,14 +20,14 @@ def use_threads(count: int | None):
         return
     if count < 1:
         raise FastGSError(f"--threads must be at least 1, not {count}.")
-    from ..kernels.threads import set_threads
+    from ..util.threads import set_threads
 
     set_threads(count)
 
 
 def image_size(text: str) -> tuple[int, int]:
     """(width, height) of "1920x1080"; raises FastGSError for anything else."""
-    from ..cameras import LARGEST_SIDE
+    from ..cameras.cameras_json import LARGEST_SIDE
 
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= LARGEST_SIDE and 0 < int(height) <= LARGEST_SIDE):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 from .shared import note, print_json, use_threads
 
 FLAGS = {
@@ -56,9 +56,9 @@ def run(args):
     except ImportError as error:
         raise FastGSError("training needs PyTorch: pip install torch") from error
     from ..captures import open_capture
-    from ..training import session
-    from ..training.calibrate import with_poses
-    from ..training.distributed import joined
+    from ..training.core.distributed import joined
+    from ..training.initial.calibrate import with_poses
+    from ..training.run import session
 
     use_threads(args.threads)
     wanted = options(args)
@@ -85,7 +85,7 @@ def run(args):
 
 def options(args) -> dict:
     """The settings that the command line names."""
-    from ..training.settings import option_from_text
+    from ..training.core.settings import option_from_text
 
     wanted = dict(option_from_text(text) for text in args.set)
     wanted |= {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
@@ -102,7 +102,7 @@ def options(args) -> dict:
 
 def make(args, wanted: dict):
     """The settings of a new run."""
-    from ..training.settings import settings
+    from ..training.core.settings import settings
 
     return settings(**{"preset": "standard", **wanted})
 
@@ -111,7 +111,7 @@ def frames_slice(text: str | None) -> slice | None:
     """The part of the time line that "A:B" means, both ends included as everywhere; "A:B:S" in steps."""
     if text is None:
         return None
-    from ..frames import parse_frames
+    from ..util.frames import parse_frames
 
     frames = parse_frames(text)
     if any(number != int(number) or number < 0 for number in frames):

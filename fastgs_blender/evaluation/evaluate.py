@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import colour
-from ..errors import FastGSError
-from ..images import write_png
-from ..rendering import render
+from ..rendering import colour
+from ..rendering.api import render
+from ..rendering.images import write_png
+from ..util.errors import FastGSError
 from . import metrics
 from .film import available, film
 from .perceptual import Lpips, Unavailable

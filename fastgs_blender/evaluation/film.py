@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FastGSError
-from ..formats.outputs import replacing
+from ..util.errors import FastGSError
+from ..util.outputs import replacing
 
 ENCODERS = (("libx264", {"crf": "16", "preset": "medium"}), ("libopenh264", {"b": "12M"}), ("mpeg4", {"qscale": "2"}))
 """The first that this PyAV has writes the film."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 
 GAUSSIAN_WINDOW, SIGMA = 11, 1.5
 UNIFORM_WINDOW = 7

@@ -7,8 +7,8 @@ import io
 import json
 from pathlib import Path
 
-from ..errors import FastGSError
-from ..formats.outputs import replacing
+from ..util.errors import FastGSError
+from ..util.outputs import replacing
 from .evaluate import MEASURES
 
 COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_foreground": ("fg PSNR", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim2": ("DSSIM2", ".4f"),

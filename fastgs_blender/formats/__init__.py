@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FastGSError, LossWarning
-from ..model import GaussianModel
+from ..model.gaussians import GaussianModel
+from ..util.errors import FastGSError, LossWarning
+from ..util.outputs import replacing
 from . import native
 from .base import Format, usable
 from .inria import Inria
-from .outputs import replacing
 from .splatv import Splatv
 from .stg import SpacetimeGaussians
 from .unsupported import explain

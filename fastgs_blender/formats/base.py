@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FastGSError, LossWarning
-from ..model import GaussianModel
+from ..model.gaussians import GaussianModel
+from ..util.errors import FastGSError, LossWarning
 
 LIMIT = 1e18
 """Larger numbers than this are no scene: their squares leave float32."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 
 MAX_SIZE = 1 << 16
 

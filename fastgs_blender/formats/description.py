@@ -9,11 +9,11 @@ import json
 import math
 from dataclasses import MISSING, asdict, fields
 
-from ..appearance import RGB, SH, Features
-from ..errors import FastGSError
-from ..model import AXES, Clip, GaussianModel, Raster
-from ..motion import BASES, Basis, Keyframes, Polynomial, Static, basis_from_dict, basis_to_dict
-from ..temporal import Always, Radial, temporal_by_name
+from ..model.appearance import RGB, SH, Features
+from ..model.gaussians import AXES, Clip, GaussianModel, Raster
+from ..model.motion import BASES, Basis, Keyframes, Polynomial, Static, basis_from_dict, basis_to_dict
+from ..model.temporal import Always, Radial, temporal_by_name
+from ..util.errors import FastGSError
 
 MAX_DEGREE = 32
 """Of polynomials: higher powers leave the range of numbers."""

@@ -10,11 +10,11 @@ from math import comb, pi, sqrt
 
 import numpy as np
 
-from ..appearance import RGB, SH, SH_C0, Features
-from ..model import GaussianModel
-from ..motion import Basis, Polynomial, Static
-from ..slicing import sigmoid, unit_quaternions
-from ..temporal import Always, Radial, Window, WindowedRadial
+from ..model.appearance import RGB, SH, SH_C0, Features
+from ..model.gaussians import GaussianModel
+from ..model.motion import Basis, Polynomial, Static
+from ..model.slicing import sigmoid, unit_quaternions
+from ..model.temporal import Always, Radial, Window, WindowedRadial
 
 CHUNK = 1 << 20
 """Numbers held at once while fitting."""

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..appearance import RGB, SH, SH_C0
-from ..errors import FastGSError
-from ..model import GaussianModel, Raster
-from ..temporal import Always
+from ..model.appearance import RGB, SH, SH_C0
+from ..model.gaussians import GaussianModel, Raster
+from ..model.temporal import Always
+from ..util.errors import FastGSError
 from . import ply
 from .base import Format, generator
 from .description import comments, from_comments

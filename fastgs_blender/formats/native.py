@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..appearance import Features
-from ..errors import FastGSError
-from ..model import GaussianModel
+from ..model.appearance import Features
+from ..model.gaussians import GaussianModel
+from ..util.errors import FastGSError
 from .base import Format, generator
 from .description import describe, read_json, understand, whole_number
 

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 
 MAX_HEADER = 1 << 20
 """Bytes.  The longest header we write has some 70 KB."""

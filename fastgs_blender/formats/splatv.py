@@ -13,10 +13,10 @@ import struct
 
 import numpy as np
 
-from ..errors import FastGSError
-from ..model import Clip, GaussianModel
-from ..slicing import sigmoid
-from ..temporal import Radial
+from ..model.gaussians import Clip, GaussianModel
+from ..model.slicing import sigmoid
+from ..model.temporal import Radial
+from ..util.errors import FastGSError
 from .base import Format
 from .description import describe, read_json, restored, understand, whole_number
 from .fitting import bell_opacity, cubic_motion, linear_rotation, plain_colour

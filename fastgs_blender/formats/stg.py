@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..appearance import RGB, Features
-from ..errors import FastGSError, LossWarning
-from ..model import Clip, GaussianModel
-from ..motion import Basis, Cosine, Fourier, Polynomial
-from ..temporal import Radial
+from ..model.appearance import RGB, Features
+from ..model.gaussians import Clip, GaussianModel
+from ..model.motion import Basis, Cosine, Fourier, Polynomial
+from ..model.temporal import Radial
+from ..util.errors import FastGSError, LossWarning
 from . import cfg_args, ply, torch_zip
 from .base import STEEP, Format, generator
 from .description import comments, from_comments, restored

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FastGSError
+from ..util.errors import FastGSError
 
 MAX_PICKLE = 4 << 20
 """Bytes; a table of a thousand tensors has 200 KB."""

@@ -22,4 +22,4 @@ def assert_smooth(rows, bound=0.1):
 
 def keyed(module, obj):
     """The F-curves of an animated datablock."""
-    return module("operators.camera_keys").curves(obj)
+    return module("scene.cameras.keys").curves(obj)

@@ -36,7 +36,7 @@ def addon():
 
 @pytest.fixture(scope="session")
 def module(addon):
-    """module("engine.time") imports a module of the extension."""
+    """module("scene.time") imports a module of the extension."""
     return lambda name: import_module(f"{ADDON}.{name}")
 
 

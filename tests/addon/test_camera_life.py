@@ -28,8 +28,8 @@ def moving_splat(scene, make_model, model_file, splat_object, fg):
 def shown(module, scene, obj, at):
     scene.frame_set(int(at), subframe=float(at % 1))
     settings = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    retime = module("engine.frame").retime_of(settings)
-    return module("engine.time").clip_frame(at, scene.render.fps, retime, module("engine.objects").load_model(obj.fastgs.filepath).clip)
+    retime = module("scene.snapshot").retime_of(settings)
+    return module("scene.time").clip_frame(at, scene.render.fps, retime, module("scene.objects").load_model(obj.fastgs.filepath).clip)
 
 
 @pytest.mark.parametrize(("speed", "ramp"), [(0.0, 6), (0.25, 6), (0.0, 0)])
@@ -87,7 +87,7 @@ def test_following_a_region(scene, module, moving_splat, add_camera, how):
     scene.frame_start, scene.frame_end = 4, 38
     assert_smooth(track(scene, camera, 4), 0.15)
     empty = next(o for o in scene.objects if o.type == 'EMPTY')
-    keys = module("operators.camera_keys").curves(empty).find("location", index=0).keyframe_points
+    keys = module("scene.cameras.keys").curves(empty).find("location", index=0).keyframe_points
     assert [point.co.x for point in keys] == list(range(1, 42)) and not camera.animation_data
     scene.cursor.location = (0, 0, 90)
     with pytest.raises(RuntimeError, match="no visible Gaussians"):

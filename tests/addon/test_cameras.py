@@ -20,12 +20,12 @@ POSE, PIXELS = 1e-5, 1e-4
 
 @pytest.fixture
 def cameras(module):
-    return module("engine.camera")
+    return module("scene.camera")
 
 
 @pytest.fixture
 def camera_paths(module):
-    return module("fastgs_blender.camera_paths")
+    return module("fastgs_blender.cameras.paths")
 
 
 def make_camera(fg, rng, width=320, height=240, full=True):
@@ -128,7 +128,7 @@ def capture(fg, module, tmp_path):
                 (folder / f"cam{i}").mkdir()
                 for f, picture in enumerate(grey):
                     Image.fromarray(picture).save(folder / f"cam{i}" / f"{11 + f:04d}.png")
-        module("fastgs_blender.captures.own").write_cameras(folder, entries, frame_count=FRAMES, fps=fps, start_frame=11)
+        module("fastgs_blender.captures.layouts.own").write_cameras(folder, entries, frame_count=FRAMES, fps=fps, start_frame=11)
         return folder, made, path
 
     return write
@@ -158,7 +158,7 @@ def test_a_captures_cameras_are_exact(scene, fg, module, capture, now):
     objects = [obj for obj in collection.objects if obj.type == 'CAMERA']
     assert [obj.data.fastgs.view for obj in objects] == ["cam0", "cam1", "cam2"]
     assert set(bpy.context.selected_objects) == set(objects)
-    upright = module("engine.objects").axes_matrix("RDF")
+    upright = module("scene.objects").axes_matrix("RDF")
     for frame in range(FRAMES):
         scene.frame_set(5 + frame)
         for i, obj in enumerate(objects):
@@ -286,7 +286,7 @@ def test_distorted_pictures_are_undistorted_once(scene, capture, capfd, module):
 
 def test_writing_undistorted_pictures_can_be_interrupted_and_goes_on(scene, capture, module, monkeypatch):
     """Every film is decoded once for all of its pictures; what an interruption has left is not written again."""
-    undistorted = module("operators.undistorted")
+    undistorted = module("scene.cameras.undistorted")
     opened = module("fastgs_blender.captures").open_capture(capture(lens=True)[0])
     decode, calls = undistorted.decoding.decode, []
 
@@ -394,7 +394,7 @@ def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, ca
     """Not only do export and import agree: the file itself is right, in the world of the capture's axes."""
     wanted = shots_of(scene, flight(True), now)
     bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "cameras.json"), format='CAMERAS_JSON')
-    upright = np.array(module("engine.objects").axes_matrix("RDF"))
+    upright = np.array(module("scene.objects").axes_matrix("RDF"))
     for entry, camera in zip(json.loads((tmp_path / "cameras.json").read_text()), wanted, strict=True):
         centre = np.linalg.inv(camera.world_to_camera)[:3, 3]
         np.testing.assert_allclose(upright[:3, :3] @ entry["position"], centre, atol=1e-6)
@@ -423,7 +423,7 @@ def test_a_file_s_own_keys_are_fewer_and_editable(scene, fg, tmp_path, camera_pa
     path = camera_paths.CameraPath(shots, 12.0, 1, "RFU", [(0.0, shots[0]), (10.0, shots[10]), (20.0, shots[20])])
     camera_paths.save_path(path, tmp_path / "p.json")
     bpy.ops.fastgs.import_camera_path(filepath=str(tmp_path / "p.json"), keys='KEYS', keep_speed=True)
-    curves = list(module("operators.camera_keys").curves(scene.camera))
+    curves = list(module("scene.cameras.keys").curves(scene.camera))
     assert len(curves) == 7
     for curve in curves:
         assert [round(point.co.x, 4) for point in curve.keyframe_points] == [1, 21, 41], "twice as long at 24 frames a second"

@@ -116,7 +116,8 @@ def test_a_flat_box_keeps_nothing(obj, seen, scene):
 
 def test_viewports_ask_for_another_order_when_a_box_moves(obj, module):
     """What a viewport asks its thread for says where the boxes are, and the answer holds what they leave."""
-    frame, view, sorting, atlas = (module(f"engine.{name}") for name in ("frame", "viewport.view", "viewport.sorting", "viewport.atlas"))
+    names = ("scene.snapshot", "engine.viewport.view", "engine.viewport.sorting", "engine.viewport.atlas")
+    frame, view, sorting, atlas = (module(name) for name in names)
     camera = module("fastgs_blender").Camera(64, 48, 16, 16, 32, 24, np.diag([1.0, -1, -1, 1]) @ np.array(
         Matrix.Rotation(-np.pi / 2, 4, 'X') @ Matrix.Translation((0, 5, 0))), orthographic=True)
 

@@ -15,7 +15,7 @@ SWATCHES = np.array([(0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5), (0.9, 0.1, 0.04), (0
 
 @pytest.fixture(scope="module")
 def colour(module):
-    return module("engine.colour")
+    return module("scene.colour")
 
 
 @given(arrays(np.float64, 20, elements=st.floats(-50, 50)))

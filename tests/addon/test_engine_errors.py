@@ -66,7 +66,7 @@ def test_the_unexpected_is_one_sentence_and_a_traceback_in_the_log(
         scene, module, make_model, model_file, splat_object, add_camera, render, caplog, monkeypatch):
     splat_object(model_file(make_model()))
     add_camera()
-    monkeypatch.setattr(module("engine.colour"), "scene_linear", lambda *_: 1 / 0)
+    monkeypatch.setattr(module("scene.colour"), "scene_linear", lambda *_: 1 / 0)
     with pytest.raises(RuntimeError, match="could not render frame 1 .*ZeroDivisionError") as caught:
         render()
     assert "Traceback" not in str(caught.value)

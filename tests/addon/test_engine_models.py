@@ -11,7 +11,7 @@ from mathutils import Vector
 
 @pytest.fixture
 def objects(module):
-    objects = module("engine.objects")
+    objects = module("scene.objects")
     objects.clear()
     return objects
 

@@ -17,7 +17,7 @@ def test_the_engine_can_be_chosen_and_is_what_it_says(scene):
 @pytest.mark.parametrize("group", ["FASTGS_PG_object", "FASTGS_PG_scene", "FASTGS_PG_view_layer"])
 def test_properties_follow_blenders_rules(module, group):
     """A name, a description without a dot at the end, and fixed numbers, so that old files keep their meaning."""
-    cls = getattr(module("engine.properties"), group)
+    cls = getattr(module("scene.properties"), group)
     own = [p for p in cls.bl_rna.properties if p.identifier in cls.__annotations__]
     assert own
     for p in own:

@@ -330,7 +330,7 @@ def test_same_frame_same_bytes(scene, moving, render):
 
 def test_threads_follow_the_scene(scene, moving, module, render):
     """One thread or all of them: the same bytes, and Blender's own setting decides."""
-    threads = module("fastgs_blender.kernels.threads")
+    threads = module("fastgs_blender.util.threads")
     many = render()["ViewLayer.Combined"]
     automatic = threads.thread_count()
     scene.render.threads_mode, scene.render.threads = 'FIXED', 3

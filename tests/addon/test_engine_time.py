@@ -16,7 +16,7 @@ rates = st.sampled_from((12.0, 24.0, 25.0, 30.0, 30000 / 1001, 60.0))
 @pytest.fixture(scope="module")
 def show(module, fg):
     """show(frame, n=10, fps=24, clip_fps=24, **retime): the clip's frame."""
-    time = module("engine.time")
+    time = module("scene.time")
 
     def call(frame, n=10, fps=24.0, clip_fps=24.0, **retime):
         return time.clip_frame(frame, fps, time.Retime(**retime), fg.Clip(n, clip_fps))

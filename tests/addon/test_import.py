@@ -46,7 +46,7 @@ def test_every_kind_of_file(scene, fg, module, models, model_file, name):
     assert (obj.fastgs.filepath, obj.fastgs.gaussian_count) == (path, 30)
     assert (obj.fastgs.frame_count, obj.fastgs.fps) == (read.clip.frame_count, pytest.approx(read.clip.fps))
     assert obj.fastgs.start_frame == scene.frame_start
-    assert np.allclose(obj.matrix_world, module("engine.objects").axes_matrix(read.axes), atol=1e-6)
+    assert np.allclose(obj.matrix_world, module("scene.objects").axes_matrix(read.axes), atol=1e-6)
     assert 0 < len(obj.data.vertices) <= 30 + 6
     assert settings_of(scene) == before
 
@@ -120,7 +120,7 @@ def test_relative_paths_once_the_blend_is_saved(module, make_model, model_file, 
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scenes" / "x.blend"))
     bpy.ops.import_scene.fastgs(filepath=path)
     assert bpy.context.object.fastgs.filepath == "//../model.safetensors"
-    assert module("engine.objects").abspath(bpy.context.object) == path
+    assert module("scene.objects").abspath(bpy.context.object) == path
     bpy.ops.import_scene.fastgs(filepath=path, relative_path=False)
     assert bpy.context.object.fastgs.filepath == path
 

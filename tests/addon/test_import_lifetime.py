@@ -11,7 +11,7 @@ needs_append_event = pytest.mark.skipif(bpy.app.version < (4, 3), reason="Blende
 
 @pytest.fixture
 def objects(module):
-    return module("engine.objects")
+    return module("scene.objects")
 
 
 @pytest.fixture
@@ -200,7 +200,7 @@ def test_fit_scene_plays_the_whole_clip(imported, module, fg, scene):
     """The first and the last frame of the range are the clip's first and last."""
     obj = imported(clip=fg.Clip(48, 29.97))
     bpy.ops.fastgs.fit_scene()
-    time, retime = module("engine.time"), module("engine.frame").retime_of(obj)
+    time, retime = module("scene.time"), module("scene.snapshot").retime_of(obj)
     rate = scene.render.fps / scene.render.fps_base
     ends = [time.clip_frame(f, rate, retime, fg.Clip(48, obj.fastgs.fps)) for f in (scene.frame_start, scene.frame_end)]
     assert np.allclose(ends, (0, 47), atol=1e-4)

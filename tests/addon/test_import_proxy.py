@@ -11,7 +11,7 @@ SRGB_HALF = 0.21404114  # linear value of sRGB 0.5 (IEC 61966-2-1)
 
 @pytest.fixture
 def choose(module):
-    return module("operators.proxy_points").choose
+    return module("scene.splats.proxy_points").choose
 
 
 def points(obj):

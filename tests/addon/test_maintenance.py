@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def preferences(module):
-    found = module("engine.settings").preferences()
+    found = module("scene.settings").preferences()
     before = {name: getattr(found, name) for name in ("threads", "cache_folder", "log_level")}
     yield found
     for name, value in before.items():
@@ -29,14 +29,14 @@ def empty_cache(monkeypatch, tmp_path):
 
 def test_preferences_reach_the_engine(module, preferences):
     preferences.threads = 3
-    assert module("engine.settings").threads == 3
+    assert module("scene.settings").threads == 3
     preferences.log_level = 'DEBUG'
-    assert module("engine.settings").logging.getLogger(module("engine.settings").EXTENSION).level == 10
+    assert module("scene.settings").logging.getLogger(module("scene.settings").EXTENSION).level == 10
 
 
 def test_kernels_go_to_the_extensions_folder(module, preferences, monkeypatch, tmp_path):
     monkeypatch.delenv("FASTGS_CACHE_DIR", raising=False)
-    cache = module("fastgs_blender.kernels.cache")
+    cache = module("fastgs_blender.kernels.cpu.cache")
     preferences.cache_folder = ""
     assert cache.base_folder() == Path(bpy.utils.extension_path_user("bl_ext.user_default.fastgs_blender", path="kernels"))
     preferences.cache_folder = str(tmp_path)
@@ -44,7 +44,7 @@ def test_kernels_go_to_the_extensions_folder(module, preferences, monkeypatch, t
 
 
 def test_compile_now_and_clear(module, empty_cache):
-    cache = module("fastgs_blender.kernels.cache")
+    cache = module("fastgs_blender.kernels.cpu.cache")
     assert not cache.is_filled()
     assert bpy.ops.fastgs.compile_kernels() == {'FINISHED'}
     names = {path.name.partition("-")[0] for path in empty_cache.rglob("*.nbi")}
@@ -70,8 +70,8 @@ def test_without_numba_nothing_is_compiled(module, empty_cache, monkeypatch):
 def test_diagnostics_name_versions_objects_and_messages(module, make_model, model_file):
     path = model_file(make_model())
     bpy.ops.import_scene.fastgs(filepath=str(path))
-    module("engine.notices").log.warning("something odd happened")
-    text = module("operators.diagnostics").text()
+    module("scene.notices").log.warning("something odd happened")
+    text = module("engine.diagnostics").text()
     for words in (bpy.app.version_string, "numpy", "backend: cpu", path, "Gaussians", "something odd happened"):
         assert words in text
 

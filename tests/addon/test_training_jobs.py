@@ -63,7 +63,7 @@ def toy(tmp_path_factory):
 def compiled(module, toy, tmp_path_factory):
     """The kernels of training are compiled, which may take minutes on a busy machine, once for each version of them."""
     pytest.importorskip("torch")
-    child = Path(module("engine.training.jobs").__file__).resolve().with_name("child.py")
+    child = Path(module("fastgs_blender.jobs.queue").__file__).resolve().with_name("child.py")
     out = tmp_path_factory.mktemp("first") / "run"
     subprocess.run([sys.executable, child, child.parents[2], "", "", "train", toy, "--out", out, "--quiet", *FEW, "--iterations", "3"],
                    check=True, capture_output=True, timeout=1800)
@@ -72,7 +72,7 @@ def compiled(module, toy, tmp_path_factory):
 @pytest.fixture
 def jobs(module, compiled):
     """The user's jobs, none before and none after."""
-    known = module("engine.training.store").jobs()
+    known = module("scene.training.store").jobs()
     yield known
     for job in known.all():
         if known.alive(job):
@@ -263,7 +263,7 @@ sys.path.insert(0, sys.argv[1])
 from blender_setup import enable_addon
 module = enable_addon()
 import bpy
-store = module("engine.training.store")
+store = module("scene.training.store")
 store.folder = lambda name: __import__("pathlib").Path(sys.argv[2], name)
 few = sys.argv[5:]
 options = module("operators.train")
@@ -275,7 +275,7 @@ assert bpy.ops.fastgs.train(capture=sys.argv[3], out=sys.argv[4], iterations=500
 
 def test_training_goes_on_when_blender_is_closed(jobs, module, toy, tmp_path):
     """A Blender begins a run and ends at once; the next one finds the run alive, stops it, and goes on with it."""
-    files = module("engine.training.jobs")
+    files = module("fastgs_blender.jobs.queue")
     tools = Path(__file__).resolve().parents[2] / "tools"
     subprocess.run([sys.executable, "-c", OTHER, tools, tmp_path / "user", toy, tmp_path / "run", *FEW], check=True, capture_output=True,
                    timeout=300)
@@ -293,7 +293,7 @@ def test_training_goes_on_when_blender_is_closed(jobs, module, toy, tmp_path):
 
 def test_another_blender_finds_pauses_and_resumes(jobs, module, toy, tmp_path, monkeypatch):
     """A Blender that did not start the job knows it by its lock file alone."""
-    files = module("engine.training.jobs")
+    files = module("fastgs_blender.jobs.queue")
     first, second = add(jobs, toy, tmp_path / "one", 4000), add(jobs, toy, tmp_path / "two")
     assert jobs.start_next().id == first.id
     until(lambda: jobs.state(first).kind == 'TRAINING')
@@ -319,7 +319,7 @@ def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tm
     assert obj.fastgs.start_frame == 7 and obj.fastgs.gaussian_count > 10
     assert Path(bpy.path.abspath(obj.fastgs.filepath)) == out / "model.safetensors"
     # the checkpoint is the same model, all but the Gaussians that cannot be seen
-    so_far = module("fastgs_blender.training.intermediate").write_model(out)
+    so_far = module("fastgs_blender.training.run.intermediate").write_model(out)
     load = module("fastgs_blender").load
     model, other = load(out / "model.safetensors"), load(so_far)
     assert np.array_equal(model.position, other.position) and np.array_equal(model.motion, other.motion)
@@ -341,7 +341,7 @@ def test_what_goes_wrong_is_one_sentence(jobs, toy, scene, tmp_path):
 
 def test_a_python_without_torch_says_so(module, scene, toy, tmp_path, monkeypatch):
     """An empty environment, made here without the network, is told apart from one that can train."""
-    pythons, preferences = module("engine.training.pythons"), module("engine.settings").preferences()
+    pythons, preferences = module("fastgs_blender.jobs.environment"), module("scene.settings").preferences()
     import venv
 
     venv.create(tmp_path / "bare", with_pip=False, symlinks=True)
@@ -356,8 +356,8 @@ def test_a_python_without_torch_says_so(module, scene, toy, tmp_path, monkeypatc
             bpy.ops.fastgs.test_training_python()
     finally:
         preferences.training_choice, preferences.training_python = 'AUTO', ""
-    for job in module("engine.training.store").jobs().all():
-        module("engine.training.store").jobs().forget(job)
+    for job in module("scene.training.store").jobs().all():
+        module("scene.training.store").jobs().forget(job)
     assert pythons.python_in(str(tmp_path)) is None
 
 
@@ -367,7 +367,7 @@ def test_no_environment_is_made_without_leave(scene):
 
 
 def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch):
-    operators, store = module("operators.training_python"), module("engine.training.store")
+    operators, store = module("operators.training_python"), module("scene.training.store")
     app = SimpleNamespace(online_access=True, online_access_override=False, background=False)
     monkeypatch.setattr(operators, "bpy", SimpleNamespace(app=app))
     said, asked = [], []
@@ -387,7 +387,7 @@ def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch
 
 
 def test_causes(module):
-    sentence = module("engine.training.causes").sentence
+    sentence = module("fastgs_blender.jobs.causes").sentence
     cases = (
         (None, "x\nRuntimeError: [enforce fail] DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes.", 1, "memory"),
         (None, "", -9, "memory"), ("checkpoint could not be written: No space left on device", "", 2, "disk is full"),

@@ -22,7 +22,7 @@ CAMERAS = {
 @pytest.fixture
 def capture(module, tmp_path):
     """Two cameras of frames 10 to 12; the right one moves; its pixels are taller than wide."""
-    write_png = module("fastgs_blender.plainfiles").write_png
+    write_png = module("fastgs_blender.util.plainfiles").write_png
     folder, poses = tmp_path / "capture", {}
     for i, name in enumerate(CAMERAS):
         matrix = np.diag([1.0, -1, -1, 1])
@@ -31,7 +31,7 @@ def capture(module, tmp_path):
         (folder / name).mkdir(parents=True)
         for k in range(3):
             write_png(folder / name / f"{k + 10:04}.png", np.full((30, 40, 3), 50 * k + i, np.uint8))
-    module("fastgs_blender.captures.own").write_cameras(
+    module("fastgs_blender.captures.layouts.own").write_cameras(
         folder, [dict(name=name, world_to_camera=poses[name], **lens) for name, lens in CAMERAS.items()],
         frame_count=3, fps=24, start_frame=10, axes="RFU")
     return folder
@@ -47,7 +47,7 @@ def test_cameras_with_pictures_are_a_capture(module, capture, scene, tmp_path):
     """What was imported as cameras comes back as it was: same lenses, poses, pictures, on the frames that the scene has."""
     scene.frame_start, scene.frame_end = 1, 2
     bpy.ops.fastgs.import_capture(filepath=str(capture / "cameras.json"))
-    plates = module("engine.training.plates")
+    plates = module("scene.training.plates")
     assert plates.count(scene) == 2
     here = scene.frame_current
     out = plates.write_capture(bpy.context, tmp_path / "made")
@@ -62,7 +62,7 @@ def test_cameras_with_pictures_are_a_capture(module, capture, scene, tmp_path):
 
 def test_pictures_fill_the_frame_as_they_are_shown(module, add_camera, capture, scene):
     """A picture that is narrower than the camera's frame: stretched, fitted in and cropped; a point lands where Blender shows it."""
-    plates = module("engine.training.plates")
+    plates = module("scene.training.plates")
     scene.render.resolution_x, scene.render.resolution_y = 80, 40
     camera = add_camera(lens=40, shift_x=0.1)
     background = camera.data.background_images.new()
@@ -88,7 +88,7 @@ def test_missing_pictures_are_named(module, capture, scene, tmp_path):
     bpy.ops.fastgs.import_capture(filepath=str(capture / "cameras.json"))
     (capture / "Right" / "0011.png").unlink()
     with pytest.raises(module("fastgs_blender").FastGSError, match="0011.png: the picture of frame 2 is missing"):
-        module("engine.training.plates").write_capture(bpy.context, tmp_path / "made")
+        module("scene.training.plates").write_capture(bpy.context, tmp_path / "made")
 
 
 def test_films_may_begin_later(module, scene, tmp_path):
@@ -116,7 +116,7 @@ def test_films_may_begin_later(module, scene, tmp_path):
         user.frame_start, user.frame_duration, user.frame_offset = 1, 6, 0
     user.frame_start, user.frame_offset = 3, 1  # the right one: its frame 1 on scene frame 3
     scene.frame_start, scene.frame_end = 3, 5
-    out = module("engine.training.plates").write_capture(bpy.context, tmp_path / "made")
+    out = module("scene.training.plates").write_capture(bpy.context, tmp_path / "made")
     shots = opened(module, out)
     assert [shots["Left", k].image.frame for k in range(3)] == [2, 3, 4]
     assert [shots["Right", k].image.frame for k in range(3)] == [1, 2, 3]
@@ -132,7 +132,7 @@ def progress(layout, factor=0.0, text=""):
     ('TRAINING', "Training 25 %, 12 min left"), ('QUEUED', "Waiting for its turn"), ('FAILED', "no memory"), ('FINISHED', "31.25 dB"),
     ('PAUSED', "Paused")])
 def test_the_panel_shows_runs(module, scene, monkeypatch, kind, words):
-    jobs, watch = module("engine.training.jobs"), module("engine.training.watch")
+    jobs, watch = module("fastgs_blender.jobs.queue"), module("scene.training.watch")
     values = {"iteration": 250, "iterations": 1000, "seconds_left": 700.0, "held_out_psnr": 31.25}
     texts = {'TRAINING': "Training", 'QUEUED': "Waiting for its turn", 'FAILED': "There is no memory", 'FINISHED': "Finished",
              'PAUSED': "Paused"}
@@ -151,14 +151,14 @@ def test_the_panel_shows_runs(module, scene, monkeypatch, kind, words):
 
 
 def test_estimates_grow_with_the_work(module):
-    checks = module("engine.training.checks")
+    checks = module("fastgs_blender.jobs.checks")
     assert checks.size_of('DRAFT') == (2500, 20_000) and checks.size_of('FINAL', 10, 20) == (10, 20)
     small, large = checks.estimate(320 * 240, 2500, 20_000), checks.estimate(1920 * 1080, 30_000, 150_000)
     assert 30 < small[0] < large[0] and small[1] < large[1]
 
 
 def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
-    checks = module("engine.training.checks")
+    checks = module("fastgs_blender.jobs.checks")
     monkeypatch.setattr(checks.shutil, "disk_usage", lambda path: SimpleNamespace(free=10 << 20))
     with pytest.raises(module("fastgs_blender").FastGSError, match="10 MB are free"):
         checks.before_start(str(tmp_path / "new" / "run"))
@@ -172,7 +172,7 @@ def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
 
 def test_the_memory_that_a_run_takes_is_known_before_it_starts(module, capture, scene, tmp_path, monkeypatch):
     """From the size and number of the capture's pictures and the most Gaussians."""
-    checks, store = module("engine.training.checks"), module("engine.training.store")
+    checks, store = module("fastgs_blender.jobs.checks"), module("scene.training.store")
     monkeypatch.setattr(checks, "latest", None)
     assert checks.picture_size(str(capture)) == (40 * 30, 2, 3) and checks.picture_size(str(tmp_path / "none")) == (0, 0, 0)
     told = []

@@ -27,7 +27,7 @@ def view(module, scene, worker):
 @pytest.fixture
 def contents(module):
     """contents(*paths, frame=0.0): what a scene shows."""
-    frame, retime = module("engine.frame"), module("engine.time").Retime(start_frame=0.0)
+    frame, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
 
     def make(*paths, at=0.0):
         return frame.Contents([frame.Shown(path, path, np.eye(4), retime) for path in paths], at, 30.0)
@@ -114,7 +114,7 @@ def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene,
     kind = {"type": 'ORTHO', "ortho_scale": 1.5} if orthographic else {"lens": 60}
     camera = add_camera(location=(0, -2, 0), **kind)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    wanted = module("engine.camera").camera_of(camera, module("engine.camera").frame_of(scene.render), depsgraph)
+    wanted = module("scene.camera").camera_of(camera, module("scene.camera").frame_of(scene.render), depsgraph)
     projection = np.array(camera.calc_matrix_camera(depsgraph, x=64, y=48))
     # a region of 160 x 144 that shows the 64 x 48 pixels of the frame from 40, 24 on, pixel by pixel
     zoom = np.diag([64 / 160, 48 / 144, 1, 1])
@@ -181,7 +181,7 @@ def test_a_reloaded_file_is_drawn_anew(module, make_model, model_file, contents,
     path = model_file(make_model(50))
     first = draw(contents(path), eye(), wait=True)
     model_file(make_model(50, seed=3))
-    module("engine.objects").reload(path)
+    module("scene.objects").reload(path)
     second = draw(contents(path), eye(), wait=True)
     assert psnr(second, expected(contents(path), eye())) > 45 > psnr(second, first)
 
@@ -293,7 +293,7 @@ def test_viewport_visibility_is_asked_for_objects_and_instancers(module, scene, 
     empty.instance_type, empty.instance_collection = 'COLLECTION', inside
     scene.collection.objects.link(empty)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    contents = module("engine.frame").contents
+    contents = module("scene.snapshot").contents
     assert [s.name for s in contents(depsgraph).shown] == ["Plain", "Instanced"]
     assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Plain").shown] == ["Instanced"]
     assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Instancer").shown] == ["Plain"]

@@ -7,7 +7,7 @@ import pytest
 from conftest import black_behind, psnr, read_png, region_camera
 from PIL import Image
 
-from fastgs_blender.crops import Crop
+from fastgs_blender.rendering.crops import Crop
 
 EDGE = 4
 INNER = slice(EDGE, -EDGE), slice(EDGE, -EDGE)

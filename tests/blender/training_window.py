@@ -118,7 +118,7 @@ def from_scene_to_shot(environment, cache):
     settings = scene.fastgs.training
     settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
     settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
-    watch, show = part("engine.training.watch"), part("engine.training.show")
+    watch, show = part("scene.training.watch"), part("scene.training.show")
     yield from click(area, "fastgs.train")
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
@@ -165,8 +165,8 @@ def from_scene_to_shot(environment, cache):
 
     settings.source = 'FOLDER'
     yield from click(area, "fastgs.train_check", 0.3)
-    yield from until(lambda: part("engine.training.checks").latest, 100)
-    checked = part("engine.training.checks").latest.text
+    yield from until(lambda: part("fastgs_blender.jobs.checks").latest, 100)
+    checked = part("fastgs_blender.jobs.checks").latest.text
 
     for obj in scene.objects:
         obj.hide_render = obj == model

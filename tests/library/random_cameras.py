@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import fastgs_blender as fg
-from fastgs_blender.reference import rotation_matrices
-from fastgs_blender.slicing import unit_quaternions
+from fastgs_blender.model.slicing import unit_quaternions
+from fastgs_blender.rendering.oracle import rotation_matrices
 
 
 def random_pose(rng: np.random.Generator, distance: float) -> np.ndarray:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fastgs_blender.camera import Camera
-from fastgs_blender.captures.base import Capture
-from fastgs_blender.captures.lens import Intrinsics, Lens
+from fastgs_blender.cameras.camera import Camera
+from fastgs_blender.cameras.lens import Intrinsics, Lens
+from fastgs_blender.captures.capture import Capture
 
 
 def draw_spots(width: int, height: int, pixels, sigma: float = 2.5) -> np.ndarray:

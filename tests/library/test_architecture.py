@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ORDER = ("fastgs_blender", "engine", "operators", "ui")
+ORDER = ("fastgs_blender", "scene", "engine", "operators", "ui")
 """A package imports itself and those before it; the root __init__.py imports them all."""
 BLENDERS = {"bpy", "bmesh", "gpu", "gpu_extras", "mathutils", "bpy_extras", "bl_ui", "addon_utils", "blf", "imbuf", "aud"}
 
@@ -64,14 +64,16 @@ def test_extension_follows_the_import_rules():
     ("fastgs_blender/a.py", "from fastgs_blender import model", False),
     ("fastgs_blender/a.py", "from ..engine import x", False),
     ("fastgs_blender/kernels/a.py", "from ... import engine", False),
-    ("engine/a.py", "import bpy\nfrom .. import fastgs_blender as fg\nfrom ..fastgs_blender.model import Clip", True),
+    ("engine/a.py", "import bpy\nfrom .. import fastgs_blender as fg\nfrom ..fastgs_blender.model.gaussians import Clip", True),
     ("engine/a.py", "from ..operators import x", False),
     ("engine/a.py", "from .. import ui", False),
     ("operators/a/b.py", "from ...engine import x", True),
     ("operators/a.py", "from ...engine import x", False),
     ("operators/a.py", "from engine import x", False),
     ("ui/a.py", "from ..operators import x", True),
-    ("__init__.py", "from . import engine, operators, ui", True),
+    ("__init__.py", "from . import engine, operators, scene, ui", True),
+    ("scene/a.py", "from ..engine import x", False),
+    ("engine/a.py", "from ..scene import x", True),
     ("__init__.py", "from .. import engine", False),
 ])
 def test_the_import_rules_themselves(path, source, good):

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 import fastgs_blender as fg
-from fastgs_blender.captures.base import Capture, Points, Shot
+from fastgs_blender.captures.capture import Capture, Points, Shot
 
 SIZE = (48, 36)
 

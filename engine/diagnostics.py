@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a report of a problem should contain."""
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+import bpy
+
+from ..fastgs_blender import __version__
+from ..fastgs_blender.kernels.cpu import cache
+from ..fastgs_blender.util.threads import thread_count
+from ..scene import objects, settings
+from . import compiling
+
+PACKAGES = ("numpy", "numba", "llvmlite", "safetensors", "OpenEXR", "torch")
+
+
+def text() -> str:
+    """Versions, machine, graphics card, renderer, splat objects and the last lines of the log, one fact a line."""
+    lines = [
+        f"FAST-GS for Blender {__version__}",
+        f"Blender {bpy.app.version_string}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} processors",
+        "packages: " + ", ".join(f"{name} {_version(name)}" for name in PACKAGES),
+        f"graphics: {_graphics()}",
+        f"backend: {'cpu' if compiling.has_numba() else 'reference (numba is missing)'}, {thread_count()} threads",
+        f"kernels: {'compiled' if cache.is_filled() else 'not compiled'}, {cache.size() / 1e6:.1f} MB in {cache.folder()}",
+    ]
+    for obj in bpy.data.objects:
+        if objects.is_splat(obj):
+            state = objects.error_of(obj) or f"{obj.fastgs.gaussian_count:,} Gaussians"
+            lines.append(f'object "{obj.name}": {obj.fastgs.filepath}: {state}')
+    return "\n".join([*lines, "log:", *(settings.recent.lines or ["(empty)"])]) + "\n"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "-"
+
+
+def _graphics() -> str:
+    if bpy.app.background:
+        return "none (background)"
+    import gpu
+
+    p = gpu.platform
+    return f"{p.vendor_get()} {p.renderer_get()} {p.version_get()} ({p.backend_type_get()})"

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5, the first row at the top."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..util.errors import FastGSError
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole or orthographic camera with any principal point.
+
+    width, height   size of the whole image in pixels
+    fx, fy          focal lengths in pixels; orthographic: pixels per unit of length
+    cx, cy          principal point in pixels from the top left corner
+    world_to_camera [4, 4], affine
+    orthographic    parallel projection along z
+    near            nothing nearer than this is drawn, along z (a model's own near plane holds as well)
+    window          (x, y, width, height) of the part of the image to render; None: all of it.
+                    A part has exactly the pixels that the whole image has there.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: np.ndarray
+    orthographic: bool = False
+    near: float = 0.0
+    window: tuple[int, int, int, int] | None = None
+
+    def __post_init__(self):
+        matrix = np.array(self.world_to_camera, np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise FastGSError("a camera's world_to_camera must be a 4 x 4 matrix of finite numbers.")
+        if not all(np.isfinite(v) for v in (self.fx, self.fy, self.cx, self.cy, self.near)) or self.fx == 0 or self.fy == 0:
+            raise FastGSError("a camera's focal lengths, principal point and near plane must be finite, the focal lengths not 0.")
+        if int(self.width) < 1 or int(self.height) < 1:
+            raise FastGSError(f"a camera's image must be at least 1 x 1 pixel, not {self.width} x {self.height}.")
+        set_ = object.__setattr__
+        set_(self, "width", int(self.width))
+        set_(self, "height", int(self.height))
+        set_(self, "world_to_camera", matrix)
+        x, y, w, h = (int(v) for v in (self.window or (0, 0, self.width, self.height)))
+        if x < 0 or y < 0 or w < 1 or h < 1 or x + w > self.width or y + h > self.height:
+            raise FastGSError(f"the window {self.window} does not lie within the image of {self.width} x {self.height} pixels.")
+        set_(self, "window", (x, y, w, h))
+
+    def tangent_limits(self) -> tuple[float, float, float, float]:
+        """x/z low and high, y/z low and high, to which the projection's Jacobian is clamped.
+
+        The view's edges widened by 15 % of the image (gsplat `_persp_proj`; INRIA's 1.3 tan(fov / 2) when centred).
+        """
+        mx, my = 0.15 * self.width / self.fx, 0.15 * self.height / self.fy
+        x = sorted((-self.cx / self.fx - mx, (self.width - self.cx) / self.fx + mx))
+        y = sorted((-self.cy / self.fy - my, (self.height - self.cy) / self.fy + my))
+        return x[0], x[1], y[0], y[1]
+
+    def rays(self, model_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space.
+
+        An orthographic camera has no centre: it gives the directions it looks along and, as centre, the point of the
+        image plane's principal axis.
+        """
+        x0, y0, w, h = self.window
+        camera_to_model = np.linalg.pinv(model_to_camera)
+        u = (np.arange(x0, x0 + w) + 0.5 - self.cx) / self.fx
+        v = (np.arange(y0, y0 + h) + 0.5 - self.cy) / self.fy
+        rays = np.zeros((h, w, 3))
+        if not self.orthographic:
+            rays[..., 0], rays[..., 1] = u[None, :], v[:, None]
+        rays[..., 2] = 1
+        rays = rays @ camera_to_model[:3, :3].T
+        length = np.linalg.norm(rays, axis=-1, keepdims=True)
+        return camera_to_model[:3, 3], rays / np.maximum(length, 1e-30)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""cameras.json, as INRIA's trainer and everything derived from it writes it.
+
+A list of {id, img_name, width, height, position, rotation, fx, fy}: position is the camera's centre in the world, rotation the
+3 x 3 camera-to-world matrix in OpenCV axes.  cx and cy are read where present, else the principal point is the image's centre.
+"""
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .camera import Camera
+
+LARGEST_FILE = 256 * 2**20
+LARGEST_SIDE = 65_536
+
+
+@dataclass(frozen=True)
+class View:
+    """One entry of the file: its name (img_name, else its number) and its camera."""
+
+    name: str
+    camera: Camera
+
+
+def load_cameras(path) -> list[View]:
+    """The cameras of a cameras.json; raises FastGSError where the file cannot be read or an entry is wrong."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise FastGSError(f"{path}: this is too large for a camera file; give the cameras.json of a capture.")
+        entries = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise FastGSError(f"{path}: the camera file cannot be read ({error.strerror}); check the path.") from error
+    except (ValueError, RecursionError) as error:
+        raise FastGSError(f"{path}: the camera file is not JSON ({error}); give a cameras.json as 3DGS trainers write it.") from error
+    entries = [entries] if isinstance(entries, dict) else entries
+    if not isinstance(entries, list) or not entries:
+        raise FastGSError(f"{path}: the camera file must hold a list of at least one camera.")
+    return [_view(path, i, entry) for i, entry in enumerate(entries)]
+
+
+def _view(path, i, entry) -> View:
+    where = f"{path}: camera {i}"
+    if not isinstance(entry, dict):
+        raise FastGSError(f"{where} must be a table of named values, not {type(entry).__name__}.")
+    missing = [key for key in ("width", "height", "position", "rotation", "fx", "fy") if key not in entry]
+    if missing:
+        raise FastGSError(f"{where} lacks {', '.join(missing)}.")
+    width, height = (_numbers(where, entry, key, ()) for key in ("width", "height"))
+    if not all(v == int(v) and 1 <= v <= LARGEST_SIDE for v in (width, height)):
+        raise FastGSError(f"{where} must have a width and height of whole pixels from 1 to {LARGEST_SIDE}, not {width:g} x {height:g}.")
+    fx, fy = (_numbers(where, entry, key, ()) for key in ("fx", "fy"))
+    if not (fx > 0 and fy > 0):
+        raise FastGSError(f"{where} must have positive focal lengths fx and fy, not {fx:g} and {fy:g}.")
+    rotation, position = _numbers(where, entry, "rotation", (3, 3)), _numbers(where, entry, "position", (3,))
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise FastGSError(f"{where} has a rotation that is not a rotation matrix (orthonormal, determinant +1).")
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = rotation.T
+    world_to_camera[:3, 3] = -rotation.T @ position
+    camera = Camera(
+        int(width), int(height), fx, fy,
+        _numbers(where, entry, "cx", ()) if "cx" in entry else width / 2,
+        _numbers(where, entry, "cy", ()) if "cy" in entry else height / 2,
+        world_to_camera)
+    return View(str(entry.get("img_name", entry.get("id", i))), camera)
+
+
+def _numbers(where, entry, key, shape):
+    """entry[key] as finite float64 of that shape; a number for ()."""
+    value = entry[key]
+    try:
+        if isinstance(value, (bool, str)):
+            raise TypeError
+        array = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.full(shape, np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        wanted = {(): "a finite number", (3,): "3 finite numbers", (3, 3): "3 x 3 finite numbers"}[shape]
+        raise FastGSError(f"{where} must have {wanted} as its {key}.")
+    return float(array) if shape == () else array
+
+
+def choose(views: list[View], name: str, path) -> View:
+    """The view of that name or, where there is none, of that number; raises FastGSError if it is not there."""
+    for view in views:
+        if view.name == name:
+            return view
+    if name.isdecimal() and int(name) < len(views):
+        return views[int(name)]
+    known = ", ".join(view.name for view in views[:8]) + (", ..." if len(views) > 8 else "")
+    raise FastGSError(f"{path}: there is no view {name!r}; there are the numbers 0 to {len(views) - 1} and the names {known}.")
+
+
+def resized(camera: Camera, width: int, height: int) -> Camera:
+    """The camera with another image size: the horizontal field of view stays, nothing is stretched."""
+    s = width / camera.width
+    return replace(
+        camera, width=width, height=height, fx=camera.fx * s, fy=camera.fy * s, window=None,
+        cx=camera.cx * s, cy=height / 2 + (camera.cy - camera.height / 2) * s)

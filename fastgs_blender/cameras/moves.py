@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves: paths through space that are smooth in position, direction, field of view and speed.
+
+A move is a function of s in [0, 1], the share of the way that lies behind the camera; an ease turns time into s.  Directions
+are unit quaternions, w x y z, camera to world, in whatever axes the caller's camera has.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..util.errors import FastGSError
+
+TABLE = 2048
+"""Samples of a spline from which lengths are read."""
+STEPS = 400
+"""Steps in which the nearest place of a region is approached."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """M samples of a move.
+
+    position   [M, 3]
+    rotation   [M, 4]  unit quaternions of one sign: neighbours never point away from each other
+    focal      [M]     focal length in whatever unit the caller uses
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    focal: np.ndarray
+
+
+def ease(u, amount: float) -> np.ndarray:
+    """Share of the way at the share u of the time: `amount` of the time, half at each end, is spent starting and stopping.
+
+    0 is constant speed; the speed rises and falls smoothly and never jumps within the move.
+    """
+    u, ramp = np.clip(np.asarray(u, np.float64), 0, 1), 0.5 * min(max(amount, 0.0), 1.0)
+    if ramp == 0:
+        return u
+    # the speed is (1 - cos(pi u / ramp)) / 2 while it rises, so the way is its integral
+    def rise(v):
+        return 0.5 * (v - ramp / np.pi * np.sin(np.pi * v / ramp))
+
+    way = np.where(u < ramp, rise(u), np.where(u > 1 - ramp, (1 - ramp) - rise(1 - u), u - 0.5 * ramp))
+    return way / (1 - ramp)
+
+
+def orbit(s, centre, radius: float, elevation: float, start: float, turns: float, focal: float, rise: float = 0.0) -> Path:
+    """Around `centre` [3] at a distance, looking at it; z is up, angles in radians, `turns` may be negative.
+
+    elevation  above the horizon at the start; it changes by `rise` along the way
+    start      angle around z of the first position, from x on
+    Directions are those of a camera that looks along -z with y up (Blender, OpenGL).
+    """
+    s = np.asarray(s, np.float64)
+    around, above = start + 2 * np.pi * turns * s, elevation + rise * s
+    out = np.stack([np.cos(around) * np.cos(above), np.sin(around) * np.cos(above), np.sin(above)], -1)
+    # right = z x out, which never vanishes on the way, unlike a comparison with the up axis
+    right = np.stack([-np.sin(around), np.cos(around), np.zeros_like(s)], -1)
+    matrix = np.stack([right, np.cross(out, right), out], -1)
+    return Path(np.asarray(centre) + radius * out, one_sign(quaternions(matrix)), np.full(s.shape, float(focal)))
+
+
+def dolly(s, position, rotation, direction, distance: float, focal: float, subject: float | None = None) -> Path:
+    """Straight on from `position` [3] along `direction` [3] by `distance`, the view turned as it is.
+
+    subject  distance of what keeps its size in the picture while the camera comes nearer (a dolly zoom); None: the lens stays.
+    Raises FastGSError where the camera would reach the subject.
+    """
+    s = np.asarray(s, np.float64)
+    direction = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    lens = np.full(s.shape, float(focal))
+    if subject is not None:
+        if subject <= 0 or distance >= subject:
+            raise FastGSError("a dolly zoom cannot reach its subject; shorten the way or choose a subject farther off.")
+        lens = focal * (subject - distance * s) / subject
+    return Path(np.asarray(position) + distance * s[..., None] * direction, np.broadcast_to(rotation, s.shape + (4,)).copy(), lens)
+
+
+def through(s, poses: Path, closed: bool = False) -> Path:
+    """A spline through the poses in their order, at a speed that is even along the way.
+
+    Position and logarithm of the focal length are cubic splines with continuous second derivatives, direction is a spherical
+    quadrangle spline (Shoemake 1987), which between two poses is the slerp.
+    """
+    count = len(poses.position)
+    if count < 2 + closed:
+        raise FastGSError(f"a {'closed path needs three' if closed else 'path needs two'} cameras at least; select more.")
+    rows = np.append(np.arange(count), 0) if closed else np.arange(count)
+    rotation = one_sign(poses.rotation[rows])
+    points = np.concatenate([poses.position, np.log(poses.focal)[:, None]], 1)[rows]
+    knots = np.arange(len(rows), dtype=np.float64)
+    second = _second_derivatives(points, closed)
+    fine = np.linspace(0, knots[-1], TABLE)
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(_cubic(fine, points, second)[:, :3], axis=0), axis=1))])
+    if length[-1] <= 0:  # the camera only turns
+        length = fine.copy()
+    u = np.interp(np.asarray(s, np.float64) * length[-1], length, fine)
+    at = _cubic(u, points, second)
+    return Path(at[:, :3], _squad(u, rotation, closed), np.exp(at[:, 3]))
+
+
+def inside(path: Path, cameras, margin: float) -> np.ndarray:
+    """How far [M] each position lies outside the region that the captured cameras [C, 3] span, 0 within.
+
+    The region is the convex hull of their places, grown by `margin` to all sides.
+    """
+    beyond = np.linalg.norm(path.position - _nearest(path.position, np.asarray(cameras, np.float64)), axis=1)
+    return np.maximum(beyond - margin, 0)
+
+
+def held_inside(path: Path, cameras, margin: float) -> Path:
+    """The path with its positions moved to the nearest place of the region (see inside)."""
+    near = _nearest(path.position, np.asarray(cameras, np.float64))
+    away = path.position - near
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    return replace(path, position=near + away * np.minimum(1, margin / np.maximum(distance, 1e-30)))
+
+
+def quaternions(matrix: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4], w x y z, of rotation matrices [..., 3, 3] (Bar-Itzhack's eigenvector, stable everywhere)."""
+    m = np.asarray(matrix, np.float64)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(m, (-2, -1), (0, 1))
+    k = np.stack([
+        np.stack([xx + yy + zz, zy - yz, xz - zx, yx - xy], -1), np.stack([zy - yz, xx - yy - zz, xy + yx, xz + zx], -1),
+        np.stack([xz - zx, xy + yx, yy - xx - zz, yz + zy], -1), np.stack([yx - xy, xz + zx, yz + zy, zz - xx - yy], -1),
+    ], -2)
+    q = np.linalg.eigh(k)[1][..., -1]
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def one_sign(q: np.ndarray) -> np.ndarray:
+    """The same rotations [M, 4], each quaternion on the side of the one before it."""
+    turns = np.sign((q[1:] * q[:-1]).sum(-1))
+    turns[turns == 0] = 1
+    return q * np.concatenate([[1.0], np.cumprod(turns)])[:, None]
+
+
+def _second_derivatives(points, closed):
+    """Of the cubic spline through points [K, D] at whole numbers: natural at its ends, or without ends."""
+    n = len(points)
+    if closed:
+        n -= 1
+        system = 4 * np.eye(n) + np.roll(np.eye(n), 1, 0) + np.roll(np.eye(n), -1, 0)
+        right = 6 * (np.roll(points[:n], -1, 0) - 2 * points[:n] + np.roll(points[:n], 1, 0))
+        solved = np.linalg.solve(system, right)
+        return np.concatenate([solved, solved[:1]])
+    second = np.zeros_like(points)
+    if n > 2:
+        system = 4 * np.eye(n - 2) + np.eye(n - 2, k=1) + np.eye(n - 2, k=-1)
+        second[1:-1] = np.linalg.solve(system, 6 * (points[2:] - 2 * points[1:-1] + points[:-2]))
+    return second
+
+
+def _cubic(u, points, second):
+    i = np.clip(u.astype(int), 0, len(points) - 2)
+    b = (u - i)[:, None]
+    a = 1 - b
+    return a * points[i] + b * points[i + 1] + ((a**3 - a) * second[i] + (b**3 - b) * second[i + 1]) / 6
+
+
+def _multiply(p, q):
+    pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
+    return np.concatenate([pw * qw - (pv * qv).sum(-1, keepdims=True), pw * qv + qw * pv + np.cross(pv, qv)], -1)
+
+
+def _log(q):
+    v = q[..., 1:]
+    norm = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.arctan2(norm, q[..., :1]) * np.divide(v, norm, out=np.zeros_like(v), where=norm > 1e-15)
+
+
+def _exp(v):
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle), np.sinc(angle / np.pi) * v], -1)
+
+
+def _slerp(p, q, b):
+    return _multiply(p, _exp(b * _log(_multiply(p * [1, -1, -1, -1], q))))
+
+
+def _squad(u, q, closed):
+    """Spherical quadrangle spline through q [K, 4] at whole numbers."""
+    inverse = q * [1, -1, -1, -1]
+    onward, back = np.roll(q, -1, 0), np.roll(q, 1, 0)
+    if closed:
+        onward[-1], back[0] = q[1], q[-2]
+    else:
+        onward[-1], back[0] = q[-1], q[0]
+    onward, back = (np.where((q * other).sum(-1, keepdims=True) < 0, -other, other) for other in (onward, back))
+    control = _multiply(q, _exp(-0.25 * (_log(_multiply(inverse, onward)) + _log(_multiply(inverse, back)))))
+    if not closed:  # an end has no neighbour beyond it: it is its own control, so that two poses give the slerp
+        control[0], control[-1] = q[0], q[-1]
+    i = np.clip(u.astype(int), 0, len(q) - 2)
+    b = (u - i)[:, None]
+    return one_sign(_slerp(_slerp(q[i], q[i + 1], b), _slerp(control[i], control[i + 1], b), 2 * b * (1 - b)))
+
+
+def _nearest(points, cameras):
+    """The nearest places [M, 3] of the cameras' convex hull (Frank-Wolfe with pairwise steps, which ends in few)."""
+    rows, count = np.arange(len(points)), len(cameras)
+    share = np.full((len(points), count), 1 / count)
+    for _ in range(STEPS):
+        slope = (points - share @ cameras) @ cameras.T
+        onto, off = slope.argmax(1), np.where(share > 0, slope, np.inf).argmin(1)
+        way = cameras[onto] - cameras[off]
+        step = (slope[rows, onto] - slope[rows, off]) / np.maximum((way**2).sum(1), 1e-30)
+        step = np.minimum(step, share[rows, off])
+        share[rows, onto] += step
+        share[rows, off] -= step
+    return share @ cameras

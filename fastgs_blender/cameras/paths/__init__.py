@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera paths of other programs, and ours: load_path() and save_path().  A file is known by its content.
+
+A format is one module with `name`, `label`, load(file, values, picture) -> CameraPath and save(path, file, picture), listed in FORMATS;
+those that are JSON have recognises(values).
+"""
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+from types import ModuleType
+
+from ...util.errors import FastGSError
+from .. import poses
+from . import colmap, inria, nerfstudio, ngp, own, supersplat
+from .base import CameraPath, Picture
+
+FORMATS: tuple[ModuleType, ...] = (own, nerfstudio, ngp, supersplat, inria, colmap)
+__all__ = ["FORMATS", "CameraPath", "Picture", "format_named", "load_path", "save_path"]
+
+
+def load_path(file, picture: Picture | None = None) -> CameraPath:
+    """The camera path in a file, or in a folder with a COLMAP model.
+
+    picture  size and frame rate for the formats that state none (instant-ngp, SuperSplat)
+    Raises FastGSError where it cannot be read or is none.
+    """
+    path, picture = Path(os.fsdecode(file)), picture or Picture()
+    try:
+        folder = colmap.folder_of(path) if path.suffix.lower() != ".json" else None
+        if folder is not None:
+            return colmap.load(folder, None, picture)
+        if not path.exists():
+            raise FastGSError(f"{path}: there is no such file; check the name.")
+        if path.is_dir():
+            raise FastGSError(f"{path}: there is no COLMAP model (cameras and images, .txt or .bin) in this folder.")
+        values = supersplat.read_project(path) if zipfile.is_zipfile(path) else poses.read_json(path)
+        for module in FORMATS:
+            if module is not colmap and module.recognises(values):
+                return module.load(path, values, picture)
+    except (OSError, ValueError) as error:
+        raise FastGSError(f"{path}: it cannot be read ({getattr(error, 'strerror', None) or error}).") from error
+    labels = ", ".join(module.label for module in FORMATS)
+    raise FastGSError(f"{path}: this is no camera path known here; there are {labels}.")
+
+
+def format_named(name: str) -> ModuleType:
+    """The format of that name; raises FastGSError."""
+    for module in FORMATS:
+        if module.name == name:
+            return module
+    raise FastGSError(f"there is no camera path format {name!r}; there are {', '.join(module.name for module in FORMATS)}.")
+
+
+def save_path(path: CameraPath, file, name: str = "own", picture: Picture | None = None) -> None:
+    """Write a camera path in the format of that name, aside and renamed.
+
+    What the format cannot hold is told by a LossWarning.  Raises FastGSError where the file cannot be written.
+    """
+    module = format_named(name)
+    try:
+        module.save(path, file, picture or Picture())
+    except FastGSError as error:
+        raise error if str(file) in str(error) else FastGSError(f"{file}: {error}") from error
+    except OSError as error:
+        raise FastGSError(f"{file}: it cannot be written ({error.strerror or error}); choose another place.") from error

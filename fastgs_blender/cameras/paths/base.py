@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""CameraPath: a camera for each frame of a shot, whatever program the path came from."""
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...util.errors import FastGSError, LossWarning
+from ...util.outputs import replacing
+from .. import poses
+from ..camera import Camera
+from ..cameras_json import LARGEST_SIDE
+from ..moves import quaternions
+
+MOST_FRAMES = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A camera path; OpenCV axes, pixel centres at +0.5, as everywhere.
+
+    cameras      one for each frame
+    fps          frames per second, None where the file has none
+    start_frame  what the file calls its first frame
+    axes         of the world that the poses are in, as in GaussianModel
+    keys         the numbers (from 0, fractions allowed) and cameras of the keyframes from which the file's program makes its frames;
+                 empty where the file holds frames only
+    """
+
+    cameras: Sequence[Camera]
+    fps: float | None = None
+    start_frame: int = 1
+    axes: str = "RDF"
+    keys: Sequence[tuple[float, Camera]] = ()
+
+    def __post_init__(self):
+        if not 1 <= len(self.cameras) <= MOST_FRAMES:
+            raise FastGSError(f"a camera path has from 1 to {MOST_FRAMES} frames, not {len(self.cameras)}.")
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What files that leave it out are taken to mean: the picture's size in pixels and the frame rate."""
+
+    width: int = 1920
+    height: int = 1080
+    fps: float = 24.0
+
+    def __post_init__(self):
+        if not (1 <= self.width <= LARGEST_SIDE and 1 <= self.height <= LARGEST_SIDE and np.isfinite(self.fps) and self.fps > 0):
+            raise FastGSError(f"a camera path needs a picture of at least 1 x 1 pixel and a positive frame rate, not {self}.")
+
+
+def camera_to_world(camera: Camera) -> np.ndarray:
+    """[4, 4] in OpenCV axes."""
+    return poses.inverse(camera.world_to_camera)
+
+
+def opengl_to_world(camera: Camera) -> np.ndarray:
+    """Camera-to-world [4, 4] of a camera that looks along -z with y up."""
+    return camera_to_world(camera) @ poses.OPENGL
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion [4], w x y z, of a rotation matrix [3, 3]."""
+    return quaternions(np.asarray(rotation)[None])[0]
+
+
+def symmetric(width: int, height: int, focal: float, pose: np.ndarray) -> Camera:
+    """A camera with square pixels and its principal point in the middle."""
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose)
+
+
+def focal_of(degrees: float, side: float, where: str) -> float:
+    """Focal length in pixels of an angle of view over `side` pixels."""
+    angle = poses.number(degrees, f"{where}: its field of view", 0.01, 179.9)
+    return side / 2 / np.tan(np.radians(angle) / 2)
+
+
+def degrees_of(focal: float, side: float) -> float:
+    """Angle of view in degrees over `side` pixels."""
+    return float(np.degrees(2 * np.arctan(side / 2 / focal)))
+
+
+def warn_of_losses(path: CameraPath, kind: str, *, one_size: bool = True) -> None:
+    """LossWarning for what formats without intrinsics cannot hold."""
+    off = max(max(abs(c.cx - c.width / 2), abs(c.cy - c.height / 2)) for c in path.cameras)
+    if off > 1e-6:
+        warnings.warn(f"{kind} holds no shift of the lens; it is left out ({off:.3g} pixels).", LossWarning, stacklevel=3)
+    if max(abs(c.fx / c.fy - 1) for c in path.cameras) > 1e-9:
+        warnings.warn(f"{kind} holds no pixels that are not square; the vertical focal length is written.", LossWarning, stacklevel=3)
+    if one_size and len({(c.width, c.height) for c in path.cameras}) > 1:
+        warnings.warn(f"{kind} has one size for all frames; the first is written.", LossWarning, stacklevel=3)
+
+
+def refuse_orthographic(path: CameraPath, kind: str) -> None:
+    """Raises FastGSError for parallel projections, which no camera path holds."""
+    if any(c.orthographic for c in path.cameras):
+        raise FastGSError(f"{kind} holds perspective cameras only; set the camera to Perspective.")
+
+
+def write_json(file, values, indent=None) -> None:
+    """A JSON file, written aside and renamed."""
+    text = json.dumps(values, indent=indent, allow_nan=False)
+    with replacing([Path(file)]) as (part,):
+        part.write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""SuperSplat and PlayCanvas' viewer: keyframes of position, target and field of view, with a spline through them.
+
+settings.json of the viewer has animTracks: frameRate, duration (seconds), smoothness, interpolation, keyframes.times (frames) and
+.values (position and target [3 K], fov [K]); the first version has one camera.fov for all.  A project (.ssproj, a zip with
+document.json) has poseSets and timeline.  (playcanvas/supersplat-viewer, src/schemas, src/core/spline.ts; playcanvas/supersplat,
+src/camera-poses.ts, src/doc.ts.)
+
+Cameras are level: y is up.  fov holds across the longer side of the picture.  Both programs turn a splat file half about z.
+"""
+from __future__ import annotations
+
+import json
+import warnings
+import zipfile
+
+import numpy as np
+
+from ...util.errors import FastGSError, LossWarning
+from .. import poses
+from ..camera import Camera
+from .base import MOST_FRAMES, CameraPath, camera_to_world, degrees_of, focal_of, refuse_orthographic, symmetric, warn_of_losses, write_json
+
+name, label = "supersplat", "SuperSplat / PlayCanvas settings.json"
+TURN = np.diag([-1.0, -1.0, 1.0])
+"""Between the world of a splat file and PlayCanvas'."""
+UP = np.array([0.0, 1.0, 0.0])
+LEAST_RATE = 8
+"""Tracks with a lower frame rate count in seconds; their frames are taken at the scene's rate."""
+LARGEST_DOCUMENT = 64 * 2**20
+
+
+def recognises(values) -> bool:
+    return isinstance(values, dict) and ("animTracks" in values or "poseSets" in values)
+
+
+def read_project(file) -> dict:
+    """document.json of a project."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:
+                raise FastGSError(f"{file}: its document.json is too large to be a project's.")
+            return json.loads(archive.read("document.json").decode("utf-8-sig"))
+    except (zipfile.BadZipFile, KeyError, ValueError, RecursionError, NotImplementedError, RuntimeError) as error:
+        raise FastGSError(f"{file}: this is no SuperSplat project, or it is damaged; save it again in SuperSplat.") from error
+
+
+def load(file, values, picture) -> CameraPath:
+    times, points, rate, length, period, smoothness, step = _project(file, values) if "poseSets" in values else _settings(file, values)
+    if len(times) > 1 and (np.diff(times) <= 0).any():
+        raise FastGSError(f"{file}: the frames of its keyframes must increase.")
+    fps = rate if rate >= LEAST_RATE else picture.fps
+    count = max(round(length * fps / rate), int(times[-1] * fps / rate + 1e-6) + 1)
+    if count > MOST_FRAMES:
+        raise FastGSError(f"{file}: it has {count} frames, which is too long for a camera path.")
+    spline = _spline(times, points, period, smoothness, step)
+    keys = [(at * fps / rate, _camera(point, picture, f"{file}: keyframe {i}")) for i, (at, point) in enumerate(zip(times, points))]
+    return CameraPath([_camera(spline(f * rate / fps), picture, f"{file}: frame {f}") for f in range(count)], fps, keys=keys)
+
+
+def save(path: CameraPath, file, picture) -> None:
+    refuse_orthographic(path, label)
+    warn_of_losses(path, label)
+    fps, first = path.fps or picture.fps, path.cameras[0]
+    places = np.array([camera_to_world(camera) for camera in path.cameras])
+    position, forward = places[:, :3, 3] @ TURN, places[:, :3, 2] @ TURN
+    if np.abs(places[:, :3, 0] @ TURN @ UP).max() > 1e-6:
+        warnings.warn(f"{label} holds level cameras only; their roll is left out.", LossWarning, stacklevel=2)
+    side = max(first.width, first.height)
+    fov = [degrees_of(camera.fy, side) for camera in path.cameras]
+    start = {"position": position[0].tolist(), "target": (position + forward)[0].tolist(), "fov": fov[0]}
+    off = {"enabled": False}
+    write_json(file, {
+        "version": 2, "tonemapping": "none", "highPrecisionRendering": False, "background": {"color": [0, 0, 0]},
+        "postEffectSettings": {
+            "sharpness": {**off, "amount": 0}, "bloom": {**off, "intensity": 1, "blurLevel": 2},
+            "grading": {**off, "brightness": 1, "contrast": 1, "saturation": 1, "tint": [1, 1, 1]},
+            "vignette": {**off, "intensity": 0.5, "inner": 0.3, "outer": 0.75, "curvature": 1}, "fringing": {**off, "intensity": 0.5}},
+        "animTracks": [{
+            "name": "cameraAnim", "duration": len(path) / fps, "frameRate": fps, "loopMode": "none", "interpolation": "spline",
+            "smoothness": 1, "keyframes": {"times": list(range(len(path))), "values": {
+                "position": position.ravel().tolist(), "target": (position + forward).ravel().tolist(), "fov": fov}}}],
+        "cameras": [{"initial": start}], "annotations": [], "startMode": "animTrack"})
+
+
+def _settings(file, values):
+    """Times [K], points [K, 7], frame rate, length in frames, period of the spline or None, smoothness, whether it goes in steps."""
+    tracks = [track for track in poses.listed(values.get("animTracks") or [], f"{file}: its animTracks", 0) if isinstance(track, dict)]
+    track = next((t for t in tracks if isinstance(t.get("keyframes"), dict) and t["keyframes"].get("times")), None)
+    if track is None:
+        raise FastGSError(f"{file}: there is no camera animation in these settings; export them from SuperSplat with an animation.")
+    where = f"{file}: the animation {track.get('name', '')!r}"
+    rate = poses.number(track.get("frameRate") or 30, f"{where}: its frameRate", 1e-3, 1e6)
+    times = np.array(track["keyframes"]["times"], object)
+    count = len(times)
+    times = poses.numbers(times.tolist(), (count,), f"{where}: its times") * (1 if track.get("frameRate") else rate)
+    found = poses.table(track["keyframes"].get("values"), f"{where}: its values")
+    position, target = (poses.numbers(found.get(key), (3 * count,), f"{where}: its {key}").reshape(-1, 3) for key in ("position", "target"))
+    camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
+    fov = found.get("fov", [camera.get("fov") or 60] * count)
+    points = np.concatenate([position, target, poses.numbers(fov, (count,), f"{where}: its fov")[:, None]], 1)
+    length = poses.number(track.get("duration", 0), f"{where}: its duration", 0, 1e7) * rate
+    period = max(length + (rate if abs(length - times[-1]) < 1e-9 * max(length, 1) else 0), times[-1] - times[0] + 1e-3)
+    smoothness = poses.number(track.get("smoothness", 0), f"{where}: its smoothness", 0, 10)
+    return times, points, rate, length, period, smoothness, track.get("interpolation") == "step"
+
+
+def _project(file, values):
+    sets = [s for s in poses.listed(values.get("poseSets") or [], f"{file}: its poseSets", 0) if isinstance(s, dict) and s.get("poses")]
+    if not sets:
+        raise FastGSError(f"{file}: there are no camera keyframes in this project; add some on SuperSplat's timeline.")
+    timeline = values.get("timeline") if isinstance(values.get("timeline"), dict) else {}
+    camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
+    rate = poses.number(timeline.get("frameRate", 30), f"{file}: its frameRate", 1e-3, 1e6)
+    rows = []
+    for i, entry in enumerate(poses.listed(sets[0]["poses"], f"{file}: its poses")):
+        where = f"{file}: pose {i}"
+        entry = poses.table(entry, where)
+        rows.append([poses.number(entry.get("frame", i * rate), f"{where}: its frame", 0, 1e7),
+                     *poses.numbers(entry.get("position"), (3,), f"{where}: its position"),
+                     *poses.numbers(entry.get("target"), (3,), f"{where}: its target"),
+                     poses.number(entry.get("fov", camera.get("fov", 60)), f"{where}: its fov")])
+    rows = np.array(sorted(rows, key=lambda row: row[0]))
+    length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, MOST_FRAMES)
+    kept = rows[rows[:, 0] < length]
+    if not len(kept):
+        raise FastGSError(f"{file}: all its keyframes lie beyond the end of its timeline.")
+    smoothness = poses.number(timeline.get("smoothness", 1), f"{file}: its smoothness", 0, 10)
+    return kept[:, 0], kept[:, 1:], rate, length, length if timeline.get("loop", True) else None, smoothness, False
+
+
+def _spline(times, points, period, smoothness, step):
+    """A function of the frame: a cubic Hermite spline whose slopes are those between the neighbours, times smoothness.
+
+    period: the length after which it starts over; None: it has ends.
+    """
+    if len(times) == 1:
+        return lambda at: points[0]
+    if period is not None:
+        times = np.concatenate([times[-2:] - period, times, times[:2] + period])
+        points = np.concatenate([points[-2:], points, points[:2]])
+    slopes = np.empty_like(points)
+    slopes[1:-1] = (points[2:] - points[:-2]) / (times[2:] - times[:-2])[:, None]
+    slopes[0], slopes[-1] = ((points[b] - points[a]) / (times[b] - times[a]) for a, b in ((0, 1), (-2, -1)))
+
+    def at_frame(at):
+        if at <= times[0] or at >= times[-1]:
+            return points[0 if at <= times[0] else -1]
+        i = int(np.searchsorted(times, at, side="right")) - 1
+        width = times[i + 1] - times[i]
+        t = (at - times[i]) / width
+        if step:
+            return points[i]
+        rise = smoothness * width * (slopes[i] * t * (1 - t) ** 2 - slopes[i + 1] * t * t * (1 - t))
+        return points[i] * (1 + 2 * t) * (1 - t) ** 2 + points[i + 1] * t * t * (3 - 2 * t) + rise
+
+    return at_frame
+
+
+def _camera(point, picture, where) -> Camera:
+    """A level camera at point[:3] that looks at point[3:6]."""
+    forward = point[3:6] - point[:3]
+    distance = np.linalg.norm(forward)
+    if distance < 1e-12:
+        raise FastGSError(f"{where}: the camera is where its target is, so it looks nowhere.")
+    forward = forward / distance
+    right = np.cross(forward, UP)
+    right = np.array([1.0, 0, 0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = TURN @ np.stack([right, np.cross(forward, right), forward], 1)
+    pose[:3, 3] = TURN @ point[:3]
+    side = max(picture.width, picture.height)
+    return symmetric(picture.width, picture.height, focal_of(point[6], side, where), poses.inverse(pose))

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers and poses from files, checked: every function raises FastGSError with `where` (file and place) in front."""
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .cameras_json import LARGEST_SIDE
+from .lens import Intrinsics
+
+LARGEST_JSON = 512 * 2**20
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Camera axes x right, y up, z backwards to OpenCV's."""
+
+
+def read_json(path: Path):
+    """The JSON in a file."""
+    try:
+        if path.stat().st_size > LARGEST_JSON:
+            raise FastGSError(f"{path}: it is too large for the description of a capture ({path.stat().st_size} bytes).")
+        return json.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise FastGSError(f"{path}: it cannot be read ({error.strerror}); check the file and its permissions.") from error
+    except (ValueError, RecursionError) as error:
+        raise FastGSError(f"{path}: it is not JSON, or is cut short ({error}); copy or export it again.") from error
+
+
+def table(value, where: str) -> dict:
+    """A JSON object."""
+    if not isinstance(value, dict):
+        raise FastGSError(f"{where} must be a table of named values, not {type(value).__name__}.")
+    return value
+
+
+def listed(value, where: str, least: int = 1) -> list:
+    """A JSON list with at least so many items."""
+    if not isinstance(value, list) or len(value) < least:
+        raise FastGSError(f"{where} must be a list of at least {least}.")
+    return value
+
+
+def numbers(value, shape: tuple[int, ...], where: str) -> np.ndarray:
+    """Finite float64 of that shape."""
+    try:
+        if isinstance(value, (str, bool, dict)):
+            raise TypeError
+        array = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.full(shape, np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise FastGSError(f"{where} must be {'a finite number' if not shape else ' x '.join(map(str, shape)) + ' finite numbers'}.")
+    return array
+
+
+def number(value, where: str, low: float = -np.inf, high: float = np.inf) -> float:
+    """A finite number from low to high."""
+    found = float(numbers(value, (), where))
+    if not low <= found <= high:
+        raise FastGSError(f"{where} must lie between {low:g} and {high:g}, not at {found:g}.")
+    return found
+
+
+def whole(value, where: str, low: int = 0, high: int = 10**7) -> int:
+    """A whole number from low to high."""
+    found = number(value, where, low, high)
+    if found != int(found):
+        raise FastGSError(f"{where} must be a whole number, not {found:g}.")
+    return int(found)
+
+
+def intrinsics(where: str, fx, fy, cx, cy, width, height) -> Intrinsics:
+    """Checked intrinsics; focal lengths above 0, sizes up to LARGEST_SIDE."""
+    size = [whole(side, f"{where}: its {name}", 1, LARGEST_SIDE) for name, side in (("width", width), ("height", height))]
+    focal = [number(f, f"{where}: its focal length") for f in (fx, fy)]
+    if min(focal) <= 0:
+        raise FastGSError(f"{where}: its focal lengths must be above 0, not {focal[0]:g} and {focal[1]:g}.")
+    return Intrinsics(*focal, *(number(c, f"{where}: its principal point") for c in (cx, cy)), *size)
+
+
+def rigid(value, where: str, tolerance: float = 1e-3) -> np.ndarray:
+    """A rotation and a translation as [4, 4], from 4 x 4 or 3 x 4 numbers; the rotation is made exactly orthonormal."""
+    rows = 3 if isinstance(value, (list, np.ndarray)) and len(value) == 3 else 4
+    matrix = np.eye(4)
+    matrix[:rows] = numbers(value, (rows, 4), where)
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > tolerance or np.linalg.det(rotation) < 0:
+        raise FastGSError(f"{where} must be a rotation (orthonormal, determinant +1) with a translation.")
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise FastGSError(f"{where} must end with the row 0 0 0 1.")
+    u, _, v = np.linalg.svd(rotation)
+    matrix[:3, :3] = u @ v
+    return matrix
+
+
+def inverse(pose: np.ndarray) -> np.ndarray:
+    """The inverse of a rotation with a translation [4, 4]."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return out
+
+
+def from_opengl(camera_to_world: np.ndarray) -> np.ndarray:
+    """World-to-camera in OpenCV axes of a camera-to-world matrix whose camera looks along -z with y up."""
+    return inverse(camera_to_world @ OPENGL)
+
+
+def from_quaternion(quaternion, translation, where: str) -> np.ndarray:
+    """World-to-camera [4, 4] of COLMAP's quaternion w x y z and translation."""
+    q, t = numbers(quaternion, (4,), f"{where}: its quaternion"), numbers(translation, (3,), f"{where}: its translation")
+    length = np.linalg.norm(q)
+    if length < 1e-6 or not np.isfinite(length):
+        raise FastGSError(f"{where}: its quaternion must not be 0.")
+    w, x, y, z = q / length
+    pose = np.eye(4)
+    pose[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+    pose[:3, 3] = t
+    return pose

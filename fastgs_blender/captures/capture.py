@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture: a scene filmed by several cameras, as a list of shots.  Nothing is decoded before it is asked for.
+
+World: as the layout gives it.  Cameras: OpenCV axes, world-to-camera, pixel centres at +0.5; pinholes, for lenses are undone.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..cameras.lens import Intrinsics, Lens, pinhole_for
+from ..model.gaussians import Clip
+from ..model.points import Points
+from ..util.errors import FastGSError
+from .sources import Source
+
+MASKS = ("foreground", "valid")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What open_capture() was asked for; None: as the layout has it.
+
+    scale     factor on the pictures' size, in (0, 1]
+    frames    the part of the time line to use, as a slice of frame numbers from 0
+    held_out  names of the views that are kept for evaluation
+    """
+
+    scale: float | None = None
+    frames: slice | None = None
+    held_out: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One picture: one camera at one time.
+
+    view      the rig camera's name; a moving camera has one name and many poses
+    frame     0 .. frame_count - 1
+    camera    pinhole of the picture as FrameStore gives it, undistorted and scaled; None in a capture without poses
+    image     where its pixels come from
+    mask      a file that goes with the picture, white where the picture counts (see Capture.mask_means); None: there is none
+    held_out  kept for evaluation, never trained on
+    t         model time in [0, 1]
+    """
+
+    view: str
+    frame: int
+    camera: Camera | None
+    image: Source
+    mask: Source | None = None
+    held_out: bool = False
+    t: float = 0.0
+
+
+@dataclass(eq=False)
+class Capture:
+    """A multi-view capture.
+
+    path        folder or file that it was opened from
+    layout      name of its layout
+    shots       ordered by frame, then by view as the layout lists them
+    clip        the time line of its frames
+    axes        of its world, as in GaussianModel
+    scale       of its pictures against their files
+    points      points that the layout brings along, or None
+    mask_means  what mask files say: "foreground" (white: the subject) or "valid" (black: to be ignored)
+    notes       remarks on how it was read
+    faults      what was found wrong while reading it, a clause each; check() tells all
+    """
+
+    path: Path
+    layout: str
+    shots: list[Shot]
+    clip: Clip
+    axes: str = "RDF"
+    scale: float = 1.0
+    points: Points | None = None
+    mask_means: str = "foreground"
+    notes: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+    def __len__(self):
+        return len(self.shots)
+
+    @property
+    def views(self) -> list[str]:
+        """Names of the cameras, in order."""
+        return list(dict.fromkeys(shot.view for shot in self.shots))
+
+    @property
+    def posed(self) -> bool:
+        """Whether every shot has a camera."""
+        return all(shot.camera is not None for shot in self.shots)
+
+    @property
+    def training(self) -> list[Shot]:
+        """The shots to train on."""
+        return [shot for shot in self.shots if not shot.held_out]
+
+    @property
+    def held_out(self) -> list[Shot]:
+        """The shots kept for evaluation."""
+        return [shot for shot in self.shots if shot.held_out]
+
+    @property
+    def held_out_views(self) -> list[str]:
+        """Names of the views with shots kept for evaluation."""
+        return list(dict.fromkeys(shot.view for shot in self.held_out))
+
+    def at_frame(self, frame: int) -> list[Shot]:
+        """All shots of one frame."""
+        return [shot for shot in self.shots if shot.frame == frame]
+
+    def centres(self, shots: Iterable[Shot] | None = None) -> np.ndarray:
+        """Camera centres [n, 3] of the shots (default: those to train on), each different one once."""
+        chosen = [shot for shot in (self.training if shots is None else shots) if shot.camera is not None]
+        matrices = np.array([shot.camera.world_to_camera for shot in chosen]).reshape(-1, 4, 4)
+        return np.unique(-np.einsum("nij,ni->nj", matrices[:, :3, :3], matrices[:, :3, 3]), axis=0)
+
+    @property
+    def extent(self) -> float:
+        """Size of the scene: 1.1 x the largest distance of a training camera from their mean (3DGS); 1 where they all are at one place."""
+        centres = self.centres()
+        size = 1.1 * float(np.linalg.norm(centres - centres.mean(0), axis=1).max(initial=0)) if len(centres) else 0.0
+        return size if size > 1e-9 else 1.0
+
+    @property
+    def focus(self) -> np.ndarray:
+        """The point [3] nearest to all training cameras' optical axes, in the least-squares sense; their mean place for parallel ones."""
+        shots = {shot.camera.world_to_camera.tobytes(): shot.camera.world_to_camera for shot in self.training if shot.camera is not None}
+        matrices = np.array(list(shots.values())).reshape(-1, 4, 4)
+        if not len(matrices):
+            return np.zeros(3)
+        centres = -np.einsum("nij,ni->nj", matrices[:, :3, :3], matrices[:, :3, 3])
+        across = np.eye(3) - np.einsum("ni,nj->nij", matrices[:, 2, :3], matrices[:, 2, :3])
+        system = across.sum(0)
+        if np.linalg.cond(system) > 1e6:
+            return centres.mean(0)
+        return np.linalg.solve(system, np.einsum("nij,nj->i", across, centres))
+
+    def with_cameras(self, cameras: dict[str, Camera], lenses: dict[str, Lens] | None = None) -> Capture:
+        """The capture with these cameras of its views, for one that was filmed without poses.
+
+        cameras  intrinsics and pose of each view as the FrameStore gives its pictures so far (scaled, lens not undone)
+        lenses   distortion of views that have any; their pictures are undistorted from now on
+        Views without a camera are left out, with a note.  Raises FastGSError where none is left.
+        """
+        from .pixels.probe import picture_size
+
+        shots, known = [], {}
+        for shot in self.shots:
+            given = cameras.get(shot.view)
+            if given is None:
+                continue
+            if shot.view not in known:
+                width, height = picture_size(shot.image)
+                sx, sy = width / given.width, height / given.height
+                source = Intrinsics(given.fx * sx, given.fy * sy, given.cx * sx, given.cy * sy, width, height)
+                lens = (lenses or {}).get(shot.view, Lens())
+                known[shot.view] = lens, source, pinhole_for(lens, source, given.world_to_camera, self.scale)
+            lens, source, camera = known[shot.view]
+            shots.append(replace(shot, camera=camera, image=replace(shot.image, lens=lens, intrinsics=source)))
+        if not shots:
+            raise FastGSError(f"{self.path}: none of its views {', '.join(self.views[:8])} has a camera; it cannot be trained on.")
+        lost = [view for view in self.views if view not in known]
+        note = [f"left out for want of a pose: {', '.join(lost)}"] if lost else []
+        return replace(self, shots=shots, notes=[*self.notes, *note])
+
+    def frames(self, budget: int = 2**30, **settings):
+        """The FrameStore of its pixels, with at most `budget` bytes of them in memory; settings as FrameStore has them."""
+        from .pixels.store import FrameStore
+
+        return FrameStore(self, budget, **settings)
+
+    def problems(self) -> list[str]:
+        """What is missing, unreadable, unsynchronised or differently sized, a clause each; reads the files' headers only."""
+        from .pixels.checks import problems
+
+        return problems(self)
+
+    def check(self) -> None:
+        """Raises FastGSError with the list of problems(), if there are any."""
+        from .pixels.checks import check
+
+        check(self)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Google Immersive light field video (DeepView video): 46 fisheye cameras on a hemisphere.
+
+    camera_0001.mp4 ...          one video per camera
+    models.json                  a list of {name, position, orientation, focal_length, pixel_aspect_ratio, principal_point, width, height,
+                                 radial_distortion, projection_type}
+
+position is the camera's centre in the world, orientation the axis-angle of world to camera, OpenCV axes.  "fisheye" is OpenCV's with
+k1, k2 (github.com/augmentedperception/deepview_video_dataset).  A video that models.json leaves out has no pose and is left out here.
+Pictures become pinholes of half the focal length and half the size; camera_0001 is held out (STG, "undistorted").
+"""
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...cameras import poses
+from ...cameras.lens import Lens
+from ...util.errors import FastGSError
+from ..capture import Capture, Options
+from ..rigs import RigCamera, from_rig
+from ..sources import VIDEOS, video_frames
+
+name = "Google Immersive"
+MODELS = "models.json"
+HELD_OUT = "camera_0001"
+FOCAL, SCALE = 0.5, 0.5
+GAINS = {"01_Welder": ("camera_0009", 1 / 1.15), "12_Cave": ("camera_0009", 1.15), "04_Truck": ("camera_0008", 1 / 1.2)}
+"""Cameras whose exposure differs from the others', and the factor that evens it (STG's loader)."""
+LENSES = {"fisheye": "fisheye", "pinhole": "opencv", "perspective": "opencv"}
+
+
+def recognises(path: Path) -> bool:
+    """A folder with models.json and videos called camera_ and a number, or that models.json."""
+    folder = path if path.is_dir() else path.parent
+    return (path.is_dir() or path.name == MODELS) and (folder / MODELS).is_file() and bool(_videos(folder))
+
+
+def load(path: Path, options: Options) -> Capture:
+    """The capture that models.json describes."""
+    folder = path if path.is_dir() else path.parent
+    file, videos = folder / MODELS, _videos(folder)
+    entries = [poses.table(entry, f"{file}: camera {i}") for i, entry in enumerate(poses.listed(poses.read_json(file), f"{file}: it"))]
+    names = [_field(entry, "name", f"{file}: camera {i}") for i, entry in enumerate(entries)]
+    twice = next((called for called in names if names.count(called) > 1), None)
+    if twice is not None:
+        raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
+    gains = dict([GAINS[folder.resolve().name]]) if folder.resolve().name in GAINS else {}
+    faults, cameras, rates = [], [], []
+    for called, entry in zip(names, entries):
+        where = f"{file}: {called}"
+        lens, given, pose = _lens(entry, where), _intrinsics(entry, where), _pose(entry, where)
+        if called in videos:
+            pictures, fps = video_frames(videos[called], faults, lens=lens, intrinsics=given, gain=gains.get(called, 1.0))
+            cameras.append(RigCamera(called, pictures, pose))
+            rates += [fps] if fps else []
+    if not cameras:
+        raise FastGSError(f"{file}: none of its cameras ({', '.join(map(str, names[:8]))}) has a video in {folder}; copy the videos there.")
+    notes = []
+    for text, lost in (("without calibration in models.json", sorted(set(videos) - set(names))),
+                       ("without a video", [called for called in names if called not in videos])):
+        notes += [f"left out {text}: {', '.join(lost)}"] if lost else []
+    notes += [f"the exposure of {called} is evened by a factor of {gain:.3g}" for called, gain in gains.items() if called in videos]
+    return from_rig(path, name, cameras, options, fps=rates[0] if rates else 30.0, scale=SCALE, focal=FOCAL, held_out=[HELD_OUT],
+                    notes=notes, faults=faults)
+
+
+def _lens(entry, where) -> Lens:
+    kind = _field(entry, "projection_type", where)
+    if kind not in LENSES:
+        raise FastGSError(f"{where}: its projection_type {kind!r} is not known; there are {', '.join(LENSES)}.")
+    radial = _field(entry, "radial_distortion", where)
+    count = len(radial) if isinstance(radial, list) and len(radial) in {2, 3} else 3
+    return Lens(LENSES[kind], tuple(poses.numbers(radial, (count,), f"{where}: its radial_distortion")))
+
+
+def _intrinsics(entry, where):
+    focal = poses.number(_field(entry, "focal_length", where), f"{where}: its focal_length")
+    aspect = poses.number(entry.get("pixel_aspect_ratio", 1.0), f"{where}: its pixel_aspect_ratio", 0.1, 10)
+    centre = poses.numbers(_field(entry, "principal_point", where), (2,), f"{where}: its principal_point")
+    return poses.intrinsics(where, focal, focal * aspect, *centre, _field(entry, "width", where), _field(entry, "height", where))
+
+
+def _pose(entry, where) -> np.ndarray:
+    centre = poses.numbers(_field(entry, "position", where), (3,), f"{where}: its position")
+    axis = poses.numbers(_field(entry, "orientation", where), (3,), f"{where}: its orientation")
+    half = np.linalg.norm(axis) / 2
+    quaternion = np.r_[np.cos(half), axis * np.sinc(half / np.pi) / 2]
+    pose = poses.from_quaternion(quaternion, np.zeros(3), where)
+    pose[:3, 3] = -pose[:3, :3] @ centre
+    return pose
+
+
+def _field(entry: dict, key: str, where: str):
+    if key not in entry:
+        raise FastGSError(f"{where}: it lacks {key}.")
+    return entry[key]
+
+
+def _videos(folder: Path) -> dict[str, Path]:
+    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in VIDEOS and p.stem.startswith("camera_")}

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Qualisys Track Manager: an exported camera calibration (XML, often called .qca.txt) and one video per camera.
+
+    Calib.qca.txt                <calibration> with a <camera serial="..."> for each camera
+    ...cam01....mp4              a video, or a folder of numbered pictures, whose name holds the camera's serial as a word of its own;
+                                 beside the calibration or in a folder beside it (videos/)
+
+Intrinsics count in 1/64 of a pixel from the sensor's top left corner, so that 32 is the centre of the first pixel; fov_video, in whole
+pixels, inclusive, is the part that was filmed.  transform is where the camera is: x y z its centre in millimetres, r its rotation from
+world to camera in OpenGL's axes (x right, y up, looking along -z).  Distortion is OpenCV's with the coefficients as they stand; Pose2Sim
+divides them by 64, which undoes next to none of it.  The world has z up and becomes metres.  The last camera is held out.
+"""
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ...cameras import poses
+from ...cameras.lens import Intrinsics, Lens
+from ...util.errors import FastGSError
+from ..capture import Capture, Options
+from ..pixels.probe import picture_size
+from ..rigs import RigCamera, from_rig
+from ..sources import VIDEOS, Source, numbered_pictures, video_frames
+
+name = "Qualisys"
+SUBPIXELS = 64
+MILLIMETRES = 1e-3
+LARGEST_FILE = 16 * 2**20
+ENDINGS = (".txt", ".xml", ".qca")
+
+
+def recognises(path: Path) -> bool:
+    """A folder with a Qualisys calibration, or that file."""
+    return bool(_calibrations(path) if path.is_dir() else _is_calibration(path))
+
+
+def load(path: Path, options: Options) -> Capture:
+    """The capture of the cameras in the calibration that have a video."""
+    files = _calibrations(path) if path.is_dir() else [path]
+    if len(files) != 1:
+        raise FastGSError(f"{path}: there are {len(files)} Qualisys calibrations in this folder; give the file to be used instead.")
+    file = files[0]
+    cameras = _cameras(file)
+    folders = [file.parent, path, *sorted(p for p in path.iterdir() if p.is_dir())] if path.is_dir() else [file.parent]
+    places = _places(folders, {camera.get("serial", "") for camera in cameras})
+    faults, rig, rates, lost = [], [], [], []
+    for camera in cameras:
+        serial = camera.get("serial", "")
+        where = f"{file}: camera {serial}"
+        if serial not in places:
+            lost.append(serial)
+            continue
+        given = _intrinsics(camera, places[serial], where)
+        pictures, fps = _pictures(places[serial], faults, lens=_lens(camera, where), intrinsics=given)
+        rig.append(RigCamera(serial, pictures, _pose(camera, where)))
+        rates += [fps] if fps else []
+    if not rig:
+        raise FastGSError(f"{file}: there is no video of any of its cameras ({', '.join(lost[:8])}) beside it; the name of a video must "
+                          "hold its camera's serial.")
+    notes = [f"left out for want of a video: {', '.join(lost)}"] if lost else []
+    return from_rig(path, name, rig, options, fps=rates[0] if rates else 30.0, axes="RFU", held_out=[rig[-1].name] if len(rig) > 1 else [],
+                    notes=notes, faults=faults)
+
+
+def _is_calibration(file: Path) -> bool:
+    if file.suffix.lower() not in ENDINGS or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+    return b"<calibration" in head and b"<camera" in head
+
+
+def _calibrations(folder: Path) -> list[Path]:
+    """In the folder or, if there are none, in folders in it."""
+    here = [file for file in sorted(folder.iterdir()) if _is_calibration(file)]
+    return here or [file for file in sorted(folder.glob("*/*")) if _is_calibration(file)]
+
+
+def _cameras(file: Path) -> list[ET.Element]:
+    try:
+        if file.stat().st_size > LARGEST_FILE:
+            raise FastGSError(f"{file}: it is too large for a calibration ({file.stat().st_size} bytes).")
+        text = file.read_bytes()
+        if b"<!" in text.replace(b"<!--", b""):  # entities could make a small file a huge one, and no calibration has any
+            raise FastGSError(f"{file}: it declares types or entities, which no Qualisys calibration does.")
+        cameras = ET.fromstring(text).findall("cameras/camera")  # noqa: S314 -- nothing is declared in it
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise FastGSError(f"{file}: it is not XML, or is cut short ({error}); export the calibration again.") from error
+    serials = [camera.get("serial", "") for camera in cameras]
+    if not cameras or not all(serials):
+        raise FastGSError(f"{file}: there are no cameras with a serial in it; export the calibration again.")
+    twice = next((serial for serial in serials if serials.count(serial) > 1), None)
+    if twice is not None:
+        raise FastGSError(f"{file}: camera {twice} is there twice.")
+    return cameras
+
+
+def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
+    """The video or folder of pictures of each camera, in the first of the folders that has one."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        inside = sorted(folder.iterdir())
+        for serial in serials - set(found):
+            word = re.compile(rf"(?<![0-9a-z]){re.escape(serial)}(?![0-9a-z])", re.IGNORECASE)
+            fits = [p for p in inside if word.search(p.stem) and (p.suffix.lower() in VIDEOS or _holds_pictures(p))]
+            fits = [p for p in fits if p.stem == serial] or fits
+            if len(fits) > 1:
+                raise FastGSError(f"{folder}: {fits[0].name} and {fits[1].name} are both called like camera {serial}; leave one of them.")
+            if fits:
+                found[serial] = fits[0]
+    return found
+
+
+def _holds_pictures(place: Path) -> bool:
+    return place.is_dir() and bool(numbered_pictures(place))
+
+
+def _pictures(place: Path, faults, **settings):
+    if place.is_file():
+        return video_frames(place, faults, **settings)
+    numbered = numbered_pictures(place)
+    return [Source(numbered[n], **settings) if n in numbered else None for n in range(min(numbered), max(numbered) + 1)], None
+
+
+def _part(camera, called, where) -> ET.Element:
+    part = camera.find(called)
+    if part is None:
+        raise FastGSError(f"{where} lacks <{called}>.")
+    return part
+
+
+def _value(part, key, where, default=None) -> float:
+    text = part.get(key, default)
+    if text is None:
+        raise FastGSError(f"{where} lacks {key} in <{part.tag}>.")
+    try:
+        return poses.number(float(text), f"{where}: its {key}")
+    except ValueError as error:
+        raise FastGSError(f"{where}: its {key} must be a number, not {text!r}.") from error
+
+
+def _pose(camera, where) -> np.ndarray:
+    part = _part(camera, "transform", where)
+    pose = np.eye(4)
+    pose[:3, :3] = [[_value(part, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)]
+    pose = poses.OPENGL @ poses.rigid(pose, f"{where}: its transform")
+    pose[:3, 3] = -pose[:3, :3] @ [_value(part, axis, where) * MILLIMETRES for axis in "xyz"]
+    return pose
+
+
+def _lens(camera, where) -> Lens:
+    part = _part(camera, "intrinsic", where)
+    radial = [_value(part, f"radialDistortion{i}", where, "0") for i in (1, 2, 3)]
+    tangential = [_value(part, f"tangentalDistortion{i}", where, "0") for i in (1, 2)]
+    return Lens("opencv", tuple(radial), tuple(tangential), _value(part, "skew", where, "0") / _value(part, "focalLengthU", where))
+
+
+def _intrinsics(camera, place: Path, where) -> Intrinsics:
+    """Intrinsics in pixels of the camera's pictures, which may be binned."""
+    part, fov = _part(camera, "intrinsic", where), _part(camera, "fov_video", where)
+    left, top, right, bottom = (_value(fov, side, where) for side in ("left", "top", "right", "bottom"))
+    width, height = right - left + 1, bottom - top + 1
+    try:
+        w, h = picture_size(Source(place, 0) if place.is_file() else Source(next(iter(numbered_pictures(place).values()))))
+    except FastGSError:  # said with all other faults
+        w, h = width, height
+    if width < 2 or height < 2 or abs(w / width - h / height) > 0.01 * w / width:
+        raise FastGSError(f"{place}: it has {w} x {h} pixels, but camera {camera.get('serial')} was calibrated for {width:g} x {height:g}; "
+                          "give pictures of the whole calibrated part of the sensor, turned as the sensor is.")
+    full = _part(camera, "fov_video_max", where) if camera.find("fov_video_max") is not None else fov
+    sensor = (_value(part, "sensorMaxU", where) - _value(part, "sensorMinU", where, "0")) / SUBPIXELS
+    binning = max(1, round(sensor / (_value(full, "right", where) - _value(full, "left", where) + 1)))
+    unit = SUBPIXELS * binning
+    sx, sy = (1.0 if abs(shown - calibrated) <= 1 else shown / calibrated for shown, calibrated in ((w, width), (h, height)))
+    return poses.intrinsics(
+        where, _value(part, "focalLengthU", where) / unit * sx, _value(part, "focalLengthV", where) / unit * sy,
+        (_value(part, "centerPointU", where) / unit - left) * sx, (_value(part, "centerPointV", where) / unit - top) * sy, w, h)

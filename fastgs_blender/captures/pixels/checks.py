@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is wrong with a capture's files, found before training starts: missing, unreadable, unsynchronised, differently sized."""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from ...util.errors import FastGSError
+from ..capture import Capture, Shot
+from ..rigs import ranges
+from ..sources import Source
+from .probe import Facts, facts
+
+MOST = 12
+"""Problems that one sentence lists."""
+
+
+def check(capture: Capture) -> None:
+    """Raises FastGSError with the list of problems(), if there are any."""
+    found = problems(capture)
+    if found:
+        raise FastGSError(sentence(capture.path, found))
+
+
+def sentence(path, found: list[str]) -> str:
+    """All problems in one sentence that names the capture."""
+    clauses = [text.rstrip(".").replace(f"{path}/", "").replace(f"{path}\\", "") for text in found]
+    more = [f"and {len(clauses) - MOST} more"] if len(clauses) > MOST else []
+    head = "there is a problem" if len(clauses) == 1 else f"there are {len(clauses)} problems"
+    return f"{path}: {head} with this capture: {'; '.join(clauses[:MOST] + more)}."
+
+
+def problems(capture: Capture) -> list[str]:
+    """A clause for each thing that is wrong, in the layout's order of views; files' headers are read, pixels are not decoded."""
+    found = list(capture.faults)
+    sizes: dict[str, Counter] = {}
+    for view, shots in _by_view(capture.shots).items():
+        found += _view_problems(view, shots, sizes.setdefault(view, Counter()), capture)
+    if not capture.posed and len(capture.views) < 2:
+        found.append("there is only one camera, and poses cannot be found from one")
+    return found + _synchronisation(capture)
+
+
+def _by_view(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
+    views: dict[str, list[Shot]] = {}
+    for shot in shots:
+        views.setdefault(shot.view, []).append(shot)
+    return views
+
+
+def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str]:
+    unreadable, wrong, masks = {}, {}, {}
+    start = capture.clip.start_frame
+    for shot in shots:
+        own = _facts(shot.image, unreadable)
+        if own is None:
+            continue
+        size = own.width, own.height
+        sizes[size] += 1
+        expected = shot.image.intrinsics
+        if expected is not None and size != (expected.width, expected.height):
+            wrong.setdefault((size, (expected.width, expected.height)), []).append(shot.frame + start)
+        mask = None if shot.mask is None else _facts(shot.mask, unreadable)
+        if mask is not None and (mask.width, mask.height) != size:
+            masks.setdefault(((mask.width, mask.height), size), []).append(shot.frame + start)
+    found = list(unreadable.values())
+    found += [f"{view} has pictures of {_text(size)} pixels where its calibration is for {_text(want)} (frames {ranges(frames)})"
+              for (size, want), frames in wrong.items()]
+    found += [f"{view} has masks of {_text(size)} pixels for pictures of {_text(want)} (frames {ranges(frames)})"
+              for (size, want), frames in masks.items()]
+    still = len({id(shot.camera) for shot in shots}) == 1
+    if still and len(sizes) > 1 and not wrong:
+        found.append(f"{view} has pictures of different sizes: {', '.join(_text(size) for size in sizes)}")
+    masked = sum(shot.mask is not None for shot in shots)
+    if masked not in {0, len(shots)}:
+        bare = [shot.frame + start for shot in shots if shot.mask is None]
+        found.append(f"{view} has masks for some of its frames only, not for {ranges(bare)}")
+    return found
+
+
+def _facts(source: Source, unreadable: dict) -> Facts | None:
+    """The facts of a source's file; None, and one clause for the file, where it cannot be read."""
+    if source.path not in unreadable:
+        try:
+            return facts(source)
+        except FastGSError as error:
+            unreadable[source.path] = str(error)
+    return None
+
+
+def _synchronisation(capture: Capture) -> list[str]:
+    """Videos of one rig whose rates differ or that are not evenly spaced cannot be filmed together."""
+    from .video import index
+
+    videos: dict[Path, str] = {}
+    for shot in capture.shots:
+        if shot.image.frame is not None:
+            videos.setdefault(shot.image.path, shot.view)
+    if len(videos) < 2:
+        return []
+    found, rates = [], {}
+    for path, view in videos.items():
+        try:
+            known = index(path)
+        except FastGSError:  # told already
+            continue
+        rates.setdefault(round(known.fps, 2), []).append(view)
+        if not known.constant:
+            found.append(f"{view} has a varying frame rate, so that its frames do not belong to the other cameras' frames")
+    if len(rates) > 1:
+        text = ", ".join(f"{', '.join(views[:4])}{' ...' if len(views) > 4 else ''} at {rate:g}" for rate, views in rates.items())
+        found.append(f"the videos have different frame rates ({text}), so they are not synchronised")
+    return found
+
+
+def _text(size) -> str:
+    return f"{size[0]} x {size[1]}"

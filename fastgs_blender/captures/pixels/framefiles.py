@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cache of decoded frames on disk: where it lies, what its files are called, how one is read and written.
+
+A file is a header of 24 bytes (8 of MAGIC, then height, width, channels and bytes per number as little-endian uint32) and the numbers.
+"""
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import secrets
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...kernels.cpu.cache import base_folder
+from ...util.errors import FastGSError
+from ..capture import Capture, Shot
+
+VERSION = 1
+"""Of what a cached file holds; to be raised when decoding gives other pixels."""
+MAGIC = b"fgsframe"
+HEADER = 24
+UNUSED = 30 * 86400
+"""Seconds after which another capture's cache that nobody used is removed."""
+
+
+def default_folder(capture: Capture) -> Path:
+    """The cache of a capture: under $FASTGS_CACHE_DIR, or the system's place for caches."""
+    place = Path(capture.path).resolve()
+    readable = re.sub("[^A-Za-z0-9_-]+", "-", place.name)[:40]
+    return base_folder() / "frames" / f"{readable}-{hashlib.sha256(os.fsencode(place)).hexdigest()[:10]}"
+
+
+def remove_unused(own: Path) -> None:
+    """Remove the other captures' caches that have not been opened for 30 days."""
+    for other in own.parent.iterdir():
+        with contextlib.suppress(OSError):
+            if other != own and other.is_dir() and time.time() - other.stat().st_mtime > UNUSED:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+def digest(shot: Shot, scale: float) -> str:
+    """Of everything that a shot's pixels depend on."""
+    parts: list = [VERSION]
+    for source in (shot.image, shot.mask):
+        if source is None:
+            parts.append(None)
+            continue
+        try:
+            stat = source.path.stat()
+        except OSError as error:
+            raise FastGSError(f"{source.path}: it cannot be read ({error.strerror}).") from error
+        parts += [repr(replace(source, path=source.path.absolute())), stat.st_size, stat.st_mtime_ns]
+    camera = shot.camera
+    parts.append(scale if camera is None else (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:32]
+
+
+def _header(array: np.ndarray) -> bytes:
+    height, width, channels = array.shape
+    return MAGIC + np.array([height, width, channels, array.itemsize], "<u4").tobytes()
+
+
+def read(path: Path, shape: tuple[int, int, int], kind) -> np.ndarray | None:
+    """The numbers in a cached file; None where it is absent or is not what it should be."""
+    array = np.empty(shape, kind)
+    try:
+        with open(path, "rb", buffering=0) as stream:
+            head = stream.read(HEADER)
+            view, got = memoryview(array).cast("B"), 0
+            while got < len(view):
+                count = stream.readinto(view[got:])
+                if not count:
+                    return None
+                got += count
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise FastGSError(f"{path}: the cached frame cannot be read ({error.strerror}); remove it and start again.") from error
+    return array if head == _header(array) else None
+
+
+def write(path: Path, array: np.ndarray) -> None:
+    """Write a cached file aside and rename it.  Raises OSError; what was there before is still there then."""
+    part = path.with_name(f".fastgs-{secrets.token_hex(6)}.tmp")
+    try:
+        with open(part, "wb", buffering=0) as stream:
+            for piece in (memoryview(_header(array)), memoryview(array).cast("B")):
+                written = 0
+                while written < len(piece):
+                    written += stream.write(piece[written:])
+        try:
+            os.replace(part, path)
+        except PermissionError:  # Windows: another process reads the same frame
+            if not path.exists():
+                raise
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

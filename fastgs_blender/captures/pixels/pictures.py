@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Picture files as display-referred colours with straight alpha: PNG and JPEG through pillow, EXR through OpenEXR."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from ...rendering import colour
+from ...util.errors import FastGSError
+from ..sources import Source
+
+
+def read(source: Source) -> tuple[np.ndarray, np.ndarray | None]:
+    """rgb [H, W, 3] and alpha [H, W] or None of a picture file, both uint8 (0..255), or float32 (0..1) where the file has more.
+
+    Display sRGB, straight alpha; brighter than white is white.  Raises FastGSError.
+    """
+    is_exr = source.path.suffix.lower() == ".exr"
+    rgb, alpha = _exr(source.path) if is_exr else _pillow(source.path)
+    return graded(rgb, source, linear=is_exr), alpha
+
+
+def graded(rgb: np.ndarray, source: Source, linear: bool = False) -> np.ndarray:
+    """A source's colours [H, W, 3] as display sRGB with its gain; linear: what "auto" means."""
+    is_linear = linear if source.colour == "auto" else source.colour == "linear"
+    if not is_linear and source.gain == 1:
+        return np.clip(rgb, 0, 1) if rgb.dtype == np.float32 else rgb
+    values = rgb.astype(np.float32) / 255 if rgb.dtype == np.uint8 else rgb
+    values = colour.linear_to_srgb(values) if is_linear else values
+    values = np.clip(values * np.float32(source.gain), 0, 1)
+    return values if rgb.dtype != np.uint8 else np.floor(values * 255 + 0.5).astype(np.uint8)
+
+
+def read_grey(source: Source) -> np.ndarray:
+    """A mask [H, W] as read() gives colours: its red times the source's gain, times its alpha where it has any."""
+    rgb, alpha = _exr(source.path) if source.path.suffix.lower() == ".exr" else _pillow(source.path)
+    most = 1 if rgb.dtype == np.float32 else 255
+    grey = np.clip(rgb[..., 0] * np.float32(source.gain), 0, most).astype(rgb.dtype)
+    if alpha is None:
+        return grey
+    return grey * alpha if grey.dtype == np.float32 else (grey.astype(np.uint16) * alpha // 255).astype(np.uint8)
+
+
+def _exr(path):
+    from . import exr
+
+    rgb, alpha = exr.read(path)
+    return (rgb if alpha is None else colour.straight(rgb, alpha)), alpha
+
+
+def _pillow(path):
+    with opened(path) as picture:
+        if picture.mode.startswith(("I", "F")):  # 16 bits of grey
+            plane = np.asarray(picture, np.float32) / (65535 if picture.mode.startswith("I") else 1)
+            return np.repeat(plane[..., None], 3, 2), None
+        alpha = "A" in picture.getbands() or "transparency" in picture.info
+        pixels = np.asarray(picture.convert("RGBA" if alpha else "RGB"))
+    return pixels[..., :3], pixels[..., 3] if alpha else None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator:
+    """A pillow Image; raises FastGSError for whatever pillow raises while it is open."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            yield picture
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        reason = "it is no picture" if isinstance(error, Image.UnidentifiedImageError) else getattr(error, "strerror", None) or error
+        raise FastGSError(f"{path}: the picture cannot be read ({reason}); copy or export it again.") from error

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the header of a picture or video says, without decoding it: size, depth, whether there is alpha."""
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from ...cameras.cameras_json import LARGEST_SIDE
+from ...util.errors import FastGSError
+from ..sources import Source
+
+
+class Facts(NamedTuple):
+    """width and height in pixels as shown; alpha: it has an alpha channel; deep: more than 8 bits a channel."""
+
+    width: int
+    height: int
+    alpha: bool
+    deep: bool
+
+
+def facts(source: Source) -> Facts:
+    """The facts of a source's file; raises FastGSError where it cannot be read."""
+    if source.frame is not None:
+        from .video import index
+
+        found = index(source.path)
+        return Facts(found.width, found.height, False, False)
+    try:
+        stat = source.path.stat()
+    except OSError as error:
+        raise FastGSError(f"{source.path}: the picture cannot be read ({error.strerror}).") from error
+    return _facts(source.path, stat.st_size, stat.st_mtime_ns)
+
+
+def picture_size(source: Source) -> tuple[int, int]:
+    """Width and height of a source's file in pixels."""
+    return facts(source)[:2]
+
+
+@lru_cache(maxsize=65_536)
+def _facts(path: Path, size: int, _changed: int) -> Facts:
+    if not size:
+        raise FastGSError(f"{path}: the picture is empty; copy or export it again.")
+    found = _exr(path) if path.suffix.lower() == ".exr" else _pillow(path)
+    if not (1 <= found.width <= LARGEST_SIDE and 1 <= found.height <= LARGEST_SIDE):
+        raise FastGSError(f"{path}: a picture of {found.width} x {found.height} pixels is more than is read ({LARGEST_SIDE} a side).")
+    return found
+
+
+def _exr(path: Path) -> Facts:
+    from .exr import header
+
+    width, height, channels = header(path)
+    return Facts(width, height, "A" in channels, True)
+
+
+def _pillow(path: Path) -> Facts:
+    from .pictures import opened
+
+    with opened(path) as picture:
+        alpha = "A" in picture.getbands() or "transparency" in picture.info
+        return Facts(*picture.size, alpha, picture.mode.startswith(("I", "F")))

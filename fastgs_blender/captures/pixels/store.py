@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""FrameStore: the pixels of a capture, decoded once into a cache on disk, of which a bounded part is held in memory.
+
+One file a shot, named by a digest of everything its pixels depend on (files, their sizes and times, lens, camera, scale), written
+beside and renamed: a stopped or killed filling keeps what it has, and processes may fill and read the same cache at once.
+Files are read into memory of our own, not mapped: what the system caches of them is not counted as ours and can be given up.
+"""
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ...rendering.images import remove_stale
+from ...util.errors import FastGSError
+from ..capture import Capture, Shot
+from . import decoding, framefiles
+from .filling import fill
+from .probe import facts
+
+RESERVE = 256 * 2**20
+"""Bytes that are left free on the cache's disk."""
+MOST_THREADS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """rgb [h, w, 3] float32 in 0..1, display sRGB, straight; mask [h, w] float32 in 0..1 (alpha channel x mask file) or None;
+    valid [h, w] bool, False where the lens has no picture, or None: it has one everywhere;
+    alpha [h, w] float32, the picture's own where there is a mask file besides, or None."""
+
+    rgb: np.ndarray
+    mask: np.ndarray | None = None
+    valid: np.ndarray | None = None
+    alpha: np.ndarray | None = None
+
+
+class FrameStore:
+    """The pixels of a capture's shots.  Safe to use from several threads.
+
+    budget  bytes of pixels held in memory at most; one decoded picture a thread comes on top while the cache is filled
+    folder  where the cache lies; None: framefiles.default_folder(), where caches of other captures unused for 30 days are removed
+    """
+
+    def __init__(self, capture: Capture, budget: int = 2**30, folder=None):
+        self.capture, self.budget = capture, int(budget)
+        self.folder = Path(folder) if folder is not None else framefiles.default_folder(capture)
+        self._held: OrderedDict[Path, np.ndarray] = OrderedDict()
+        self._held_bytes = 0
+        self._lock = threading.Lock()
+        self._paths: WeakKeyDictionary[Shot, Path] = WeakKeyDictionary()
+        self._valid: dict = {}
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            os.utime(self.folder)
+        except OSError as error:
+            raise self._cannot_write(error) from error
+        remove_stale(self.folder)
+        if folder is None:
+            framefiles.remove_unused(self.folder)
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of pixels in memory now."""
+        return self._held_bytes
+
+    def size(self, shot: Shot) -> tuple[int, int]:
+        """Width and height of a shot's pixels."""
+        height, width, _ = decoding.shape(shot, self.capture.scale)
+        return width, height
+
+    def missing(self, shots: Iterable[Shot] | None = None) -> list[Shot]:
+        """The shots (default: all) whose pixels are not in the cache yet."""
+        return [shot for shot in (self.capture.shots if shots is None else shots) if not self._is_there(shot)]
+
+    def fill(self, progress: Callable[[int, int], None] | None = None, shots: Iterable[Shot] | None = None, threads: int | None = None):
+        """Decode the shots (default: all) that are not in the cache yet; progress(done, of) is called from this thread.
+
+        Raises FastGSError with the list of files that cannot be decoded (all others are in the cache then), or where the disk is full.
+        An exception from progress, such as KeyboardInterrupt, stops the filling; what is done stays.
+        """
+        shots = list(self.capture.shots if shots is None else shots)
+        faults: list[str] = []
+        todo = []
+        for shot in shots:
+            try:
+                if not self._is_there(shot):
+                    todo.append(shot)
+            except FastGSError as error:
+                faults.append(str(error))
+        self._check_space(todo)
+        done = len(shots) - len(todo) - len(faults)
+        report = progress or (lambda done, of: None)
+        report(done, len(shots))
+        for fault in fill(todo, self.capture.scale, self._is_there, self._keep, threads or min(os.cpu_count() or 1, MOST_THREADS)):
+            faults += [fault] if fault else []
+            done += 1
+            report(done, len(shots))
+        if faults:
+            from .checks import sentence
+
+            raise FastGSError(sentence(self.capture.path, list(dict.fromkeys(faults))))
+
+    def pixels(self, shot: Shot) -> Pixels:
+        """The pixels of a shot, decoded now if they are not in the cache; the arrays are the caller's.  Raises FastGSError."""
+        stored = self.stored(shot)
+        most = np.float32(255 if stored.dtype == np.uint8 else 65535)
+        rgb = stored[..., :3] / most
+        mask, alpha = (stored[..., k] / most if stored.shape[2] > k else None for k in (3, 4))
+        return Pixels(rgb, mask, self._valid_of(shot), alpha)
+
+    def stored(self, shot: Shot) -> np.ndarray:
+        """The pixels [h, w, 3 to 5] as they are kept: uint8 or uint16, not to be written to."""
+        path = self._path(shot)
+        with self._lock:
+            if path in self._held:
+                self._held.move_to_end(path)
+                return self._held[path]
+        array = framefiles.read(path, decoding.shape(shot, self.capture.scale), _kind(shot))
+        if array is None:
+            array = self._decode_now(shot)
+        array.flags.writeable = False
+        with self._lock:
+            if array.nbytes <= self.budget and path not in self._held:
+                self._held[path] = array
+                self._held_bytes += array.nbytes
+                while self._held_bytes > self.budget:
+                    self._held_bytes -= self._held.popitem(last=False)[1].nbytes
+        return array
+
+    def _decode_now(self, shot):
+        """A shot's pixels from its files, kept in the cache as well."""
+        for _, found in decoding.decode([shot], self.capture.scale):
+            if isinstance(found, FastGSError):
+                raise found
+            self._keep(shot, found)
+            return found
+        raise AssertionError
+
+    def _valid_of(self, shot):
+        if shot.camera is None or shot.image.lens.is_pinhole:
+            return None
+        camera = shot.camera
+        key = shot.image.lens, shot.image.intrinsics, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        if key not in self._valid:
+            self._valid[key] = decoding.valid(shot)
+        return self._valid[key]
+
+    def _path(self, shot: Shot) -> Path:
+        path = self._paths.get(shot)
+        if path is None:
+            path = self._paths[shot] = self.folder / f"{framefiles.digest(shot, self.capture.scale)}.frame"
+        return path
+
+    def _is_there(self, shot) -> bool:
+        try:
+            length = self._path(shot).stat().st_size
+        except FileNotFoundError:
+            return False
+        return length == self._length(shot)
+
+    def _length(self, shot):
+        return framefiles.HEADER + int(np.prod(decoding.shape(shot, self.capture.scale))) * np.dtype(_kind(shot)).itemsize
+
+    def _keep(self, shot, array):
+        try:
+            framefiles.write(self._path(shot), array)
+        except OSError as error:
+            raise self._cannot_write(error) from error
+
+    def _check_space(self, todo):
+        need = sum(map(self._length, todo))
+        free = shutil.disk_usage(self.folder).free
+        if need and need + RESERVE > free:
+            raise FastGSError(f"{self.folder}: the frames of this capture need {need / 1e9:.1f} GB more there, and {free / 1e9:.1f} GB are "
+                              "free; free some, use a smaller scale or fewer frames, or set FASTGS_CACHE_DIR to a folder on another disk.")
+
+    def _cannot_write(self, error: OSError) -> FastGSError:
+        full = error.errno in {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+        reason = "the disk is full" if full else error.strerror or str(error)
+        return FastGSError(f"{self.folder}: decoded frames cannot be written there ({reason}), those so far are kept; free some space or "
+                           "set FASTGS_CACHE_DIR to another folder.")
+
+
+def _kind(shot: Shot):
+    """The type of a shot's cached numbers."""
+    return np.uint16 if facts(shot.image).deep else np.uint8

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is looked at before a run starts: the Python, the capture, disk and memory; and what the run will take."""
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..captures.layouts import own
+from ..training.core.settings import PRESETS, Settings
+from ..util.errors import FastGSError
+from . import causes
+from . import environment as pythons
+
+LEAST_DISK = 500 << 20
+"""Bytes that a run's folder should have free: a checkpoint, its successor, the model, pictures."""
+BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
+STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
+"""Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
+CORES = 2
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a capture holds, and what is wrong with it."""
+
+    capture: str
+    views: int = 0
+    frames: int = 0
+    width: int = 0
+    height: int = 0
+    layout: str = ""
+    posed: bool = True
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        poses = "" if self.posed else "; training finds the cameras' poses first"
+        return f"{self.layout}: {self.views} cameras, {self.frames} frames, {self.width} x {self.height}{poses}"
+
+
+latest: Facts | None = None
+"""The capture that was looked at last, for the panel."""
+
+
+def inspect(python: str, capture: str) -> Facts:
+    """Look at the training Python and, with it, at a capture; raises FastGSError where either cannot be used at all."""
+    global latest
+    report = pythons.inspect(python)
+    if not report.ready:
+        raise FastGSError(report.sentence)
+    if not capture:
+        raise FastGSError("no capture is chosen; choose its folder.")
+    here = Path(__file__).resolve()
+    command = [python, str(here.with_name("child.py")), str(here.parents[2]), "", "", "info", capture, "--json"]
+    done = subprocess.run(command, env=pythons.environment(python), stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    try:
+        values = json.loads(done.stdout)
+        first = next((view for view in values["views"] if view["width"] or view["file_width"]), None) or {}
+        latest = Facts(capture, len(values["views"]), values["clip"]["frame_count"], first.get("width") or first.get("file_width") or 0,
+                       first.get("height") or first.get("file_height") or 0, values["layout"], values["posed"], values["problems"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise FastGSError(causes.sentence(None, done.stderr.decode(errors="replace"), done.returncode, capture)) from error
+    return latest
+
+
+def picture_size(capture: str) -> tuple[int, int, int]:
+    """(pixels of a picture, cameras, frames) of a capture, as far as that is known without its files: looked at before, or of our layout.
+
+    Zeros where it is not.
+    """
+    if latest and latest.capture == capture:
+        return latest.width * latest.height, latest.views, latest.frames
+    path = Path(capture)
+    try:
+        values = json.loads((path / own.FILE if path.is_dir() else path).read_text("utf-8"))
+        sizes = [camera["width"] * camera["height"] for camera in values["cameras"]]
+        return int(max(sizes)), len(sizes), int(values["frame_count"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0, 0, 0
+
+
+def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:
+    """Remarks on disk and memory, of which the run will take so many bytes; raises FastGSError where there is no room for the results."""
+    place = Path(out)
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    try:
+        free = shutil.disk_usage(place).free
+    except OSError as error:
+        raise FastGSError(f"{out}: this folder cannot be used ({error.strerror}); choose another.") from error
+    if free < LEAST_DISK // 10:
+        raise FastGSError(f"{out}: only {free / 1e6:.0f} MB are free on this disk; free some space or choose another folder.")
+    remarks = []
+    if free < LEAST_DISK:
+        remarks.append(f"only {free / 1e6:.0f} MB are free for the results in {out}.")
+    available = available_memory()
+    if available is not None and available < memory:
+        remarks.append(f"only {available / 1e9:.1f} GB of memory are free, and training will take about {memory / 1e9:.1f} GB: close other "
+                       "programs, or train fewer Gaussians or smaller pictures.")
+    return remarks
+
+
+def available_memory() -> int | None:
+    """Bytes of memory that programs can have now; None where the system does not say."""
+    try:
+        for line in Path("/proc/meminfo").read_text("ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except (OSError, ValueError):
+        pass
+    return None
+
+
+def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0) -> tuple[int, int]:
+    """Steps and most Gaussians of a run."""
+    chosen = PRESETS[preset.lower()]
+    return (iterations or chosen.get("iterations", Settings.iterations),
+            max_gaussians or chosen.get("max_gaussians", Settings.max_gaussians))
+
+
+def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) -> tuple[float, float]:
+    """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures.
+
+    pixels    of a picture; pictures: how many there are, 0: very many
+    """
+    cores = max(os.cpu_count() or 1, 1)
+    seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
+    held = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
+    return seconds, BASE_MEMORY + held + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The CPU backend: numba kernels, one module a stage; backend.py puts them together."""

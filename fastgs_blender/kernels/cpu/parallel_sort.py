@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""sort.order_by on several threads: for pictures that must be ready before the next redraw."""
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from ...util.threads import ranges, run, thread_count
+from .visible import histogram, scatter
+
+DIGIT = 11
+"""The most bits of a digit."""
+
+_scratch = threading.local()
+"""Each thread's memory from one sort to the next: fresh pages would take as long as a pass."""
+
+
+def _buffers(length: int) -> list[np.ndarray]:
+    if len(getattr(_scratch, "buffers", ([],))[0]) < length or len(_scratch.buffers[0]) > 4 * length + 1_000_000:
+        _scratch.buffers = [np.empty(length, kind) for kind in (np.uint32, np.uint32, np.int32, np.int32)]
+    return [buffer[:length] for buffer in _scratch.buffers]
+
+
+def order_by(depth: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """index [V] int32, reordered so that depth [V] float32 >= 0 ascends; equal depths keep their order.
+
+    Only the bits in which the keys differ are sorted.
+    """
+    keys = np.ascontiguousarray(depth, np.float32).view(np.uint32)
+    if len(keys) < 2:
+        return index
+    low = keys.min()
+    bits = int(keys.max() - low).bit_length()
+    passes = -(-bits // DIGIT)
+    digit = -(-bits // max(passes, 1))
+    pieces = ranges(len(keys), max(-(-len(keys) // thread_count()), 16_384))
+    mask = np.uint32((1 << digit) - 1)
+    buffers = _buffers(len(keys))
+    for number in range(passes):
+        shift = np.uint32(number * digit)
+        counts = np.zeros((len(pieces), 1 << digit), np.int32)
+        run(lambda p, first, last: histogram(keys[first:last], low, shift, mask, counts[p]),  # noqa: B023 (run here and now)
+            [(p, *piece) for p, piece in enumerate(pieces)])
+        by_digit = counts.T.ravel()
+        begins = np.ascontiguousarray((np.cumsum(by_digit) - by_digit).reshape(-1, len(pieces)).T.astype(np.int32))
+        keys_out, index_out = buffers[number % 2], buffers[2 + number % 2]
+        run(lambda p, first, last: scatter(keys[first:last], index[first:last], low, shift, mask, begins[p],  # noqa: B023
+                                           keys_out, index_out),  # noqa: B023
+            [(p, *piece) for p, piece in enumerate(pieces)])
+        keys, index = keys_out, index_out
+    return index.copy()

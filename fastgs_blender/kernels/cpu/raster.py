@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rasterise: blend the splats of each 16 x 16 tile front to back, eight pixels at a time.
+
+The state of a tile is one local array of planes of 256 pixels: transmittance, then the channels, then the median depth.
+A pixel that is finished keeps its transmittance with the sign turned.
+"""
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numba import float32
+from numba.core import types
+from numba.extending import intrinsic
+
+from ...rendering.oracle import T_STOP
+from . import simd
+from .jit import kernel
+
+TILE = 16
+PIXELS = TILE * TILE
+
+# columns of a splat's geometry [., 5] float64: centre in pixels, and the triangle of the scaled inverse covariance, so that
+# log2(alpha) = LOG2_OPACITY - (L11 dx + L21 dy)^2 - (L22 dy)^2.  A sum of squares: long thin splats do not cancel.
+MEAN_X, MEAN_Y, L11, L21, L22 = range(5)
+# columns of a splat's shade [., 6 + C] float32; RADIUS: half the size of the box in which alpha reaches the cut
+LOG2_OPACITY, ALPHA_MAX, LOG2_CUT, DEPTH, RADIUS_X, RADIUS_Y, CHANNEL = range(7)
+
+AHEAD = 8
+"""How many splats ahead memory is asked for: a tile's splats lie all over it."""
+SIZES = (3, 4, 9, 10, 16, 32, 64, 128, 256)
+"""Numbers of channels for which code is made; others are padded to the next."""
+
+
+def padded(channels: int) -> int:
+    """The number of channels that the kernel for `channels` has."""
+    return next((size for size in SIZES if size >= channels), channels)
+
+
+def fade(alpha, log2_cut, band):
+    """The factor by which alpha fades in over `band` above the cut, 3 s^2 - 2 s^3, and its derivative by alpha."""
+    s = ((alpha - log2_cut.exp2()) / band).max(0.0).min(1.0)
+    return s * s * (s * -2.0 + 3.0), (s - s * s) * 6.0 / band
+
+
+@intrinsic(prefer_literal=True)
+def blend8(context, state, pixel, u, du, row, shade, splat, place, band, channels, median, trace, smooth):
+    """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
+
+    channels, median, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  trace: remember `place` as
+    that of the last splat blended; smooth: let alpha fade in over `band` above the cut.
+    """
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, median, trace, smooth)):
+        return None
+    count = channels.literal_value
+    number = types.float32
+    signature = types.void(state, types.intp, number, number, number, shade, types.intp, number, number, channels, median, trace, smooth)
+
+    def build(context, b, signature, args):
+        state, shade = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
+        pixel, row = args[1], simd.broadcast(b, args[4])
+        first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + count))
+
+        def column(i):
+            return simd.broadcast(b, shade.scalar(first, i))
+
+        u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
+        exponent = row - u * u
+        alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
+        if smooth.literal_value:
+            alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[8]))[0]
+        before = state.floats(pixel, 0)
+        weight = before * alpha
+        after = before - weight
+        live = after > T_STOP
+        weight = weight.where(live, 0.0)
+        state.store(pixel, 0, after.where(live, before.negative_magnitude()))
+        for c in range(count):
+            plane = PIXELS * (1 + c)
+            state.store(pixel, plane, state.floats(pixel, plane) + weight * column(CHANNEL + c))
+        if trace.literal_value:
+            plane = PIXELS * (1 + count)
+            state.store(pixel, plane, simd.broadcast(b, args[7]).where(weight > 0.0, state.floats(pixel, plane)))
+        if median.literal_value:
+            plane = PIXELS * (1 + count)
+            front = b.and_(weight > 0.0, before > 0.5)
+            state.store(pixel, plane, column(DEPTH).where(front, state.floats(pixel, plane)))
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+@cache
+def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0.0):
+    """The kernel for a number of channels, with or without the median depth.
+
+    trace: write what the backward pass starts from (raster_backward.py) instead of the median depth.  band: alpha fades in over
+    this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.
+    """
+    assert not (median and trace)
+    median, trace, smooth, band = int(median), int(trace), int(band > 0), float(band)
+    planes = 1 + channels + (median or trace)
+
+    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, depth):
+        """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
+
+        The window is x0..right, y0..bottom in pixels of the image; out [h, w, C], alpha [h, w], depth [h, w] are the window's.
+        starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  With trace, depth is [h, 2 w]: the final
+        transmittance, and beside it the place in the tile's list of the last splat blended, or -1.
+        """
+        state = np.empty(planes * PIXELS, np.float32)
+        for tile in range(first, last):
+            left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
+            for i in range(PIXELS):
+                x, y = left + i % TILE, top + i // TILE
+                inside = x >= x0 and x < right and y >= y0 and y < bottom
+                state[i] = float32(1.0) if inside else float32(-1.0)
+            state[PIXELS:] = float32(0.0)
+            if median:
+                state[PIXELS * (1 + channels):] = float32(np.inf)
+            if trace:
+                state[PIXELS * (1 + channels):] = float32(-1.0)
+            blended = 0
+            for k in range(starts[tile], starts[tile + 1]):
+                i = np.intp(ids[k])
+                ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
+                simd.prefetch(geometry, ahead)
+                simd.prefetch(shade, ahead)
+                # in float64 up to the tile's corner, so that splats far off the screen keep their precision
+                mx, my = geometry[i, MEAN_X] - left - 0.5, geometry[i, MEAN_Y] - top - 0.5
+                rx, ry = shade[i, RADIUS_X], shade[i, RADIUS_Y]
+                xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
+                yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
+                if not (xl <= xh and yl <= yh):
+                    continue
+                a, b, c = float32(geometry[i, L11]), float32(geometry[i, L21]), float32(geometry[i, L22])
+                u0 = float32(-geometry[i, L11] * mx - geometry[i, L21] * my)
+                v0 = float32(-geometry[i, L22] * my)
+                for y in range(int(yl), int(yh) + 1):
+                    v = v0 + c * float32(y)
+                    row = shade[i, LOG2_OPACITY] - v * v
+                    u = u0 + b * float32(y)
+                    for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
+                        x = half * simd.LANES
+                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i, float32(k - starts[tile]), float32(band),
+                               channels, median, trace, smooth)
+                blended += 1
+                if blended % TILE == 0:
+                    front = state[0]
+                    for p in range(1, PIXELS):
+                        front = state[p] if state[p] > front else front
+                    if front <= 0.0:
+                        break
+            for y in range(max(top, y0), min(top + TILE, bottom)):
+                for x in range(max(left, x0), min(left + TILE, right)):
+                    p = (y - top) * TILE + x - left
+                    alpha[y - y0, x - x0] = float32(1.0) - abs(state[p])
+                    for c in range(channels):
+                        out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
+                    if median:
+                        depth[y - y0, x - x0] = state[PIXELS * (1 + channels) + p]
+                    if trace:
+                        depth[y - y0, x - x0] = abs(state[p])
+                        depth[y - y0, x - 2 * x0 + right] = state[PIXELS * (1 + channels) + p]
+
+    return kernel(rasterise)

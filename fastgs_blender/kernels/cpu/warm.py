@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Compile the kernels that pictures usually need, ahead of the first picture: python -m fastgs_blender.kernels.cpu.warm."""
+from __future__ import annotations
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...model.appearance import RGB, Features
+from ...model.gaussians import GaussianModel
+from ...rendering.api import render
+from ...rendering.scene import Part
+from ...rendering.visibility import importance_rank, order
+
+PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
+
+
+def compile_all(progress=lambda fraction: None) -> None:
+    """Render a few specks with every kind of colour and every common set of passes."""
+    camera = Camera(16, 16, 16, 16, 8, 8, np.eye(4))
+    models = [GaussianModel(position=np.diag([0.1, 0.2, 2.0]) + [0, 0, 1], rotation=np.eye(4)[:3], scale=np.full((3, 3), -2),
+                            opacity=np.ones(3), features=np.ones((3, look.width)), appearance=look) for look in (RGB(), Features())]
+    jobs = [(model, passes) for passes in PASSES for model in models]
+    for i, (model, passes) in enumerate(jobs):
+        render(model, camera, passes=passes, backend="cpu")
+        progress((i + 1) / len(jobs))
+    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera)
+    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera, 0.5, importance_rank)
+
+
+if __name__ == "__main__":
+    compile_all()

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a Gaussian looks like: RGB, spherical harmonics, or features that a small decoder turns into colour.
+
+A model holds one array `features` [N, F]; its appearance says what the columns mean.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from ..util.errors import FastGSError
+
+SH_C0 = 0.28209479177387814
+ACTIVATIONS = ("sigmoid", "clamp", "none")
+"""Output activations of STG's decoder: N3V, Technicolor, Immersive (`sandwich`, `sandwichnoact`, `sandwichnoactss`)."""
+
+
+@dataclass(frozen=True)
+class RGB:
+    """Columns: r, g, b as they are (STG lite)."""
+
+    name: ClassVar[str] = "rgb"
+    width: ClassVar[int] = 3
+
+
+@dataclass(frozen=True)
+class SH:
+    """Real spherical harmonics: max(0, 0.5 + sum_b Y_b(direction) c_b).
+
+    Columns: B = (degree + 1)^2 coefficients, each r, g, b; so features.reshape(N, B, 3)[:, 0] is INRIA's f_dc.
+    """
+
+    name: ClassVar[str] = "sh"
+    degree: int = 0
+
+    def __post_init__(self):
+        if self.degree not in range(5):
+            raise FastGSError(f"spherical harmonics of degree 0 to 4 are supported, not {self.degree!r}.")
+
+    @property
+    def width(self) -> int:
+        return 3 * (self.degree + 1) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """STG full and FAST-GS.  Columns: base (3), direction (3), time (3, multiplied by t - mu_tau).
+
+    Per pixel, from the blended features f and the ray (camera centre, unit direction; both in the model's space):
+    rgb = activation(base + w2 @ relu(w1 @ [direction, time, ray])), w1 [6, 12], w2 [3, 6], no biases.
+    """
+
+    name: ClassVar[str] = "features"
+    width: ClassVar[int] = 9
+    w1: np.ndarray = field(default_factory=lambda: np.zeros((6, 12), np.float32))
+    w2: np.ndarray = field(default_factory=lambda: np.zeros((3, 6), np.float32))
+    activation: str = "sigmoid"
+
+    def __post_init__(self):
+        for key, shape in (("w1", (6, 12)), ("w2", (3, 6))):
+            value = np.ascontiguousarray(getattr(self, key), np.float32)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise FastGSError(f"the decoder's {key} must be {shape[0]} x {shape[1]} finite numbers.")
+            object.__setattr__(self, key, value)
+        if self.activation not in ACTIVATIONS:
+            raise FastGSError(f"the decoder's activation must be one of {', '.join(ACTIVATIONS)}, not {self.activation!r}.")
+
+
+def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:
+    """Real spherical harmonics Y_b [..., (degree + 1)^2] of unit directions [..., 3], in 3DGS's order and signs.
+
+    Bands l = 0..4, within a band m = -l..l, with the Condon-Shortley signs of Sloan 2013 as 3DGS uses them.
+    """
+    d = np.asarray(direction)
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    out = [np.full_like(x, SH_C0)]
+    if degree > 0:
+        c = 0.4886025119029199
+        out += [-c * y, c * z, -c * x]
+    if degree > 1:
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        out += [1.0925484305920792 * xy, -1.0925484305920792 * yz, 0.31539156525252005 * (2 * zz - xx - yy),
+                -1.0925484305920792 * xz, 0.5462742152960396 * (xx - yy)]
+    if degree > 2:
+        out += [-0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * xy * z,
+                -0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+                -0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy),
+                -0.5900435899266435 * x * (xx - 3 * yy)]
+    if degree > 3:
+        out += [2.5033429417967046 * xy * (xx - yy), -1.7701307697799304 * yz * (3 * xx - yy),
+                0.9461746957575601 * xy * (7 * zz - 1), -0.6690465435572892 * yz * (7 * zz - 3),
+                0.10578554691520431 * (zz * (35 * zz - 30) + 3), -0.6690465435572892 * xz * (7 * zz - 3),
+                0.47308734787878004 * (xx - yy) * (7 * zz - 1), -1.7701307697799304 * xz * (xx - 3 * yy),
+                0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))]
+    return np.stack(out, -1)
+
+
+def decode(features: np.ndarray, centre: np.ndarray, ray: np.ndarray, appearance: Features) -> np.ndarray:
+    """Colour [..., 3] of blended features [..., 9]; camera centre [3] or [..., 3], unit rays [..., 3]."""
+    f = np.asarray(features)
+    inputs = np.concatenate([f[..., 3:], np.broadcast_to(centre, f.shape[:-1] + (3,)), ray], -1)
+    hidden = np.maximum(inputs @ appearance.w1.T.astype(f.dtype), 0)
+    rgb = f[..., :3] + hidden @ appearance.w2.T.astype(f.dtype)
+    if appearance.activation == "sigmoid":
+        return 0.5 * (1 + np.tanh(0.5 * rgb))  # the same function, and it cannot overflow
+    return np.clip(rgb, 0, 1) if appearance.activation == "clamp" else rgb

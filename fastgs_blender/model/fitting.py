@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Least squares in time: which basis of which order describes sampled motion, and its coefficients.
+
+All trajectories share their times, so that one factorisation of the design matrix serves them all.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .motion import Basis, Cosine, Fourier, Keyframes, Static
+
+SAFE = 0.4
+"""Coefficients per sample at most.  The Nyquist limit is 1; near it a basis swings between the samples."""
+
+MOTION_BASES = ("auto", "cosine", "fourier", "paper", "keyframes")
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A basis and the matrix [K + 1, S] that turns values at S times into the constant term and K coefficients."""
+
+    basis: Basis
+    solve: np.ndarray
+    design: np.ndarray
+
+    @classmethod
+    def of(cls, basis: Basis, t: np.ndarray) -> Fit:
+        """The least-squares fit at times t [S].  A direction that the samples do not determine stays 0."""
+        design = np.concatenate([np.ones((len(t), 1)), basis.weights(t)], 1)
+        return cls(basis, np.linalg.pinv(design, rcond=1e-9), design)
+
+    def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """values [S, ...] -> coefficients [K + 1, ...] and what the fit makes of the values [S, ...]."""
+        flat = values.reshape(len(values), -1)
+        coefficients = self.solve @ flat
+        shape = (len(coefficients),) + values.shape[1:]
+        return coefficients.reshape(shape), (self.design @ coefficients).reshape(values.shape)
+
+
+def motion_families(name: str, t: np.ndarray) -> list[Callable[[int], Basis]]:
+    """Bases of positions by order: one family, or for "auto" all that compete.
+
+    Times run from t[0] to t[-1].  Half-period cosines over exactly that span are mirrored beyond it, so the half frame after
+    the last is as tame as the one before it.  A Fourier series with a linear term is exact for steady travel and whole
+    turns, whether or not the last sample repeats the first.
+    """
+    rate = 1 / float(t[-1] - t[0])
+    offset = 0.0 - rate * float(t[0])
+    families = {
+        "cosine": [lambda n: Cosine(n, rate, offset)],
+        "fourier": [lambda n: Fourier(n - 1, 1.0, 0.0, linear=True), lambda n: Fourier(n - 1, rate, offset, linear=True)],
+        "paper": [Fourier],
+        "keyframes": [lambda n: Keyframes(tuple(np.linspace(t[0], t[-1], n + 1)), "catmull-rom")],
+    }
+    if name == "auto":
+        return families["cosine"] + families["fourier"]
+    if name not in families:
+        raise FastGSError(f"the basis {name!r} cannot be fitted; there are {', '.join(MOTION_BASES)}.")
+    return families[name]
+
+
+def rotation_families(t: np.ndarray) -> list[Callable[[int], Basis]]:
+    """Bases of quaternions by order.  A quaternion turns by half the angle: the Fourier series has twice the period."""
+    rate = 1 / float(t[-1] - t[0])
+    offset = 0.0 - rate * float(t[0])
+    return [lambda n: Cosine(n, rate, offset), lambda n: Fourier(n, 0.5), lambda n: Fourier(n, 0.5 * rate, 0.5 * offset)]
+
+
+def choose(families: list[Callable[[int], Basis]], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0) -> Basis:
+    """The basis with the fewest coefficients whose error is at most 1, else the one with the least error.
+
+    t [S] the times that are known; families of bases by order, at a tie the first wins; error(fit) relative to the tolerance.
+    Never more coefficients than SAFE x S, nor a higher order than max_order (0: no such limit).
+    """
+    static = Fit.of(Static(), t)
+    if len(t) < 2 or error(static) <= 1:
+        return Static()
+    best = None
+    for family in families:
+        highest = _highest(family, len(t), max_order)
+        if highest < 1:
+            continue
+        errors: dict[int, float] = {}
+
+        def measure(order, family=family, errors=errors):
+            if order not in errors:
+                errors[order] = error(Fit.of(family(order), t))
+            return errors[order]
+
+        order = _first(lambda n: measure(n) <= 1, highest)
+        key = (0, family(order).terms) if measure(order) <= 1 else (1, measure(order))
+        if best is None or key < best[0]:
+            best = key, family(order)
+    return best[1] if best else Static()
+
+
+def _highest(family, samples: int, max_order: int) -> int:
+    limit = max(int(SAFE * samples), 1)
+
+    def allowed(n):
+        basis = family(n)
+        return basis.terms <= limit and (max_order <= 0 or getattr(basis, "order", n) <= max_order)
+
+    n = 0
+    while allowed(n + 1):
+        n += 1
+    return n
+
+
+def _first(good: Callable[[int], bool], highest: int) -> int:
+    """The least order that is good, found by doubling and halving (more terms fit better); `highest` if none is."""
+    low, high = 0, 1
+    while high < highest and not good(high):
+        low, high = high, min(2 * high, highest)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if good(middle) else (middle, high)
+    return high

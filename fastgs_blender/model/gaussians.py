@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""GaussianModel: the paper's 4D Gaussians as a struct of arrays, and everything a file must record with them."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .appearance import RGB, SH, Features
+from .motion import Basis, Static
+from .temporal import Always, Radial, Window
+
+AXES = ("RDF", "RFU", "RUB")
+"""Where the world's x, y and z point: RDF = right, down, forward (COLMAP, INRIA); RFU = Blender (z up); RUB = OpenGL (y up)."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """The rasteriser constants that a model was trained with.
+
+    blur         added to the diagonal of the 2D covariance, in square pixels (gsplat's eps2d)
+    alpha_max    upper bound of a splat's alpha at a pixel
+    alpha_cut    a splat's alpha below this is not drawn
+    near         Gaussians whose centre is not beyond this distance along the view axis are not drawn, in model units
+    antialiased  opacity is scaled by sqrt(det before / det after blur) (Mip-Splatting)
+    """
+
+    blur: float = 0.3
+    alpha_max: float = 0.99
+    alpha_cut: float = 1 / 255
+    near: float = 0.2
+    antialiased: bool = False
+
+    def __post_init__(self):
+        good = (np.isfinite([self.blur, self.alpha_max, self.alpha_cut, self.near]).all() and self.blur >= 0
+                and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
+        if not good:
+            raise FastGSError(f"the rasteriser constants are out of range: {self}.")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """The capture's time line: frame f (0 .. frame_count - 1) lies at t = f / frame_count.
+
+    fps          frames per second of the capture
+    start_frame  what the capture called its first frame
+    """
+
+    frame_count: int = 1
+    fps: float = 30.0
+    start_frame: int = 0
+
+    def __post_init__(self):
+        if not (1 <= self.frame_count <= 10_000_000 and np.isfinite(self.fps) and self.fps > 0):
+            raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {self}.")
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds."""
+        return self.frame_count / self.fps
+
+    def t_of_frame(self, frame: float) -> float:
+        """Model time of a frame counted from 0; fractions are sub-frames."""
+        return frame / self.frame_count
+
+
+@dataclass(eq=False)
+class GaussianModel:
+    """N 4D Gaussians.  Arrays are float32 and C-contiguous; K, R, P, F follow from the kinds below.
+
+    position         [N, 3]     constant term of the motion (the paper's mu_base with A_0 folded in)
+    rotation         [N, 4]     constant term of the quaternion, w x y z, normalised at use
+    scale            [N, 3]     ln of the standard deviations along the Gaussian's axes
+    opacity          [N]        logit of sigma_s
+    features         [N, F]     see `appearance`
+    motion           [N, K, 3]  coefficients of `basis`
+    rotation_motion  [N, R, 4]  coefficients of `rotation_basis`, added to `rotation` before normalising
+    mu_tau           [N]        temporal centre: of centred bases, of the time features, of Radial
+    temporal         [N, P]     parameters of `temporal_kind`
+
+    Optional arrays may be left out when their width is 0 (mu_tau: zeros).  Raises FastGSError where shapes disagree.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    scale: np.ndarray
+    opacity: np.ndarray
+    features: np.ndarray
+    motion: np.ndarray | None = None
+    rotation_motion: np.ndarray | None = None
+    mu_tau: np.ndarray | None = None
+    temporal: np.ndarray | None = None
+    basis: Basis = field(default_factory=Static)
+    rotation_basis: Basis = field(default_factory=Static)
+    temporal_kind: Always | Radial | Window = field(default_factory=Always)
+    appearance: RGB | SH | Features = field(default_factory=RGB)
+    raster: Raster = field(default_factory=Raster)
+    clip: Clip = field(default_factory=Clip)
+    axes: str = "RDF"
+    colour_space: str = "srgb"
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        n = len(self.position)
+        for name, shape in self.shapes(n).items():
+            value = getattr(self, name)
+            if value is None and (0 in shape or name == "mu_tau"):
+                value = np.zeros(shape, np.float32)
+            if np.shape(value) != shape:
+                raise FastGSError(f"the model's {name} must have the shape {shape}, not {np.shape(value)}.")
+            setattr(self, name, np.ascontiguousarray(value, np.float32))
+        if self.axes not in AXES:
+            raise FastGSError(f"the model's axes must be one of {', '.join(AXES)}, not {self.axes!r}.")
+        if self.colour_space not in ("srgb", "linear"):
+            raise FastGSError(f"the model's colour space must be srgb or linear, not {self.colour_space!r}.")
+
+    def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
+        """The shape of every array for n Gaussians of this model's kinds."""
+        return {
+            "position": (n, 3), "rotation": (n, 4), "scale": (n, 3), "opacity": (n,),
+            "features": (n, self.appearance.width), "motion": (n, self.basis.terms, 3),
+            "rotation_motion": (n, self.rotation_basis.terms, 4), "mu_tau": (n,),
+            "temporal": (n, self.temporal_kind.width),
+        }
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name."""
+        return {name: getattr(self, name) for name in self.shapes(0)}
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(a.nbytes for a in self.arrays.values())
+
+    def take(self, index) -> GaussianModel:
+        """The model of some of its Gaussians (indices or a mask)."""
+        return replace(self, **{name: a[index] for name, a in self.arrays.items()})
+
+    def __repr__(self):
+        kinds = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)
+                          if f.name in ("basis", "rotation_basis", "temporal_kind", "appearance", "clip"))
+        return f"GaussianModel(N={len(self)}, {kinds})"

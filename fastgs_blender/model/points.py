@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Coloured points of a scene, perhaps each with a time: what training and baking begin with."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of the scene: xyz [P, 3], rgb [P, 3] in 0..1 (display), t [P] in [0, 1] or None where they hold for all times;
+    size [P], how far apart they stand, NaN or None where that is to be seen from their neighbours."""
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    t: np.ndarray | None = None
+    size: np.ndarray | None = None
+
+    def __len__(self):
+        return len(self.xyz)
+
+    def take(self, rows) -> Points:
+        """Some of the points, by indices or a mask."""
+        return Points(**{name: None if array is None else array[rows] for name, array in vars(self).items()})
+
+
+def usable(xyz, rgb, t=None) -> Points:
+    """Points as float32, without those that are not finite; colours and times kept within 0..1, NaN in t stays: always there."""
+    good = np.isfinite(xyz).all(1) & (np.abs(xyz) < 1e9).all(1)
+    if t is not None:
+        good &= ~np.isinf(t)
+    xyz, rgb = np.ascontiguousarray(xyz[good], np.float32), np.nan_to_num(np.asarray(rgb, np.float32)[good])
+    return Points(xyz, np.clip(rgb, 0, 1), None if t is None else np.clip(np.asarray(t, np.float32)[good], 0, 1))

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Slicing: a model at one time t becomes ordinary 3D Gaussians.  Float64 array code; the kernels do the same, fused."""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .appearance import Features
+from .gaussians import GaussianModel
+from .motion import Static
+from .temporal import Always
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """M Gaussians at one time, float64.
+
+    index     [M]     which of the model's Gaussians
+    position  [M, 3]  mu(t)
+    rotation  [M, 4]  unit quaternion q(t), w x y z
+    scale     [M, 3]  standard deviations
+    opacity   [M]     sigma(t), 0..1
+    features  [M, F]  the model's, time features multiplied by t - mu_tau
+    velocity  [M, 3]  d mu / d t, exact; times fps / frame_count = units per second
+    """
+
+    index: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    scale: np.ndarray
+    opacity: np.ndarray
+    features: np.ndarray
+    velocity: np.ndarray
+
+
+def sigmoid(x):
+    """1 / (1 + exp(-x)) without overflow."""
+    return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float64)))
+
+
+def unit_quaternions(q: np.ndarray) -> np.ndarray:
+    """Normalised quaternions [M, 4]; those that vanish become the identity, those that are no numbers stay so."""
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    vanishing = norm <= 1e-12
+    return np.where(vanishing, [1.0, 0, 0, 0], q / np.where(vanishing, 1, norm))
+
+
+def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
+    """The model at time t (any real number).
+
+    With cull, Gaussians whose sigma(t) lies under the model's alpha cut are left out first, so that neither
+    their motion nor their colour is read: they cannot touch a pixel.  Paper, eq. 3-4 (position), 6 (opacity), 7 (rotation).
+    """
+    sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+    index = np.flatnonzero(sigma >= model.raster.alpha_cut) if cull else np.arange(len(model))
+    mu_tau = model.mu_tau[index].astype(np.float64)
+    offset, velocity = model.basis.evaluate(model.motion[index], t, mu_tau)
+    turn, _ = model.rotation_basis.evaluate(model.rotation_motion[index], t, mu_tau)
+    features = model.features[index].astype(np.float64)
+    if isinstance(model.appearance, Features):
+        features[:, 6:9] *= (t - mu_tau)[:, None]
+    return Slice(
+        index=index,
+        position=model.position[index] + offset,
+        rotation=unit_quaternions(model.rotation[index] + turn),
+        scale=np.exp(model.scale[index].astype(np.float64)),
+        opacity=sigma[index],
+        features=features,
+        velocity=velocity,
+    )
+
+
+def freeze(model: GaussianModel, t: float) -> GaussianModel:
+    """A static model that looks as the given one does at time t (a frame for tools that know no time).
+
+    Opacities that vanish at t are left out.  The appearance stays; time features are evaluated at t and folded in.
+    """
+    s = slice_model(model, t)
+    features, mu_tau = s.features, None
+    if isinstance(model.appearance, Features):
+        mu_tau = np.full(len(s.index), -1.0)  # a static model is looked at at t = 0: the factor t - mu_tau is then 1
+    odds = np.clip(s.opacity, 1e-7, 1 - 1e-7)
+    return replace(
+        model, position=s.position, rotation=s.rotation, scale=np.log(s.scale), opacity=np.log(odds / (1 - odds)),
+        features=features, motion=None, rotation_motion=None, mu_tau=mu_tau, temporal=None,
+        basis=Static(), rotation_basis=Static(), temporal_kind=Always(), clip=replace(model.clip, frame_count=1),
+    )

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rendered frames as files: PNG in display colours, multi-layer EXR in scene-linear floats."""
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from ..util.outputs import replacing
+from . import colour
+
+FAR = np.float32(1e10)
+"""Depth where there is nothing, as Blender's own engines write it: filters turn an infinity into NaN."""
+
+STALE = 600.0
+"""Seconds after which a file left aside belongs to nobody: writing a frame takes far less."""
+
+
+def write_png(path, image: dict, colour_space: str):
+    """image["rgb"] and ["alpha"], as render() returns them, as 8-bit sRGB with straight alpha."""
+    from PIL import Image
+
+    rgb = colour.display(image["rgb"], image["alpha"], colour_space)
+    rgba = np.concatenate([rgb, image["alpha"][..., None]], -1)
+    pixels = np.floor(np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
+    with _written_aside(path) as part, part.open("wb") as file:
+        Image.fromarray(pixels).save(file, format="PNG", compress_level=4)
+
+
+def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dict | None = None):
+    """The passes (default: all in image) as 32-bit float channels, named so that Blender finds its passes again.
+
+    rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer: Depth.Z,
+    MedianDepth.Z (1e10 where there is nothing), and X, Y, Z for passes of several channels.  image["alpha"] must be there if
+    "rgb" is.
+    """
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}
+    file = OpenEXR.File(header, _channels(image, colour_space, image if passes is None else passes))
+    with _written_aside(path) as part:
+        try:
+            file.write(str(part))
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
+
+
+def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
+    planes = {}
+    for name in passes:
+        if name == "rgb":
+            rgb = colour.scene_linear(image["rgb"], image["alpha"], colour_space)
+            planes.update(zip("RGB", np.moveaxis(rgb, -1, 0), strict=True))
+        elif name == "alpha":
+            planes["A"] = image["alpha"]
+        elif image[name].ndim == 2:
+            planes[f"{_layer(name)}.Z"] = np.minimum(image[name], FAR) if "depth" in name else image[name]
+        else:
+            planes.update(zip((f"{_layer(name)}.{axis}" for axis in "XYZW"), np.moveaxis(image[name], -1, 0), strict=False))
+    return {name: np.ascontiguousarray(plane, np.float32) for name, plane in planes.items()}
+
+
+def _layer(name: str) -> str:
+    """median_depth -> MedianDepth"""
+    return "".join(word.capitalize() for word in name.split("_"))
+
+
+@contextlib.contextmanager
+def _written_aside(path):
+    """Gives the file to write, which becomes `path` at the end; raises FastGSError where the system cannot write."""
+    try:
+        with replacing([Path(path)]) as (part,):
+            yield part
+    except (FastGSError, OSError) as error:
+        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
+        raise FastGSError(f"{path} could not be written: {reason}; free space on its disk or choose another folder.") from error
+
+
+def remove_stale(folder):
+    """Remove the half-written files that killed runs have left aside in a folder."""
+    for part in Path(folder).glob(".fastgs-*.tmp"):
+        with contextlib.suppress(OSError):
+            if time.time() - part.stat().st_mtime > STALE:
+                part.unlink()

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The oracle: projection and compositing in plain float64 array code, slow and written to be read.
+
+Together with slicing.py (motion, temporal opacity, rotation) and appearance.py (spherical harmonics, decoder) it says what
+a picture of a model is.  The kernels are tested against it.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..model.appearance import SH, Features, decode, sh_basis
+from ..model.slicing import Slice, slice_model
+from .crops import shown
+from .scene import Buffers, Layout, Part
+
+T_STOP = 1e-4
+"""A pixel is finished when the next splat would leave this transmittance or less; that splat is not blended (INRIA, gsplat)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """M projected Gaussians, float64.
+
+    mean [M, 2] pixels, covariance [M, 2, 2] square pixels with the blur added, determinant [M] of it, opacity [M],
+    depth [M] along the view axis, channels [M, C], alpha_max [M], alpha_cut [M]
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    determinant: np.ndarray
+    opacity: np.ndarray
+    depth: np.ndarray
+    channels: np.ndarray
+    alpha_max: np.ndarray
+    alpha_cut: np.ndarray
+
+
+def rotation_matrices(q: np.ndarray) -> np.ndarray:
+    """Rotation matrices [M, 3, 3] of unit quaternions w x y z [M, 4]."""
+    w, x, y, z = q.T
+    return np.stack([
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ], -1).reshape(-1, 3, 3)
+
+
+def colours(s: Slice, part: Part, camera: Camera) -> np.ndarray:
+    """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
+    appearance = part.model.appearance
+    if not isinstance(appearance, SH):
+        return s.features
+    if camera.orthographic:
+        direction = np.broadcast_to(part.camera_to_model[:3, 2], s.position.shape)
+    else:
+        direction = s.position - part.camera_to_model[:3, 3]
+    direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
+    basis = sh_basis(direction, appearance.degree)
+    return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3)))
+
+
+def project(part: Part, camera: Camera, layout: Layout) -> Splats:
+    """One model at its time, projected (EWA splatting as 3DGS does it; rasterisers.md 3.1)."""
+    model, raster = part.model, part.model.raster
+    s = slice_model(model, part.t)
+    linear, origin = part.model_to_camera[:3, :3], part.model_to_camera[:3, 3]
+    view = s.position @ linear.T + origin
+    z = view[:, 2]
+    factor = linear @ rotation_matrices(s.rotation) * s.scale[:, None, :]
+    seen = shown(part.crops, s.position) & (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
+    s = Slice(**{name: value[seen] for name, value in vars(s).items()})
+    view, z, factor = view[seen], z[seen], factor[seen]
+
+    jacobian = np.zeros((len(z), 2, 3))
+    jacobian[:, 0, 0], jacobian[:, 1, 1] = camera.fx, camera.fy
+    centre = np.array([camera.cx, camera.cy])
+    if camera.orthographic:
+        mean = view[:, :2] * (camera.fx, camera.fy) + centre
+    else:
+        x_low, x_high, y_low, y_high = camera.tangent_limits()
+        x, y = view[:, 0] / z, view[:, 1] / z
+        mean = np.stack([x, y], 1) * (camera.fx, camera.fy) + centre
+        jacobian[:, 0, 2] = -camera.fx * np.clip(x, x_low, x_high)
+        jacobian[:, 1, 2] = -camera.fy * np.clip(y, y_low, y_high)
+        jacobian /= z[:, None, None]
+    # Sigma_2D = (J W R S)(J W R S)^T; its determinant as a sum of squares (Cauchy-Binet), which needles do not cancel
+    factor = jacobian @ factor
+    covariance = factor @ factor.transpose(0, 2, 1)
+    sharp = (np.cross(factor[:, 0], factor[:, 1]) ** 2).sum(1)
+    trace = covariance[:, 0, 0] + covariance[:, 1, 1]
+    determinant = sharp + raster.blur * trace + raster.blur**2
+    covariance = covariance + raster.blur * np.eye(2)
+    opacity = s.opacity
+    if raster.antialiased:
+        opacity = opacity * np.sqrt(np.divide(sharp, determinant, out=np.zeros_like(sharp), where=determinant > 0))
+
+    channels = np.zeros((len(z), layout.channels))
+    colour = colours(s, part, camera)
+    group = layout.group_of(part)
+    channels[:, group.offset:group.offset + colour.shape[1]] = colour
+    if group.weight is not None:
+        channels[:, group.weight] = 1
+    if layout.depth is not None:
+        channels[:, layout.depth] = z
+    same = np.ones(len(z))
+    splats = Splats(mean, covariance, determinant, opacity, z, channels, raster.alpha_max * same, raster.alpha_cut * same)
+    drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & np.isfinite(channels).all(1)
+    return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
+
+
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> Buffers:
+    """Front-to-back compositing of sorted splats into the camera's window (rasterisers.md 3.2).
+
+    band: alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
+    by differences, for checks of gradients; pictures have none.
+    """
+    x0, y0, width, height = camera.window
+    px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
+    out = np.zeros((height, width, splats.channels.shape[1]))
+    transmittance, median = np.ones((height, width)), np.full((height, width), np.inf)
+    live = np.ones((height, width), bool)
+    order = np.argsort(splats.depth.astype(np.float32), kind="stable")
+    reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
+    for i in order:
+        (a, b), (_, c) = splats.covariance[i]
+        mx, my = splats.mean[i]
+        radius_x, radius_y = np.sqrt(reach[i] * a) + 1, np.sqrt(reach[i] * c) + 1
+        left, right = np.searchsorted(px, (mx - radius_x, mx + radius_x))
+        top, bottom = np.searchsorted(py, (my - radius_y, my + radius_y))
+        if left == right or top == bottom:
+            continue
+        dx, dy = (px[left:right] - mx)[None, :], (py[top:bottom] - my)[:, None]
+        # d^T Sigma^-1 d with the square completed in x: a sum of squares, so that needles do not cancel
+        distance = (dx - b / c * dy) ** 2 * c / splats.determinant[i] + dy**2 / c
+        alpha = np.minimum(splats.alpha_max[i], splats.opacity[i] * np.exp(-0.5 * distance))
+
+        box = np.s_[top:bottom, left:right]
+        t = transmittance[box]
+        hit = live[box] & (alpha >= splats.alpha_cut[i])
+        if band:
+            rise = np.clip((alpha - splats.alpha_cut[i]) / band, 0, 1)
+            alpha = alpha * rise**2 * (3 - 2 * rise)
+        after = t * (1 - alpha)
+        blended = hit & (after > T_STOP)
+        live[box] &= ~(hit & ~blended)
+        out[box] += np.where(blended, alpha * t, 0)[..., None] * splats.channels[i]
+        median[box] = np.where(blended & (t > 0.5), splats.depth[i], median[box])
+        transmittance[box] = np.where(blended, after, t)
+    return Buffers(out, 1 - transmittance, median)
+
+
+def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
+    """All models as one cloud, composited into the layout's channels; band: see rasterise()."""
+    with np.errstate(all="ignore"):  # what overflows is not drawn
+        clouds = [project(part, camera, layout) for part in parts]
+    progress(0.1)
+    return rasterise(Splats(**{name: np.concatenate([vars(c)[name] for c in clouds]) for name in vars(clouds[0])}), camera, band)
+
+
+def decode_features(features: np.ndarray, weight: np.ndarray, part: Part, camera: Camera) -> np.ndarray:
+    """Premultiplied colour [h, w, 3] of blended features [h, w, 9] with their blending weight [h, w].
+
+    The decoder sees the features of the surface, un-premultiplied, so that colour does not depend on coverage.
+    """
+    appearance: Features = part.model.appearance
+    centre, rays = camera.rays(part.model_to_camera)
+    covered = weight[..., None] > 0
+    surface = np.divide(features, weight[..., None], out=np.zeros_like(features), where=covered)
+    return decode(surface, centre, rays, appearance) * weight[..., None]

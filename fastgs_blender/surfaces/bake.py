@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""bake(): an animated mesh becomes 4D Gaussians, without training.
+
+Flat Gaussians are spread evenly over the surface; each follows its place on it through all frames, and its path and turning
+are written in a basis of time by least squares.
+"""
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..model.gaussians import Clip, GaussianModel, Raster
+from ..model.motion import Basis, Static
+from ..util.errors import FastGSError
+from .sampling import SurfaceSamples
+from .trajectories import MovingSurface, fit_paths, fit_turning
+
+THICKNESS = 0.1
+"""Standard deviation across the surface by the smaller one within it."""
+GREY = (0.906, 0.906, 0.906)
+"""sRGB of Blender's default, linear 0.8."""
+OPAQUE = 0.99
+"""Opacity of an opaque surface's Gaussians."""
+
+
+Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class BakeReport:
+    """What a bake did.
+
+    gaussians                    number of Gaussians
+    basis, rotation_basis        of positions and of quaternions, with the orders that were chosen
+    band_limit                   highest frequency of motion that the basis holds, in Hz
+    mean_residual, max_residual  distance of the Gaussians from the places that they follow, over all given times, in the object's units
+    size                         of the object (with several: of the one that is followed worst, as are the residuals)
+    tolerance                    of the mean residual, as a share of the size
+    turn_residual                mean error of the rotations, in degrees
+    """
+
+    gaussians: int
+    basis: Basis
+    rotation_basis: Basis
+    band_limit: float
+    mean_residual: float
+    max_residual: float
+    size: float
+    tolerance: float
+    turn_residual: float
+
+    @property
+    def order(self) -> int:
+        """Order of the basis; of a table of keyframes, how many there are; 0 where nothing moves."""
+        return getattr(self.basis, "order", self.basis.terms)
+
+    @property
+    def reached(self) -> bool:
+        """Whether the mean residual is within the tolerance."""
+        return self.mean_residual <= self.tolerance * self.size
+
+    @property
+    def warning(self) -> str | None:
+        """One sentence where the tolerance is not reached, else None."""
+        if self.reached:
+            return None
+        return (f"the motion is followed to {100 * self.mean_residual / self.size:.3g} % of the object's size instead of"
+                f" {100 * self.tolerance:.3g} %, with the highest order that is safe or allowed ({self.order}, up to"
+                f" {self.band_limit:.3g} Hz): sample more times per frame, allow a higher order, or bake fewer frames at once.")
+
+    def __str__(self) -> str:
+        def share(x):
+            return f"{x:.3g} ({100 * x / self.size:.2g} %)"
+
+        if isinstance(self.basis, Static):
+            motion = "no motion"
+        else:
+            motion = f"{self.basis.name} of order {self.order}, up to {self.band_limit:.3g} Hz"
+        return (f"{self.gaussians:,} Gaussians, {motion}, off by {share(self.mean_residual)} on average"
+                f" and {share(self.max_residual)} at most, size {self.size:.3g}")
+
+
+def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: np.ndarray | None = None,
+         frame_count: int | None = None, fps: float = 24.0, start_frame: int = 0, count: int = 100_000, tolerance: float = 0.005,
+         max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None, patch: np.ndarray | None = None,
+         samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
+         progress: Callable[[float], None] | None = None) -> tuple[GaussianModel, BakeReport]:
+    """4D Gaussians on an animated triangle mesh.
+
+    positions    [S, V, 3]  the vertices in world space at S times
+    triangles    [T, 3]     vertex indices, the same at all times
+    colours      sRGB display values 0..1, with opacity as an optional fourth: one for all; [T, C] for the triangles;
+                 [T, 3, C] for their corners; a function of (triangle [N], barycentric weights [N, 3]) -> [N, C], of which the
+                 mean around each Gaussian is taken; where samples are given, [N, C] is for these and not for triangles
+    frames       [S]        frame numbers of the times counted from the clip's first, increasing; default 0, 1, 2 ...
+                            Fractions are welcome: half frames double what may safely be fitted
+    frame_count  of the clip, default up to the last of `frames`; frame f lies at t = f / frame_count
+    fps, start_frame  are recorded in the model's clip
+    count        number of Gaussians (fully transparent places get none)
+    tolerance    of the mean distance between a Gaussian and the place on the surface that it follows, by the object's size
+                 (the largest side of its bounding box, the median over the times)
+    max_order    of the basis; 0: what the number of times safely allows
+    basis        "auto", "cosine", "fourier" (with a linear term), "paper" (Fourier of period 1), "keyframes"
+    part         [T] a number for the object that each triangle belongs to, where several are baked together: each is held to
+                 the tolerance of its own size
+    patch        [T] a number for the area of one colour that each triangle belongs to: Gaussians keep to their side of its border,
+                 as they do at sharp edges
+    samples      where on the surface, if that is known already: surface_samples(positions, triangles, count)
+    provenance   further facts to record in the model
+    progress     called with 0..1 between pieces of work; what it raises cancels the bake and passes through
+
+    The model is in Blender's axes (RFU), coloured in sRGB.  Raises FastGSError for input that describes no surface; warns
+    (UserWarning) where the tolerance is not reached.
+    """
+    progress = progress or (lambda fraction: None)
+    surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
+    if not tolerance > 0:
+        raise FastGSError(f"the tolerance must be positive, not {tolerance}.")
+    given = samples is not None
+    samples = samples if given else _spread(surface, count)
+    progress(0.15)
+    rgba = _colours(colours, surface, samples, given)
+    visible = rgba[:, 3] >= 1 / 255
+    if not visible.any():
+        raise FastGSError("everything is fully transparent: there is nothing to bake.")
+    samples, rgba = SurfaceSamples(samples.triangle[visible], samples.weights[visible], samples.spacing), rgba[visible]
+    progress(0.25)
+
+    t = frames / frame_count
+    paths = fit_paths(surface, samples, t, basis, tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
+    turning = fit_turning(surface, samples, t, not isinstance(paths.basis, Static), max_order, lambda x: progress(0.65 + 0.35 * x))
+    sigma = np.c_[turning.width, THICKNESS * turning.width.min(1)]
+    alpha = OPAQUE * np.clip(rgba[:, 3], 0, 1)
+    model = GaussianModel(
+        position=paths.constant, motion=paths.coefficients, basis=paths.basis,
+        rotation=turning.constant[turning.row], rotation_motion=turning.coefficients[turning.row],
+        rotation_basis=turning.basis, scale=np.log(sigma)[turning.row], opacity=np.log(alpha / (1 - alpha)),
+        features=rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
+        provenance={"source": "baked mesh", **(provenance or {})},
+    )
+    report = BakeReport(
+        gaussians=len(model), basis=paths.basis, rotation_basis=turning.basis,
+        band_limit=paths.basis.max_frequency * fps / frame_count, mean_residual=paths.mean, max_residual=paths.largest,
+        size=float(surface.sizes[paths.part]), tolerance=tolerance, turn_residual=float(np.degrees(turning.residual)))
+    if report.warning:
+        warnings.warn(report.warning, stacklevel=2)
+    return model, report
+
+
+def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 100_000) -> SurfaceSamples:
+    """The places on an animated surface (as for bake()) that get a Gaussian: evenly spread, dense enough where it is stretched."""
+    return _spread(_checked(positions, triangles)[0], count)
+
+
+def _spread(surface, count):
+    if not 1 <= count <= 50_000_000:
+        raise FastGSError(f"the number of Gaussians must lie between 1 and 50 million, not {count:,}.")
+    return surface.spread(count)
+
+
+def _checked(positions, triangles, frames=None, frame_count=None, part=None, patch=None):
+    """The surface, its frame numbers [S] and the clip's length; FastGSError where they do not fit together."""
+    positions, triangles = np.asarray(positions, np.float32), np.asarray(triangles)
+    if positions.ndim != 3 or positions.shape[2] != 3 or not len(positions):
+        raise FastGSError(f"positions must have the shape (times, vertices, 3), not {positions.shape}.")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
+        raise FastGSError(f"triangles must be whole numbers of the shape (triangles, 3), not {triangles.shape} of {triangles.dtype}.")
+    if not len(triangles):
+        raise FastGSError("there are no faces to bake.")
+    if triangles.min() < 0 or triangles.max() >= positions.shape[1]:
+        raise FastGSError(f"the triangles refer to vertices outside 0..{positions.shape[1] - 1}.")
+    if not np.isfinite(positions).all():
+        raise FastGSError("some vertex positions are not finite numbers.")
+    frames = np.arange(len(positions), dtype=np.float64) if frames is None else np.asarray(frames, np.float64)
+    if frames.shape != (len(positions),) or not np.isfinite(frames).all() or not (np.diff(frames) > 0).all():
+        raise FastGSError("frames must be increasing numbers, one for each time at which positions are given.")
+    if frame_count is None:
+        frame_count = max(int(np.floor(frames[-1])), 0) + 1
+    surface = MovingSurface(positions, triangles.astype(np.int64), _numbers("part", part, triangles), _numbers("patch", patch, triangles))
+    if not surface.areas.any():
+        raise FastGSError("the faces have no area in any frame: there is no surface to bake.")
+    return surface, frames, frame_count
+
+
+def _numbers(name, values, triangles):
+    if values is None:
+        return np.zeros(len(triangles), np.int64)
+    if np.shape(values) != (len(triangles),):
+        raise FastGSError(f"{name} must give one number for each of the {len(triangles)} triangles.")
+    return np.unique(np.asarray(values), return_inverse=True)[1]
+
+
+def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
+    """What bake() makes of a function of colours: r, g, b and opacity [N, 4], to change them or to give them to it."""
+    return _colours(colours, _checked(positions, triangles)[0], samples, True)
+
+
+def _colours(colours, surface: MovingSurface, samples: SurfaceSamples, for_samples: bool) -> np.ndarray:
+    """Colour and opacity [N, 4] at the samples."""
+    if callable(colours):
+        values = np.mean([np.asarray(colours(samples.triangle, weights), np.float64) for weights in surface.footprints(samples)], 0)
+    else:
+        values = np.asarray(colours, np.float64)
+        triangle_count = len(surface.triangles)
+        if values.ndim == 3 and values.shape[:2] == (triangle_count, 3):
+            values = np.einsum("nkc,nk->nc", values[samples.triangle], samples.weights)
+        elif values.ndim == 2 and len(values) == triangle_count and not for_samples:
+            values = values[samples.triangle]
+        elif values.ndim == 1:
+            values = np.broadcast_to(values, (len(samples), len(values)))
+    if values.ndim != 2 or len(values) != len(samples) or values.shape[1] not in (3, 4) or not np.isfinite(values).all():
+        raise FastGSError("colours must be finite: one r, g, b (and opacity) for all, for each triangle, or for each corner of each.")
+    return values if values.shape[1] == 4 else np.c_[values, np.ones(len(values))]

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Density control: where Gaussians are added, moved and taken away.  A strategy is a class here, listed in STRATEGIES.
+
+It is asked once after every step, works on the rows of the optimiser, and draws from generators of the step alone, so that a
+resumed run and every process of a distributed one decide the same.
+"""
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+
+from ...model.appearance import Features
+from ...model.slicing import sigmoid, unit_quaternions
+from .optimiser import SHARED
+from .schedule import DENSITY, NOISE, generator
+
+
+class Strategy:
+    """What all strategies share: when they act, and how many Gaussians there may be.
+
+    settings, extent (of the capture), template (a model of the kinds that are trained), centres [C, 3] of the cameras
+    """
+
+    name = ""
+
+    def __init__(self, settings, extent: float, template, centres=None):
+        self.settings, self.extent, self.template = settings, extent, template
+        self.centres = np.zeros((0, 3)) if centres is None else centres
+        self.first = int(settings.densify_from * settings.iterations)
+        self.last = int(settings.densify_until * settings.iterations)
+
+    def due(self, iteration: int) -> bool:
+        """Whether density changes after this step (counted from 1)."""
+        return self.first < iteration <= self.last and iteration % self.settings.densify_every == 0
+
+    def _room(self, iteration: int, count: int) -> int:
+        """How many Gaussians may be added now: an equal share of what is left for every time still to come.
+
+        Were all added as soon as they are asked for, the blur of the beginning would have them, and nothing be left for detail.
+        """
+        s = self.settings
+        times = (self.last - iteration) // s.densify_every + 1
+        return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
+
+    def penalty(self, arrays) -> dict[str, np.ndarray]:
+        """Gradients to add to those of the loss, by array."""
+        return {}
+
+    def after_step(self, iteration: int, optimiser, statistics, rates) -> bool:
+        """Change the optimiser's rows; returns whether statistics must be begun anew.  rates: the step's learning rates."""
+        raise NotImplementedError
+
+
+class Default(Strategy):
+    """3DGS' rules: where the picture wants a Gaussian elsewhere, small ones are cloned and large ones split; faint ones go.
+
+    When more ask than may come, those with the largest gradient come first.
+    """
+
+    name = "default"
+
+    def after_step(self, iteration, optimiser, statistics, rates):
+        s = self.settings
+        changed = False
+        if self.due(iteration):
+            self._prune(optimiser, statistics)
+            self._grow(iteration, optimiser, statistics)
+            changed = True
+        if s.reset_every and self.first < iteration < self.last and iteration % s.reset_every == 0:
+            opacity = optimiser.arrays["opacity"]
+            rows = np.flatnonzero(opacity > _logit(0.01))
+            opacity[rows] = _logit(0.01)
+            optimiser.reset("opacity", rows)
+        return changed
+
+    def _prune(self, optimiser, statistics):
+        keep = sigmoid(optimiser.arrays["opacity"]) >= self.settings.prune_opacity
+        keep &= np.exp(optimiser.arrays["scale"].max(1)) <= np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
+        if keep.all() or not keep.any():
+            return
+        rows = np.flatnonzero(keep)
+        optimiser.take(rows)
+        statistics.take(rows)
+
+    def _distance(self, optimiser):
+        """To the nearest camera [N].  What is large and close to a camera is fog, which cameras opposite take for the sky."""
+        position = optimiser.arrays["position"].astype(np.float64)
+        nearest = np.full(len(position), np.inf)
+        for centre in self.centres:
+            nearest = np.minimum(nearest, np.linalg.norm(position - centre, axis=1))
+        return nearest
+
+    def _grow(self, iteration, optimiser, statistics):
+        s, arrays = self.settings, optimiser.arrays
+        total = statistics.gradient if s.gradient == "plain" else statistics.absolute
+        score = total / np.maximum(statistics.seen, 1)
+        n = len(score)
+        room = self._room(iteration, n)
+        wanting = np.flatnonzero(score > s.threshold)
+        if room <= 0 or not len(wanting):
+            return
+        chosen = np.sort(wanting[np.argsort(-score[wanting], kind="stable")[:room]])
+        large = np.exp(arrays["scale"][chosen].max(1)) > s.dense_size * self.extent
+        rng = generator(s.seed, DENSITY, iteration)
+        born = {name: array[chosen].copy() for name, array in arrays.items() if _per_gaussian(name)}
+        split = chosen[large]
+        if len(split):
+            step = _inside(arrays, split, rng)
+            arrays["position"][split] += step
+            arrays["scale"][split] -= np.float32(np.log(1.6))
+            born["position"][large] = born["position"][large] - step  # a mirror pair keeps the centre of gravity
+            born["scale"][large] -= np.float32(np.log(1.6))
+            for name in ("position", "scale"):
+                optimiser.reset(name, split)
+        if s.copied_time == "random":
+            self._move_in_time(born, rng)
+        optimiser.append(born)
+
+    def _move_in_time(self, born, rng):
+        """New temporal centres.  What is counted from the centre is counted anew, so that the copies stay on their course."""
+        new = rng.uniform(0, 1, len(born["mu_tau"])).astype(np.float32)
+        shift(born, new, self.template)
+
+
+class MCMC(Strategy):
+    """3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): the dead are reborn where there is opacity, noise explores.
+
+    A Gaussian that takes in others shares its opacity with them, so that together they look as it did: o' = 1 - (1 - o)^(1/n),
+    and the scale shrinks accordingly.
+    """
+
+    name = "mcmc"
+    most = 51
+
+    def penalty(self, arrays):
+        s = self.settings
+        n = max(len(arrays["opacity"]), 1)
+        o = sigmoid(arrays["opacity"])
+        return {"opacity": (s.opacity_weight / n * o * (1 - o)).astype(np.float32),
+                "scale": (s.scale_weight / (3 * n) * np.exp(arrays["scale"]) / self.extent).astype(np.float32)}
+
+    def after_step(self, iteration, optimiser, statistics, rates):
+        s, arrays = self.settings, optimiser.arrays
+        changed = False
+        if self.due(iteration):
+            rng = generator(s.seed, DENSITY, iteration)
+            opacity = sigmoid(arrays["opacity"])
+            dead = np.flatnonzero(opacity <= s.prune_opacity)
+            alive = np.flatnonzero(opacity > s.prune_opacity)
+            if len(alive):
+                self._relocate(optimiser, dead, alive, rng)
+                self._add(iteration, optimiser, rng)
+            changed = True
+        if s.noise and iteration <= self.last:
+            self._shake(iteration, arrays, rates)
+        return changed
+
+    def _relocate(self, optimiser, dead, alive, rng):
+        arrays = optimiser.arrays
+        if not len(dead):
+            return
+        weight = sigmoid(arrays["opacity"][alive])
+        source = rng.choice(alive, len(dead), p=weight / weight.sum())
+        self._share(optimiser, source)
+        for name, array in arrays.items():
+            if _per_gaussian(name):
+                array[dead] = array[source]
+                optimiser.reset(name, dead)
+
+    def _add(self, iteration, optimiser, rng):
+        arrays = optimiser.arrays
+        n = len(arrays["opacity"])
+        room = self._room(iteration, n)
+        if room <= 0:
+            return
+        weight = sigmoid(arrays["opacity"])
+        source = rng.choice(n, room, p=weight / weight.sum())
+        self._share(optimiser, source)
+        optimiser.append({name: array[source].copy() for name, array in arrays.items() if _per_gaussian(name)})
+
+    def _share(self, optimiser, source):
+        """Opacity and scale of the Gaussians that will be n + 1 in the place of one."""
+        arrays = optimiser.arrays
+        rows, copies = np.unique(source, return_counts=True)
+        count = np.minimum(copies + 1, self.most)
+        old = np.clip(sigmoid(arrays["opacity"][rows]), 0, 1 - 1e-6)
+        new = 1 - (1 - old) ** (1 / count)
+        arrays["scale"][rows] += np.log(old / _spread(new, count))[:, None].astype(np.float32)
+        arrays["opacity"][rows] = _logit(np.clip(new, self.settings.prune_opacity, 1 - 1e-6))
+        for name in arrays:
+            if _per_gaussian(name):
+                optimiser.reset(name, rows)
+
+    def _shake(self, iteration, arrays, rates):
+        """Noise on the positions, in the shape of each Gaussian, for those that are nearly transparent."""
+        opacity = sigmoid(arrays["opacity"])
+        gate = 1 / (1 + np.exp(-100 * ((1 - opacity) - 0.995)))
+        rows = np.flatnonzero(gate > 1e-4)
+        if not len(rows):
+            return
+        rng = generator(self.settings.seed, NOISE, iteration)
+        reach = self.settings.noise * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
+        step = rng.standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]
+        axes = rotation_matrices(arrays["rotation"][rows])
+        scale = np.exp(arrays["scale"][rows].astype(np.float64))
+        arrays["position"][rows] += np.einsum("nij,nj,nkj,nk->ni", axes, scale**2, axes, step).astype(np.float32)
+
+
+STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}
+
+
+def shift(arrays, centre, template):
+    """Give rows another temporal centre without changing their course: polynomials about the centre are expanded about the new one.
+
+    Time features mean nothing far from where they were learnt and begin anew.
+    """
+    delta = (centre - arrays["mu_tau"]).astype(np.float64)
+    for basis, constant, name in ((template.basis, "position", "motion"), (template.rotation_basis, "rotation", "rotation_motion")):
+        if basis.centred and basis.terms:
+            old = np.concatenate([arrays[constant][:, None], arrays[name]], 1).astype(np.float64)
+            new = np.stack([sum(comb(k, j) * delta[:, None] ** (k - j) * old[:, k] for k in range(j, basis.terms + 1))
+                            for j in range(basis.terms + 1)], 1)
+            arrays[constant][...], arrays[name][...] = new[:, 0], new[:, 1:]
+    arrays["mu_tau"][...] = centre
+    if isinstance(template.appearance, Features):
+        arrays["features"][:, 6:9] = 0
+
+
+def rotation_matrices(quaternions) -> np.ndarray:
+    """[M, 3, 3] of quaternions w x y z, normalised here."""
+    w, x, y, z = unit_quaternions(np.asarray(quaternions, np.float64)).T
+    return np.stack([
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1).reshape(-1, 3, 3)
+
+
+def _inside(arrays, rows, rng):
+    """Random steps [M, 3] float32 with the distribution of each Gaussian."""
+    local = rng.standard_normal((len(rows), 3)) * np.exp(arrays["scale"][rows].astype(np.float64))
+    return np.einsum("nij,nj->ni", rotation_matrices(arrays["rotation"][rows]), local).astype(np.float32)
+
+
+def _spread(opacity, count):
+    """Sum of the powers of the opacity by which count equal Gaussians are together wider than one (eq. 9 of the paper)."""
+    total = np.zeros(len(opacity))
+    for i in range(1, int(count.max()) + 1):
+        inner = np.zeros(len(opacity))
+        binomial = 1.0
+        for k in range(i):
+            inner += binomial * (-1) ** k / np.sqrt(k + 1) * opacity ** (k + 1)
+            binomial *= (i - 1 - k) / (k + 1)
+        total += np.where(i <= count, inner, 0)
+    return np.maximum(total, 1e-12)
+
+
+def _logit(p):
+    return np.log(p / (1 - p))
+
+
+def _per_gaussian(name):
+    return name not in SHARED

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What happens at which step: learning rates, views and picture size.  Functions of the step alone, so there is nothing to save."""
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ...model.motion import Basis, Fourier, Keyframes, Polynomial
+from .model import PLACE
+
+VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
+"""What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
+
+
+def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
+    """Random numbers that depend on nothing but these whole numbers."""
+    return np.random.default_rng([seed, purpose, *step])
+
+
+def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dict:
+    """The rate of every array at a step: a number, or a row of the array's columns.  Lengths scale with the extent."""
+    done = min(iteration / max(settings.iterations, 1), 1.0)
+    decay = (settings.position_rate_end / settings.position_rate) ** done if settings.position_rate > 0 else 0.0
+    motion = settings.motion_rate * extent * settings.motion_decay**done
+    features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
+    if settings.appearance != "features":
+        features = settings.base_rate
+        if settings.appearance != "rgb":  # 3DGS: higher bands at a twentieth
+            bands = (int(settings.appearance[2:]) + 1) ** 2
+            features = settings.base_rate * np.repeat(np.where(np.arange(bands) == 0, 1.0, 0.05), 3)
+    decoder = np.full(12, settings.decoder_rate)  # by the columns of w1
+    if not settings.decoder_place:
+        decoder[PLACE] = 0
+    return {
+        "position": settings.position_rate * extent * decay, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
+        "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / frequency_index(basis), 3),
+        "rotation_motion": settings.turn_rate, "mu_tau": settings.centre_rate, "temporal": settings.duration_rate,
+        "w1": decoder, "w2": settings.decoder_rate,
+    }
+
+
+def frequency_index(basis: Basis) -> np.ndarray:
+    """k of each coefficient [K], from 1: a step of the rate then changes the velocity by as much for all of them."""
+    if isinstance(basis, Fourier):
+        pairs = np.repeat(np.arange(1.0, basis.order + 1), 2)
+        return np.append(pairs, 1.0) if basis.linear else pairs
+    if isinstance(basis, (Keyframes, Polynomial)):
+        return np.ones(basis.terms)
+    return np.arange(1.0, basis.terms + 1)
+
+
+def reduction(settings, iteration: int) -> int:
+    """By what the pictures are made smaller at this step: 4, 2, then 1 (more steps of warm_up begin smaller)."""
+    ahead = sum(iteration < end * settings.iterations for end in settings.warm_up)
+    return 2**ahead
+
+
+class Views:
+    """Which shots are seen at which step: all of one moment, every moment once a round, every shot of a moment equally often."""
+
+    def __init__(self, shots, seed: int):
+        self.seed = seed
+        moments: dict[float, list[int]] = {}
+        for i, shot in enumerate(shots):
+            moments.setdefault(shot.t, []).append(i)
+        self.moments = [moments[t] for t in sorted(moments)]
+
+    def at(self, iteration: int, count: int) -> list[int]:
+        """Indices of `count` shots for a step.  A moment with fewer shots is helped out by the next moments."""
+        chosen: list[int] = []
+        slot = 0
+        per_step = max(1, -(-count // max(len(m) for m in self.moments)))
+        while len(chosen) < count:
+            visit, place = divmod(iteration * per_step + slot, len(self.moments))
+            moment = self.moments[int(_order(len(self.moments), self.seed, FRAMES, visit)[place])]
+            for k in range(min(count - len(chosen), len(moment))):
+                cycle, position = divmod(visit * count + k, len(moment))
+                chosen.append(moment[int(_order(len(moment), self.seed, VIEWS, moment[0], cycle)[position])])
+            slot += 1
+        return chosen
+
+
+@lru_cache(maxsize=512)
+def _order(length, *key):
+    return generator(*key).permutation(length)

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every option of a training run in one frozen table, that goes into JSON and back."""
+from __future__ import annotations
+
+import math
+from dataclasses import MISSING, asdict, dataclass, fields
+
+from ...util.errors import FastGSError
+
+CHOICES = {
+    "motion": ("cosine", "fourier", "fourier+linear", "polynomial", "keyframes", "paper", "static"),
+    "appearance": ("features", "rgb", "sh1", "sh2", "sh3"),
+    "activation": ("clamp", "sigmoid", "none"),
+    "temporal": ("radial", "always"),
+    "density": ("default", "mcmc"),
+    "regulariser": ("mean", "group"),
+    "masks": ("auto", "cut", "weight", "only", "off"),
+    "background": ("auto", "black", "white", "random"),
+    "copied_time": ("keep", "random"),
+    "start": ("auto", "triangulate", "file", "model", "random"),
+    "gradient": ("plain", "absolute"),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The options of a run.  Lengths are in units of the capture's extent, times in units of the clip.
+
+    The run
+      iterations      steps of the optimiser
+      batch           views per step and process, of one moment where there are as many
+      seed            of everything random; nothing else decides what a run gives
+      preset          the name of the table below that the other values began from
+
+    The model
+      motion          basis of the positions; paper: the printed form, period 1 (eq. 3-4)
+      order           Fourier frequencies, cosines, degree or keyframes; 0: the usual one, lower for short clips
+      rotation_degree degree of the quaternion's polynomial (eq. 7: 1)
+      temporal        opacity over time: radial (eq. 6), or always the same
+      appearance      features with decoder (STG, FAST-GS), or plain colours, or spherical harmonics by degree
+      activation      of the decoder's output
+      decoder_place   whether the decoder sees where the camera is, as STG's does; with few cameras it learns them by heart
+      antialiased     opacity compensated for the blur of a pixel
+
+    The loss
+      dssim           share of D-SSIM beside L1
+      motion_weight   lambda of the motion regulariser
+      regulariser     reading of its norm: mean over the Gaussians, or one norm over all of them (group)
+      opaque_weight   of the mean transparency, where the capture shows something in every pixel
+      masks           cut: what lies outside is transparent; weight: what lies inside counts foreground_weight times;
+                      only: nothing else counts; off; auto: cut for pictures with alpha, weight for mask files that show
+                      the foreground, only for those that say which pixels are valid
+      foreground_weight  see masks
+      background      what is seen through transparent parts while training; auto: random where pictures are cut, else black
+
+    Learning rates (position and motion in extents), as STG's
+      position_rate, position_rate_end   exponential decay from one to the other
+      motion_rate     of frequency 1; divided by k for frequency k
+      motion_decay    end of the motion's rate, as a fraction of its beginning
+      rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
+      free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
+
+    Starting values
+      start           where the points come from: triangulated from the pictures, the layout's point file, a model, random;
+                      auto: the first of them that gives points, but start_model before all others if one is given
+      start_model     a model, as a bake makes one, whose Gaussians are starting points
+      points          most starting points
+      backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
+      backdrop_hold   pixels whose wish it takes to move a colour of theirs by 0.1 (hold.py)
+      start_opacity   their opacity
+      start_size      their size in distances to their three nearest neighbours
+      start_life      time over which a timed point's opacity falls to 1/e on either side
+      static_life     the same for points without a time
+
+    Density control
+      density         default (clone, split, prune, opacity reset) or mcmc (relocation and noise)
+      max_gaussians   never more than this
+      densify_from, densify_until, densify_every   first and last step as fractions of the run, and steps between
+      gradient        plain mean gradient on the screen, or the sum of absolute ones per pixel
+      threshold       of that gradient, in units of the screen's half side
+      dense_size      larger Gaussians are split, smaller ones cloned
+      grow            at most this fraction is added at once
+      prune_opacity   those below go
+      near_size       those larger than this times their distance to the nearest camera go too
+      reset_every     steps between opacity resets, 0: none
+      copied_time     temporal centre of copies: the original's, or random
+      noise, opacity_weight, scale_weight    mcmc's exploration and its pull towards little and small
+
+    Resolution
+      warm_up         fractions of the run that see pictures at a quarter and at half the size end here
+    Long captures (segments.py)
+      segment_frames  clips with more frames are cut into segments of at most this many, 0: never
+      segment_overlap frames that neighbouring segments share
+
+    Bookkeeping (without influence on the result)
+      checkpoint_seconds, log_every, preview_every (0: none)
+    """
+
+    iterations: int = 10_000
+    batch: int = 1
+    seed: int = 0
+    preset: str = "standard"
+
+    motion: str = "cosine"
+    order: int = 0
+    rotation_degree: int = 1
+    temporal: str = "radial"
+    appearance: str = "features"
+    activation: str = "clamp"
+    decoder_place: bool = False
+    antialiased: bool = False
+
+    dssim: float = 0.2
+    motion_weight: float = 0.01
+    regulariser: str = "mean"
+    opaque_weight: float = 0.01
+    masks: str = "auto"
+    foreground_weight: float = 2.0
+    background: str = "auto"
+
+    position_rate: float = 1.6e-4
+    position_rate_end: float = 1.6e-6
+    motion_rate: float = 1e-3
+    motion_decay: float = 0.1
+    rotation_rate: float = 1e-3
+    turn_rate: float = 1e-3
+    scale_rate: float = 5e-3
+    opacity_rate: float = 0.05
+    base_rate: float = 5e-3
+    direction_rate: float = 2.5e-3
+    time_rate: float = 2.5e-3
+    centre_rate: float = 1e-3
+    duration_rate: float = 0.03
+    decoder_rate: float = 1e-3
+    free_centre: bool = False
+
+    backdrop: float = 0.3
+    backdrop_hold: float = 100.0
+    start: str = "auto"
+    start_model: str = ""
+    points: int = 20_000
+    start_opacity: float = 0.5
+    start_size: float = 0.7
+    start_life: float = 0.06
+    static_life: float = 4.0
+
+    density: str = "default"
+    max_gaussians: int = 50_000
+    densify_from: float = 0.05
+    densify_until: float = 0.6
+    densify_every: int = 100
+    gradient: str = "plain"
+    threshold: float = 2e-4
+    dense_size: float = 0.01
+    grow: float = 0.15
+    prune_opacity: float = 0.005
+    near_size: float = 0.3
+    reset_every: int = 0
+    copied_time: str = "keep"
+    noise: float = 1.0
+    opacity_weight: float = 0.01
+    scale_weight: float = 0.01
+
+    warm_up: tuple[float, ...] = (0.05, 0.2)
+
+    segment_frames: int = 120
+    segment_overlap: int = 8
+
+    checkpoint_seconds: float = 15.0
+    log_every: int = 20
+    preview_every: int = 500
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            object.__setattr__(self, field.name, _checked(field, value))
+        for name, known in CHOICES.items():
+            if getattr(self, name) not in known:
+                raise FastGSError(f"the training option {name} is one of {', '.join(known)}, not {getattr(self, name)!r}.")
+        if self.preset not in PRESETS:
+            raise FastGSError(f"the preset {self.preset!r} is unknown; there are {', '.join(PRESETS)}.")
+        for name, low, high in LIMITS:
+            if not low <= getattr(self, name) <= high:
+                raise FastGSError(f"the training option {name} must lie between {low:g} and {high:g}, not at {getattr(self, name):g}.")
+        if not all(0 <= a <= 1 for a in self.warm_up) or list(self.warm_up) != sorted(self.warm_up) or len(self.warm_up) > 4:
+            raise FastGSError(f"the training option warm_up has at most four rising numbers from 0 to 1, not {self.warm_up}.")
+
+    def to_dict(self) -> dict:
+        """Plain JSON values."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+
+LIMITS = (
+    ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
+    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
+    ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
+    ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
+    ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
+    ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
+    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
+    ("motion_rate", 0, 1),
+)
+"""Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""
+
+PRESETS = {
+    "draft": dict(iterations=2500, max_gaussians=20_000, points=10_000),
+    "standard": {},
+    "final": dict(iterations=30_000, max_gaussians=150_000, points=60_000),
+}
+"""What each preset changes."""
+
+
+def settings(preset: str = "standard", **options) -> Settings:
+    """The settings of a preset with some options replaced; raises FastGSError for unknown ones."""
+    if preset not in PRESETS:
+        raise FastGSError(f"the preset {preset!r} is unknown; there are {', '.join(PRESETS)}.")
+    return from_dict({**PRESETS[preset], "preset": preset, **options})
+
+
+def from_dict(values: dict) -> Settings:
+    """The inverse of Settings.to_dict; absent options keep their defaults, unknown ones raise FastGSError."""
+    known = {field.name for field in fields(Settings)}
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise FastGSError(f"there is no training option {unknown[0]!r}; there are {', '.join(sorted(known))}.")
+    return Settings(**values)
+
+
+def option_from_text(text: str) -> tuple[str, object]:
+    """(name, value) of "name=value" as written on a command line; raises FastGSError."""
+    name, equals, value = (part.strip() for part in text.partition("="))
+    field = next((field for field in fields(Settings) if field.name == name), None)
+    if not equals:
+        raise FastGSError(f"an option is written name=value, not {text!r}.")
+    if field is None:
+        from_dict({name: value})
+    kind = type(field.default)
+    try:
+        if kind is bool:
+            return name, {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[value.lower()]
+        if kind is tuple:
+            return name, tuple(float(part) for part in value.split(",") if part.strip())
+        return name, int(float(value)) if kind is int and float(value) == int(float(value)) else kind(value)
+    except (KeyError, ValueError, OverflowError) as error:
+        raise FastGSError(f"the training option {name} cannot be {value!r}; its default is {field.default!r}.") from error
+
+
+def _checked(field, value):
+    """The value in the type of the field's default; raises FastGSError where it is of another."""
+    example = field.default
+    assert example is not MISSING
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(example, bool):
+        good = isinstance(value, bool)
+    elif isinstance(example, int):
+        good = number and math.isfinite(value) and value == int(value)
+        value = int(value) if good else value
+    elif isinstance(example, float):
+        good = number and math.isfinite(value)
+        value = float(value) if good else value
+    elif isinstance(example, tuple):
+        good = isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) and math.isfinite(v) for v in value)
+        value = tuple(float(v) for v in value) if good else value
+    else:
+        good = isinstance(value, str)
+    if not good:
+        raise FastGSError(f"the training option {field.name} cannot be {value!r}; its default is {example!r}.")
+    return value

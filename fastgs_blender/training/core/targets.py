@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a step compares its picture with: a shot's pixels at the step's size, what is seen through it, what each pixel counts."""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from .schedule import BACKGROUND, generator
+
+FIXED = {"black": 0.0, "white": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """rgb [h, w, 3] over `background`; weight [h, w] or None; opaque: the picture shows something in every pixel."""
+
+    camera: Camera
+    t: float
+    rgb: np.ndarray
+    weight: np.ndarray | None
+    background: np.ndarray | None
+    opaque: bool
+
+
+def use_of_mask(settings, capture, shot, mask) -> str:
+    """What a shot's mask is for: cut, weight, only, or off where it has none."""
+    if mask is None or settings.masks == "off":
+        return "off"
+    if settings.masks != "auto":
+        return settings.masks
+    if shot.mask is None:
+        return "cut"
+    return "only" if capture.mask_means == "valid" else "weight"
+
+
+def cover_of(use: str, pixels) -> np.ndarray | None:
+    """How much of each pixel [h, w] the model is to fill; None: all of it.  use: as use_of_mask() gives it."""
+    return pixels.mask if use == "cut" else None if use == "off" else pixels.alpha
+
+
+def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
+    """The target of a shot; key says which random background it has, where one is wanted."""
+    pixels = store.pixels(shot)
+    rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
+    use = use_of_mask(settings, capture, shot, mask)
+    background = weight = None
+    cover = cover_of(use, pixels)
+    if cover is not None:
+        cover = smaller(cover, reduction)
+        kind = "random" if settings.background == "auto" else settings.background
+        value = FIXED.get(kind)
+        background = np.full(3, value, np.float32) if value is not None else \
+            generator(settings.seed, BACKGROUND, *key).uniform(0, 1, 3).astype(np.float32)
+        rgb = rgb * cover[..., None] + (1 - cover)[..., None] * background
+    elif FIXED.get(settings.background):
+        background = np.full(3, FIXED[settings.background], np.float32)
+    if use == "weight":
+        weight = 1 + (settings.foreground_weight - 1) * mask
+    elif use == "only":
+        weight = mask
+    if pixels.valid is not None:
+        inside = smaller(pixels.valid.astype(np.float32), reduction)
+        weight = inside if weight is None else weight * inside
+    return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
+                  None if weight is None else np.ascontiguousarray(weight, np.float32),
+                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight"))
+
+
+def smaller(image: np.ndarray, reduction: int) -> np.ndarray:
+    """Means of reduction x reduction pixels [h // r, w // r, ...]; what does not fill a whole one at the right and below is left out."""
+    if reduction == 1:
+        return image
+    h, w = (n // reduction for n in image.shape[:2])
+    if not h or not w:
+        return image
+    blocks = image[:h * reduction, :w * reduction].reshape(h, reduction, w, reduction, *image.shape[2:])
+    return blocks.mean((1, 3), dtype=np.float32)
+
+
+def small_camera(camera: Camera, reduction: int) -> Camera:
+    """The camera of smaller(image, reduction)."""
+    w, h = camera.width // reduction, camera.height // reduction
+    if reduction == 1 or not h or not w:
+        return camera
+    return replace(camera, width=w, height=h, fx=camera.fx / reduction, fy=camera.fy / reduction, cx=camera.cx / reduction,
+                   cy=camera.cy / reduction, window=None)

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of a whole scene in time from its pictures: triangulated features say where it lies, plane sweeps fill in its surfaces.
+
+Places that look the same at other moments belong to all times; those that do not carry the moment at which they were found.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from ...captures.capture import Points, Shot
+from ...util.errors import FastGSError
+from ..core.schedule import POINTS, generator
+from ..core.targets import cover_of, small_camera, smaller, use_of_mask
+from . import features, sweep
+from .geometry import project, sample, visible
+from .neighbours import neighbour_distance
+
+MOMENTS, FEATURE_MOMENTS, WITNESSES = 16, 4, 6
+"""Moments of the clip at which surfaces, and features, are looked for; and at which it is asked whether something stays."""
+FEW = 30
+"""Features at a moment, on average, with fewer than which triangulation has failed."""
+MOST_VIEWS = 24
+"""Pictures of a moment that are compared; more are spread evenly."""
+SWEEP_SIDE = 128
+"""Pictures are shrunk to this for the plane sweep."""
+COMPANY, LONELY = 16, 4.0
+"""Distance to that many nearest points, in medians, beyond which a point is a stray."""
+STEADY, MOSTLY = 0.2, 0.8
+"""Mean difference of colour (0..1) below which a place looks the same, and the share of the pictures of other moments that must
+agree on it for what belongs to all times."""
+
+
+def triangulated(capture, store, settings) -> tuple[Points, str]:
+    """At most settings.points points and a clause about them; raises FastGSError where the pictures give too few features."""
+    moments = chosen_moments(capture)
+    found = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
+    how = f"{len(found)} features triangulated"
+    if not np.isfinite(found.t).all():
+        return evenly(found, settings.points), how
+    pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
+    near, far = depths_of(found.xyz, capture)
+    depths = [sweep.swept(shown, near, far) for shown in pictures]
+    still, timed, swept = [], [], 0
+    for k, shots in enumerate(moments):
+        clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
+        swept += sum(map(len, clouds))
+        cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
+        agree, against = votes(cloud, pictures[k], depths[k])
+        cloud = among_others(cloud.take(agree > 2 * against))
+        others = spread([i for i in range(len(moments)) if i != k], WITNESSES)
+        elsewhere = [votes(cloud, pictures[i], depths[i]) for i in others]
+        agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
+        steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
+        still.append(cloud.take(steady))
+        timed.append(cloud.take(~steady))
+    still = evenly(among_others(joined(still)), settings.points // 2)
+    share = (settings.points - len(still)) // len(timed)
+    still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
+    how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
+    return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how
+
+
+def _features(capture, store, settings, moments) -> Points:
+    """Features triangulated at these moments."""
+    extract = features.extractor()
+    clouds = []
+    for shots in moments:
+        pictures = [picture(capture, store, settings, shot, features.LARGEST_SIDE) for shot in shots]
+        found = []
+        for image, camera, inside in pictures:
+            places, descriptors = extract(image)
+            good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
+            found.append(features.Features(places[good], descriptors[good], camera))
+        xyz, seen_by = features.triangulated(found, min(len(shots), 3))
+        rgb = np.array([np.mean([sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views], 0)
+                        for point, views in zip(xyz, seen_by)]).reshape(-1, 3)
+        moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
+        clouds.append(Points(xyz, rgb, np.full(len(xyz), moment)))
+    points = joined(clouds)
+    if len(points) < FEW * len(moments):
+        raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
+    return points
+
+
+def votes(cloud: Points, pictures, depths) -> np.ndarray:
+    """How many pictures [2, P] of a moment show each point, and how many see through where it would be or show another colour there.
+
+    A picture in which something is before the point says nothing.
+    """
+    agree, against = np.zeros((2, len(cloud)), np.int64)
+    for (image, camera, _), its in zip(pictures, depths):
+        if its is None:
+            continue
+        places, z = project(camera, cloud.xyz)
+        ratio = sample(its.depth[..., None], places)[:, 0] / np.maximum(z, 1e-12)
+        there = np.abs(ratio - 1) < sweep.AGREE
+        alike = np.abs(sample(image, places) - cloud.rgb).mean(1) < STEADY
+        seen = visible(camera, cloud.xyz)
+        agree += seen & there & alike
+        against += seen & ((ratio > 1 + 2 * sweep.AGREE) | (there & ~alike))
+    return np.stack([agree, against])
+
+
+def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
+    """At most so many of the points, at random: each surface keeps its share, where an even choice would prefer strays."""
+    if len(points) <= most:
+        return points
+    return points.take(np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
+
+
+def among_others(points: Points) -> Points:
+    """The points without those that lie by themselves, alone or a few together: surfaces have many."""
+    if len(points) <= COMPANY:
+        return points
+    apart = neighbour_distance(points.xyz, count=COMPANY)
+    return points.take(apart <= LONELY * np.median(apart))
+
+
+def chosen_moments(capture) -> list[list[Shot]]:
+    """The shots to train on at up to MOMENTS evenly spread frames; of a camera that films alone, shots of all times together."""
+    by_frame: dict[int, list[Shot]] = {}
+    for shot in capture.training:
+        by_frame.setdefault(shot.frame, []).append(shot)
+    frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) >= 2]
+    if not frames:
+        return [spread(capture.training, MOST_VIEWS)]
+    return [spread(by_frame[frame], MOST_VIEWS) for frame in spread(frames, MOMENTS)]
+
+
+def spread(values, most):
+    """At most so many of a list, evenly."""
+    if len(values) <= most:
+        return list(values)
+    return [values[i] for i in np.round((np.arange(most) + 0.5) * len(values) / most - 0.5).astype(int)]
+
+
+def picture(capture, store, settings, shot, side):
+    """A shot's rgb with its longer side at most `side`, the camera of that, and where it counts [h, w] or None for everywhere."""
+    pixels = store.pixels(shot)
+    reduction = -(-max(pixels.rgb.shape[:2]) // side)
+    use = use_of_mask(settings, capture, shot, pixels.mask)
+    inside = pixels.mask if use == "only" else cover_of(use, pixels)
+    if pixels.valid is not None:
+        inside = pixels.valid.astype(np.float32) * (1 if inside is None else inside)
+    return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),
+            None if inside is None else smaller(inside, reduction))
+
+
+def depth_range(capture) -> tuple[float, float]:
+    """Depths between which the scene lies if nothing else is known: around what the cameras look at together."""
+    centres = capture.centres()
+    distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
+    distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
+    return 0.3 * distance, 4 * distance
+
+
+def depths_of(xyz, capture) -> tuple[float, float]:
+    """Depths between which everything lies that points of it show; a good deal beyond them, for what has no features."""
+    depths = np.concatenate([project(shot.camera, xyz)[1][visible(shot.camera, xyz)] for shot in spread(capture.training, 64)])
+    if len(depths) < FEW:
+        return depth_range(capture)
+    low, high = np.percentile(depths, (2, 98))
+    return 0.6 * low, 2 * high
+
+
+def joined(clouds: list[Points]) -> Points:
+    """All points, with their times."""
+    return Points(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("xyz", "rgb", "t")))
+
+
+def evenly(points: Points, most: int) -> Points:
+    """At most so many of the points, spread evenly: the first in each cell of a grid that is as fine as the number allows."""
+    if len(points) <= most:
+        return points
+    low = points.xyz.min(0)
+    coarse, fine = max(float(np.ptp(points.xyz, axis=0).max()), 1e-12), 0.0
+    best = np.arange(min(most, 1))
+    for _ in range(14):
+        size = np.sqrt(coarse * fine) if fine else coarse / 32
+        cell = np.minimum((points.xyz - low) / size, 2**20).astype(np.int64)
+        first = np.unique(cell @ np.array([1, 2**21, 2**42]), return_index=True)[1]
+        if len(first) <= most:
+            coarse, best = size, first
+        else:
+            fine = size
+    return points.take(np.sort(best))

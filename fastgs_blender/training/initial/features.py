@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points where pictures of one moment agree: COLMAP's SIFT features, matched along epipolar lines and triangulated by pycolmap.
+
+The poses are known, so that a match need only be looked for along a line, and nothing random decides: the same pictures give
+the same points in every run.
+"""
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...util.errors import FastGSError
+
+LARGEST_SIDE = 1024
+"""Pictures are shrunk to this for features."""
+MOST_FEATURES = 4000
+"""In one picture."""
+PEAK = 0.002
+"""Least contrast of a feature; a third of COLMAP's, because small pictures have few of them."""
+ON_LINE = 1.5
+"""Pixels within which a match lies by its epipolar line, and a point by its features."""
+ALIKE, RATIO = 0.8, 0.88
+"""Least cosine of two matching descriptors, and the most that the next best may reach of the best one's distance."""
+LEAST_ANGLE, MOST_ANGLE = 2.0, 60.0
+"""Degrees between the rays of a point, and between the viewing directions of two cameras that are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Of one picture: places [F, 2] in its pixels, unit descriptors [F, 128], and the camera of that size."""
+
+    places: np.ndarray
+    descriptors: np.ndarray
+    camera: object
+
+
+def pycolmap_module():
+    """pycolmap; raises FastGSError where it is not installed."""
+    terminate = signal.getsignal(signal.SIGTERM)
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise FastGSError(f"triangulating needs pycolmap, which cannot be imported ({error}): pip install pycolmap") from error
+    # Its log takes SIGTERM for a crash; a training run saves and stops.
+    if terminate is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, terminate)
+    pycolmap.logging.minloglevel = pycolmap.logging.ERROR  # it reports every step
+    return pycolmap
+
+
+def extractor():
+    """A function from a picture [h, w, 3] in 0..1 to (places [F, 2], descriptors [F, 128])."""
+    pycolmap = pycolmap_module()
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    options.sift.max_num_features, options.sift.peak_threshold = MOST_FEATURES, PEAK
+    sift = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+
+    def extract(rgb):
+        keypoints, described = sift.extract_from_uint8_array(np.uint8(rgb @ np.array([0.299, 0.587, 0.114]) * 255 + 0.5))
+        places, descriptors = pycolmap.keypoints_to_matrix(keypoints), np.asarray(described.data, np.float32)
+        order = np.lexsort(places.T[::-1])
+        lengths = np.linalg.norm(descriptors, axis=1, keepdims=True)
+        return places[order, :2].astype(np.float64), (descriptors / np.maximum(lengths, 1e-9))[order]
+
+    return extract
+
+
+def fundamental(a, b) -> np.ndarray:
+    """F [3, 3] with x_b^T F x_a = 0 for the pixels (homogeneous) of two cameras."""
+    between = b.world_to_camera @ np.linalg.inv(a.world_to_camera)
+    x, y, z = between[:3, 3]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.linalg.inv(matrix(b)).T @ cross @ between[:3, :3] @ np.linalg.inv(matrix(a))
+
+
+def matrix(camera) -> np.ndarray:
+    """The intrinsic matrix [3, 3]."""
+    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+
+
+def matches(a: Features, b: Features) -> np.ndarray:
+    """Pairs [M, 2] of features that are each other's best along the epipolar lines, and better than the next."""
+    if not len(a.places) or not len(b.places):
+        return np.zeros((0, 2), np.int64)
+    lines = np.c_[a.places, np.ones(len(a.places))] @ fundamental(a.camera, b.camera).T
+    lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
+    away = np.abs(lines @ np.c_[b.places, np.ones(len(b.places))].T)
+    likeness = np.where(away < ON_LINE, a.descriptors @ b.descriptors.T, -1)
+    best = likeness.argmax(1)
+    rows = np.arange(len(best))
+    top = likeness[rows, best]
+    mutual = likeness.argmax(0)[best] == rows
+    likeness[rows, best] = -1
+    # A second orientation of the same feature is no rival.
+    rival = likeness.argmax(1)
+    same = np.linalg.norm(b.places[rival] - b.places[best], axis=1) < 0.5
+    likeness[rows[same], rival[same]] = -1
+    distance, next_distance = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (top, likeness.max(1)))
+    good = mutual & (top > ALIKE) & (distance < RATIO * next_distance)
+    return np.stack([rows[good], best[good]], 1)
+
+
+def tracks(features: list[Features]) -> list[list[tuple[int, int]]]:
+    """Features of several pictures that are one point: lists of (picture, feature), of each picture one at most."""
+    looking = np.array([f.camera.world_to_camera[2, :3] for f in features])
+    starts = np.cumsum([0, *(len(f.places) for f in features)])
+    parent = np.arange(starts[-1])
+
+    def root(i):
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    for i in range(len(features)):
+        for j in range(i + 1, len(features)):
+            if looking[i] @ looking[j] < np.cos(np.radians(MOST_ANGLE)):
+                continue
+            for p, q in matches(features[i], features[j]):
+                one, other = root(starts[i] + p), root(starts[j] + q)
+                parent[max(one, other)] = min(one, other)
+    groups: dict[int, list[tuple[int, int]]] = {}
+    for picture, feature in ((k, n) for k, f in enumerate(features) for n in range(len(f.places))):
+        groups.setdefault(root(starts[picture] + feature), []).append((picture, feature))
+    found = []
+    for group in groups.values():
+        pictures = [picture for picture, _ in group]
+        once = [entry for entry in group if pictures.count(entry[0]) == 1]
+        if len(once) >= 2:
+            found.append(once)
+    return found
+
+
+def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray, list[list[int]]]:
+    """Points [P, 3] of the tracks, and for each the pictures that see it: before them, within ON_LINE of its features, at an angle."""
+    pycolmap = pycolmap_module()
+    poses = [f.camera.world_to_camera[:3] for f in features]
+    inverse = [np.linalg.inv(matrix(f.camera)) for f in features]
+    centres = np.array([-pose[:, :3].T @ pose[:, 3] for pose in poses])
+    points, seen_by = [], []
+    for track in tracks(features):
+        while len(track) >= least_views:
+            rays = np.array([inverse[k] @ (*features[k].places[n], 1.0) for k, n in track])
+            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+            point = pycolmap.triangulate_multi_view_point([poses[k] for k, _ in track], rays)
+            if point is None:
+                break
+            point = np.ravel(point)
+            errors = np.array([reprojection(features[k], n, poses[k], point) for k, n in track])
+            if errors.max() < ON_LINE:
+                pictures = [k for k, _ in track]
+                if widest_angle(centres[pictures] - point) > LEAST_ANGLE:
+                    points.append(point)
+                    seen_by.append(pictures)
+                break
+            track = [entry for entry, error in zip(track, errors) if error < errors.max()]
+    return np.array(points).reshape(-1, 3), seen_by
+
+
+def reprojection(features, number, pose, point) -> float:
+    """Pixels between a feature and the image of a point; inf behind the camera."""
+    x, y, z = pose[:, :3] @ point + pose[:, 3]
+    if z <= 0:
+        return np.inf
+    camera = features.camera
+    return float(np.hypot(*(np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]) - features.places[number])))
+
+
+def widest_angle(rays) -> float:
+    """The largest angle between any two of the rays [n, 3], in degrees."""
+    unit = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    return float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where training starts: points triangulated from the pictures, else what the layout brings, a given model, random points.
+
+Which of them it was, and how many points, is said.  Nothing but the seed and the pictures decides what comes out.
+"""
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...captures.capture import Points
+from ...model.appearance import SH, SH_C0
+from ...model.slicing import sigmoid, slice_model
+from ...util.errors import FastGSError
+from ..core.schedule import POINTS, generator
+from .dense import FEW, MOMENTS, depth_range, picture, spread, triangulated
+from .geometry import sample, unproject, visible
+
+INTO_BLENDER = {"RFU": np.eye(3), "RDF": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), "RUB": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])}
+"""Matrices from a world's axes to right, forward, up."""
+SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "model": "a given model", "random": "random points"}
+
+
+def initial_points(capture, store, settings, say=print) -> Points:
+    """The points that training starts from, at most settings.points; t is NaN for points that are there all the time.
+
+    settings.start  "auto": a given model, else the first source that gives points, in SOURCES' order; or a source's name
+    Raises FastGSError where the wanted source gives none.
+    """
+    if settings.start != "auto":
+        order = [settings.start]
+    else:
+        order = (["model"] if settings.start_model else []) + [kind for kind in SOURCES if kind != "model"]
+    refused = []
+    for kind in order:
+        try:
+            points, how = _MAKERS[kind](capture, store, settings)
+        except FastGSError as error:
+            if settings.start != "auto" or kind == "model":
+                raise
+            refused.append(str(error))
+            continue
+        if len(points) >= FEW or kind == order[-1]:
+            break
+        refused.append(f"{SOURCES[kind]}: only {len(points)}.")
+    for reason in refused:
+        say(f"not used as a start: {reason}")
+    found = len(points)
+    points = thinned(points, settings.points, settings.seed)
+    timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
+    kept = f", {len(points)} kept" if len(points) < found else ""
+    say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")
+    return points
+
+
+def thinned(points: Points, most: int, seed: int) -> Points:
+    """At most so many of the points, drawn at random, as float32."""
+    rows = np.arange(len(points))
+    if len(rows) > most:
+        rows = np.sort(generator(seed, POINTS, 1).choice(rows, most, replace=False))
+    t, size = (None if array is None else np.asarray(array, np.float32)[rows] for array in (points.t, points.size))
+    return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t, size)
+
+
+# The sources: functions of (capture, store, settings) that return points and a clause about them
+
+
+def from_file(capture, store, settings):
+    if capture.points is None:
+        raise FastGSError(f"{capture.path}: its layout brings no point file.")
+    return capture.points, SOURCES["file"]
+
+
+def from_model(capture, store, settings):
+    """The Gaussians of a model, as a bake makes one, at several moments if they move."""
+    from ... import formats
+
+    if not settings.start_model:
+        raise FastGSError("starting from a model needs one: --init-model FILE.")
+    model = formats.load(settings.start_model)
+    turn = (INTO_BLENDER[capture.axes].T @ INTO_BLENDER[model.axes]).T
+    times = [None] if model.clip.frame_count < 2 else spread(sorted({shot.t for shot in capture.training}), MOMENTS)
+    share = max(settings.points // len(times), 1)
+    clouds = []
+    for k, t in enumerate(times):
+        rows = generator(settings.seed, POINTS, 2, k).permutation(len(model))[:share]
+        now = slice_model(model.take(np.sort(rows)), t or 0.0)
+        moment = np.full(len(now.position), np.nan if t is None else t)
+        clouds.append((now.position @ turn, base_colour(now.features, model.appearance), moment))
+    xyz, rgb, t = (np.concatenate(parts) for parts in zip(*clouds))
+    return Points(xyz, rgb, t), f"{Path(settings.start_model).name}, {len(model)} Gaussians at {len(times)} moments"
+
+
+def base_colour(values, appearance) -> np.ndarray:
+    """Colours [n, 3] seen from nowhere in particular, of features [n, F]."""
+    if isinstance(appearance, SH):
+        return 0.5 + SH_C0 * values[:, :3]
+    return sigmoid(values[:, :3]) if getattr(appearance, "activation", "") == "sigmoid" else values[:, :3]
+
+
+def random_points(capture, store, settings):
+    """Points behind random pixels, at all depths that at least half as many cameras see as see any; in the pixels' colours."""
+    rng = generator(settings.seed, POINTS, 3)
+    shots = spread(capture.training, 64)
+    near, far = depth_range(capture)
+    cameras = list({shot.camera.world_to_camera.tobytes(): shot.camera for shot in shots}.values())
+    clouds = []
+    for shot in shots:
+        image, camera, inside = picture(capture, store, settings, shot, 256)
+        n = 4 * settings.points // len(shots) + 1
+        places = rng.uniform(0, 1, (n, 2)) * (camera.width, camera.height)
+        depth = 1 / rng.uniform(1 / far, 1 / near, n)
+        good = np.ones(n, bool) if inside is None else sample(inside[..., None], places)[:, 0] > 0.5
+        clouds.append((unproject(camera, places, depth)[good], sample(image, places)[good]))
+    xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
+    seen = sum(visible(camera, xyz) for camera in cameras)
+    common = seen >= seen.max(initial=0) / 2
+    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where the cameras look together"
+
+
+_MAKERS = {"triangulate": triangulated, "file": from_file, "model": from_model, "random": random_points}

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces between the features: a plane sweep at a quarter of the pictures' size, of one moment's pictures with known poses.
+
+For every pixel of every picture the depth at which its neighbours show the same colours (Collins 1996; best half of the
+neighbours, so that what hides the place from some does not matter).  Depths that several pictures agree on are surfaces.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...kernels.cpu.jit import kernel
+from ...util import threads
+from .features import matrix
+from .geometry import project, sample, unproject
+
+DEPTHS = 96
+"""Planes, evenly spread in inverse depth."""
+NEIGHBOURS = 4
+"""Pictures that each one is compared with."""
+LEAST_ANGLE, MOST_ANGLE = 4.0, 60.0
+"""Degrees between the viewing directions of neighbours."""
+WINDOW = 2
+"""Pixels to each side over which differences are averaged."""
+ALIKE = 0.05
+"""Largest mean difference of colours (0..1) at a surface."""
+VAGUE = 1.3
+"""Ratio of the depths about as good, above which there is nothing to tell where the surface is (smooth sky)."""
+AGREE = 0.02
+"""Largest difference of two pictures' depths of one place, as a share."""
+OUTSIDE = np.float32(1.0)
+"""Difference where a neighbour's picture ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Depths:
+    """Of one picture, all [h, w]: the depth with the least difference, cost, that difference, and range, between which depths
+    it is about as small, as the ratio of the farthest to the nearest.
+
+    Where the range leaves it open (VAGUE) the depth is the farthest of them: between smooth sky and the camera there is nothing.
+    """
+
+    depth: np.ndarray
+    cost: np.ndarray
+    range: np.ndarray
+
+
+@kernel
+def differences(image, other, turn, shift, depths, out):
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface at each depth [D].
+
+    turn [3, 3], shift [3]: the pixel (u, v) at depth z is seen by the other camera at turn @ (u, v, 1) z + shift (homogeneous).
+    """
+    height, width = image.shape[:2]
+    other_height, other_width = other.shape[:2]
+    for d in range(len(depths)):
+        z = depths[d]
+        for i in range(height):
+            for j in range(width):
+                u, v = j + 0.5, i + 0.5
+                w = (turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * z + shift[2]
+                out[d, i, j] = OUTSIDE
+                if w <= 0:
+                    continue
+                x = ((turn[0, 0] * u + turn[0, 1] * v + turn[0, 2]) * z + shift[0]) / w - 0.5
+                y = ((turn[1, 0] * u + turn[1, 1] * v + turn[1, 2]) * z + shift[1]) / w - 0.5
+                if not (x >= 0 and y >= 0 and x < other_width - 1 and y < other_height - 1):
+                    continue
+                a, b = int(x), int(y)
+                p, q = x - a, y - b
+                total = 0.0
+                for c in range(3):
+                    value = ((1 - q) * ((1 - p) * other[b, a, c] + p * other[b, a + 1, c])
+                             + q * ((1 - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
+                    total += abs(value - image[i, j, c])
+                out[d, i, j] = total / 3
+
+
+@kernel
+def averaged(cost, reach, row):
+    """Means of cost [D, h, w] over (2 reach + 1)^2 pixels, in place; row [h, w] is scratch."""
+    planes, height, width = cost.shape
+    for d in range(planes):
+        for i in range(height):
+            for j in range(width):
+                low, high = max(j - reach, 0), min(j + reach, width - 1)
+                total = 0.0
+                for k in range(low, high + 1):
+                    total += cost[d, i, k]
+                row[i, j] = total / (high - low + 1)
+        for i in range(height):
+            low, high = max(i - reach, 0), min(i + reach, height - 1)
+            for j in range(width):
+                total = 0.0
+                for k in range(low, high + 1):
+                    total += row[k, j]
+                cost[d, i, j] = total / (high - low + 1)
+
+
+def swept(pictures, near: float, far: float) -> list[Depths | None]:
+    """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment; None for one without neighbours."""
+    depths = 1 / np.linspace(1 / near, 1 / far, DEPTHS)
+    looking = np.array([camera.world_to_camera[2, :3] for _, camera, _ in pictures])
+    centres = np.array([-c.world_to_camera[:3, :3].T @ c.world_to_camera[:3, 3] for _, c, _ in pictures])
+    degrees = np.degrees(np.arccos(np.clip(looking @ looking.T, -1, 1)))
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+
+    def one(k):
+        # Parallel cameras beside each other see a place at an angle too.
+        angle = np.maximum(degrees[k], np.degrees(apart[k] / np.sqrt(near * far)))
+        usable = (angle >= LEAST_ANGLE) & (degrees[k] <= MOST_ANGLE) & (apart[k] > 0)
+        others = [i for i in np.lexsort((apart[k], degrees[k])) if usable[i]][:NEIGHBOURS]
+        return _depths(pictures[k], [pictures[i] for i in others], depths) if others else None
+
+    return threads.run(one, [(k,) for k in range(len(pictures))])
+
+
+def _depths(picture, others, depths) -> Depths:
+    image, camera, _ = picture
+    size = (len(depths), *image.shape[:2])
+    costs = np.empty((len(others), *size), np.float32)
+    for cost, (other, its, _) in zip(costs, others):
+        between = its.world_to_camera @ np.linalg.inv(camera.world_to_camera)
+        turn = matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera))
+        differences(image, other, turn, matrix(its) @ between[:3, 3], depths, cost)
+        averaged(cost, WINDOW, np.empty(size[1:], np.float32))
+    half = max(1, (len(others) + 1) // 2)
+    cost = np.partition(costs, half - 1, axis=0)[:half].mean(0)
+    best = cost.argmin(0)
+    least = np.take_along_axis(cost, best[None], 0)[0]
+    # Between planes: the bottom of the parabola through three of them.
+    inner = np.clip(best, 1, len(depths) - 2)
+    low, middle, high = (np.take_along_axis(cost, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
+    bend = low - 2 * middle + high
+    offset = np.where((bend > 1e-6) & (inner == best), np.clip(0.5 * (low - high) / np.maximum(bend, 1e-6), -0.5, 0.5), 0)
+    inverse = np.interp(best + offset, np.arange(len(depths)), 1 / depths)
+    good = cost <= least + 0.01
+    farthest = depths[len(depths) - 1 - good[::-1].argmax(0)]
+    ratio = farthest / depths[good.argmax(0)]
+    return Depths(np.where(ratio < VAGUE, 1 / inverse, farthest), least, ratio)
+
+
+def surfaces(pictures, found: list[Depths | None]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and two others have the same depth
+    (one, where there is only one)."""
+    clouds = []
+    others_needed = min(2, sum(depths is not None for depths in found) - 1)
+    for k, ((image, camera, inside), depths) in enumerate(zip(pictures, found)):
+        if depths is None:
+            clouds.append((np.zeros((0, 3)), np.zeros((0, 3))))
+            continue
+        row, column = np.nonzero((depths.cost < ALIKE) & (depths.range < VAGUE) & (True if inside is None else inside > 0.5))
+        places = np.stack([column, row], 1) + 0.5
+        points = unproject(camera, places, depths.depth[row, column])
+        agreeing = np.zeros(len(points), np.int64)
+        for i, ((_, other, _), its) in enumerate(zip(pictures, found)):
+            if i == k or its is None:
+                continue
+            seen, z = project(other, points)
+            inside_it = (z > 0) & (seen > 0).all(1) & (seen < (other.width, other.height)).all(1)
+            agreeing += inside_it & (np.abs(sample(its.depth[..., None], seen)[:, 0] / np.maximum(z, 1e-12) - 1) < AGREE)
+        good = agreeing >= max(others_needed, 1)
+        clouds.append((points[good], image[row, column][good]))
+    return clouds
+

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a run is watched: a bar, a log of JSON lines, TensorBoard, a status file for other programs, preview pictures, a plot.
+
+Nothing here decides anything, and nothing here stops a run: what cannot be written is told once and left out.
+"""
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ...util.errors import FastGSError
+from . import checkpoint
+from .plot import write_plot
+
+LOG, STATUS, PLOT, PREVIEWS, BOARD = "log.jsonl", "status.json", "loss.png", "previews", "tensorboard"
+SMOOTHING = 0.98
+STATUS_SECONDS = 1.0
+UNTIMED_STEPS = 2
+"""A process' first steps compile kernels, which takes many times as long as a step does: the time left is not told from them."""
+
+
+class Silent:
+    """Tells nobody: for the processes that are not the first, and for programs that only want the result."""
+
+    iterations = 0
+
+    def say(self, text):
+        pass
+
+    def fill(self, store, shots):
+        store.fill(shots=shots)
+
+    def step(self, values):
+        pass
+
+    def status(self, state, **values):
+        pass
+
+    def preview(self, iteration, picture, values):
+        pass
+
+    def close(self):
+        pass
+
+
+class Reporter(Silent):
+    """Tells the terminal and the run's folder.
+
+    folder      where the files go
+    iterations  of the whole run; begin: those already done, elapsed: the seconds that they took
+    quiet       no bar
+    """
+
+    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False, log_every: int = 20):
+        self.folder, self.iterations, self.log_every = Path(folder), iterations, log_every
+        self.before, self.started, self.begin = elapsed, time.monotonic(), begin
+        self.timed: tuple[int, float] | None = None
+        self.smooth: dict[str, float] = {}
+        self.last: dict = {"iteration": begin} if begin else {}
+        self.told, self.status_time = set(), 0.0
+        self.bar = self._bar(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
+                             bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
+        self._drop_log_after(begin)
+        self.log = self._safely("the log", lambda: open(self.folder / LOG, "a", encoding="utf-8", buffering=1))  # noqa: SIM115
+        self.board = self._board()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of training, those before the last resumption included."""
+        return self.before + time.monotonic() - self.started
+
+    @property
+    def speed(self) -> float:
+        """Steps a second since the first few, 0 while only those are done."""
+        if self.timed is None:
+            return 0.0
+        iteration, begun = self.timed
+        return (self.last["iteration"] - iteration) / max(time.monotonic() - begun, 1e-9)
+
+    def say(self, text):
+        self.bar.clear()
+        print(f"fastgs: {text}", file=sys.stderr)
+        self.bar.refresh()
+
+    def fill(self, store, shots):
+        """Decode the pictures that are not in the cache yet, with a bar of their own."""
+        from tqdm import tqdm
+
+        missing = store.missing(shots)
+        with tqdm(total=len(missing), unit="picture", desc="decoding", disable=self.bar.disable or not missing, leave=False) as bar:
+            store.fill(lambda done, of: bar.update(done - bar.n), missing)
+
+    def step(self, values):
+        """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""
+        iteration = values["iteration"]
+        self.last = values
+        if self.timed is None and iteration >= self.begin + UNTIMED_STEPS:
+            self.timed = iteration, time.monotonic()
+        for name in ("loss", "psnr"):
+            if name in values:
+                old = self.smooth.get(name, values[name])
+                self.smooth[name] = old + (1 - min(SMOOTHING, iteration / (iteration + 10))) * (values[name] - old)
+        self.bar.set_postfix({"loss": f"{self.smooth['loss']:.4f}", "PSNR": f"{self.smooth['psnr']:.1f} dB",
+                              "Gaussians": values["gaussians"]}, refresh=False)
+        self.bar.update(iteration - self.bar.n)
+        if iteration % self.log_every == 0 or iteration == self.iterations:
+            row = {**values, "smooth_loss": self.smooth["loss"], "smooth_psnr": self.smooth["psnr"], "seconds": round(self.elapsed, 2)}
+            self._log(row)
+        if time.monotonic() - self.status_time > STATUS_SECONDS:
+            self.status("training", **values)
+
+    def status(self, state, **values):
+        """status.json: state is preparing, training, stopped, failed or finished."""
+        self.status_time = time.monotonic()
+        values = {**self.last, **values}
+        done = values.get("iteration", self.begin)
+        speed = self.speed
+        left = (self.iterations - done) / speed if speed > 0 else None
+        about = {"state": state, "process": os.getpid(), "iterations": self.iterations, **values, **self.smooth,
+                 "elapsed_seconds": round(self.elapsed, 2), "seconds_left": None if left is None else round(left, 1)}
+        self._safely("the status file", lambda: checkpoint.write_json(self.folder / STATUS, finite(about)))
+
+    def preview(self, iteration, picture, values):
+        """A picture [h, w, 3] 0..1 of a view, and what was measured on it; the plot follows."""
+        self._safely("a preview picture", lambda: self._write_preview(iteration, picture))
+        self._log({"iteration": iteration, **values})
+        self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
+
+    def close(self):
+        """The plot of the whole run, and an end to everything open."""
+        self.bar.close()
+        with contextlib.suppress(OSError):
+            if self.log:
+                self.log.close()
+        if self.board:
+            self.board.close()
+        self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
+
+    def _bar(self, **options):
+        """A bar that tells the time left as status.json does."""
+        from tqdm import tqdm
+
+        reporter = self
+
+        class Bar(tqdm):
+            @property
+            def format_dict(self):
+                return {**super().format_dict, "rate": reporter.speed}
+
+        return Bar(**options)
+
+    def _write_preview(self, iteration, picture):
+        from PIL import Image
+
+        folder = self.folder / PREVIEWS
+        folder.mkdir(exist_ok=True)
+        pixels = np.floor(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+        def write(part):
+            with part.open("wb") as file:
+                Image.fromarray(pixels).save(file, format="PNG")
+
+        checkpoint.write_aside(folder / f"{iteration:06d}.png", write)
+
+    def _log(self, row):
+        if self.log:
+            self._safely("the log", lambda: self.log.write(json.dumps(finite(row)) + "\n"))
+        if self.board:
+            for name, value in row.items():
+                if name not in ("iteration", "seconds") and isinstance(value, (int, float)):
+                    self.board.add_scalar(name, value, row["iteration"])
+
+    def _drop_log_after(self, iteration):
+        """Lines of steps that are done again, and a line that a kill cut short, go."""
+        path = self.folder / LOG
+        if not path.exists():
+            return
+        kept = "".join(f"{line}\n" for line in path.read_text("utf-8", "replace").splitlines() if 0 < _iteration(line) <= iteration)
+        self._safely("the log", lambda: checkpoint.write_aside(path, lambda part: part.write_text(kept, "utf-8")))
+
+    def _board(self):
+        if os.environ.get("FASTGS_NO_TENSORBOARD"):
+            return None
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except (ImportError, AttributeError):  # absent, or too old for this torch
+            return None
+        return self._safely("TensorBoard's file", lambda: SummaryWriter(str(self.folder / BOARD), purge_step=self.begin + 1))
+
+    def _safely(self, what, write):
+        try:
+            return write()
+        except (FastGSError, OSError) as error:
+            if what not in self.told:
+                self.told.add(what)
+                self.say(f"{what} could not be written ({str(error).rstrip('.')}); training goes on.")
+            return None
+
+
+def finite(values: dict) -> dict:
+    """The values with None for what JSON cannot say."""
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+
+
+def _iteration(line: str) -> int:
+    try:
+        return int(json.loads(line)["iteration"])
+    except (ValueError, KeyError, TypeError):
+        return -1

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Long captures: cut into segments of one length that overlap, trained each for itself, and joined into one model that plays through.
+
+All segments share the first one's decoder, so that their Gaussians can be blended in one picture (joining.py).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...captures.capture import Capture
+from ...model.gaussians import Clip, GaussianModel
+from ...model.joining import Segment, join
+
+FLANK = 2.36
+"""Widths of a flank after which the most opaque Gaussian is no longer drawn: exp(-d^2) = 1 / 255."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Frames first .. first + count - 1 of a capture."""
+
+    first: int
+    count: int
+
+
+def spans(frame_count: int, segment_frames: int, overlap: int) -> list[Span]:
+    """The segments of a clip: all equally long, at most segment_frames, each sharing at least `overlap` frames with the next.
+
+    One span where the clip is no longer than a segment, or segment_frames is 0.
+    """
+    if not segment_frames or frame_count <= segment_frames:
+        return [Span(0, frame_count)]
+    overlap = min(overlap, segment_frames - 1)
+    number = -(-(frame_count - overlap) // (segment_frames - overlap))
+    count = min(-(-(frame_count + (number - 1) * overlap) // number), segment_frames)
+    firsts = np.floor(np.linspace(0, frame_count - count, number) + 0.5).astype(int)
+    return [Span(int(first), count) for first in firsts]
+
+
+def part(capture: Capture, span: Span) -> Capture:
+    """The capture of a span's frames, with times from 0 to 1 of its own; the pictures are the same files."""
+    clip, whole = Clip(span.count, capture.clip.fps, capture.clip.start_frame + span.first), capture.clip.frame_count
+    begin, length = span.first / whole, span.count / whole
+    shots = [replace(shot, frame=shot.frame - span.first, t=(shot.t - begin) / length)
+             for shot in capture.shots if span.first <= shot.frame < span.first + span.count]
+    points = capture.points
+    if points is not None and points.t is not None:
+        t = (np.asarray(points.t) - begin) / length
+        inside = ~((t < 0) | (t >= 1))  # those without a time, NaN, stay
+        points = replace(points, t=t).take(inside)
+    return replace(capture, shots=shots, clip=clip, points=points)
+
+
+def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> GaussianModel:
+    """One model of the whole clip.  Where two segments overlap the later fades in while the earlier is there, and then the earlier out.
+
+    A flank takes a quarter of the overlap: it lies where the neighbour is fully shown.
+    """
+    whole = clip.frame_count
+    seams = [(after.first, before.first + before.count - 1) for before, after in pairwise(cuts)]  # first and last common frame
+    parts = []
+    for i, (model, cut) in enumerate(zip(models, cuts)):
+        beside = seams[max(i - 1, 0):i + 1]
+        fade = max(min((high - low) for low, high in beside) * 0.25 / FLANK, 0.02) if beside else 1.0
+        first = None if i == 0 else (seams[i - 1][0] + 0.375 * (seams[i - 1][1] - seams[i - 1][0])) / whole
+        last = None if i == len(seams) else (seams[i][0] + 0.625 * (seams[i][1] - seams[i][0])) / whole
+        parts.append(Segment(model, cut.first / whole, cut.count / whole, (first, last), fade / whole))
+    return replace(join(parts, clip), provenance=provenance)

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A training run as users know it: a capture goes in, a folder with the model, its checkpoint and its history comes out.
+
+    model.safetensors       the finished model; the same bytes whether or not the run was interrupted
+    checkpoint.safetensors  the state to go on from
+    run.json                the capture and the settings
+    report.json             what came of it
+    segments/               of a long capture: the same for each segment
+    status.json, log.jsonl, loss.png, previews/, tensorboard/   see progress.py
+"""
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import signal
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ... import formats
+from ...formats.base import generator
+from ...util.errors import FastGSError
+from ..core.settings import Settings, from_dict
+from . import checkpoint
+from .progress import LOG, STATUS, Reporter, Silent
+
+MODEL, RUN, REPORT = "model.safetensors", "run.json", "report.json"
+SEGMENTS, SEGMENT_MODEL, DONE = "segments", "segment.safetensors", "done.json"
+PREVIEW_SHOTS = 4
+MEMORY = 768 << 20
+"""Bytes of pictures kept in memory."""
+
+
+class Stopped(KeyboardInterrupt):
+    """The user ended the run; the message says how to go on."""
+
+
+def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> Settings:
+    """The settings of the run in a folder, which is made where there is none.
+
+    wanted  the options that were asked for by name; make(wanted) gives the settings of a new run
+    A run that is resumed has the settings it began with.  Raises FastGSError where that contradicts what is wanted, or where a
+    run is in the folder already and neither resume nor overwrite says what to do with it.
+    """
+    out = Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FastGSError(f"{out}: the folder for the model cannot be made ({error.strerror}).") from error
+    for folder in (out, *(out / SEGMENTS).glob("*")):
+        checkpoint.remove_leftovers(folder)
+    old = _earlier(out / RUN)
+    if old is not None and resume:
+        settings = from_dict(old)
+        for name, value in wanted.items():
+            if getattr(settings, name) != value:
+                raise FastGSError(f"the run in {out} has {name} = {getattr(settings, name)}, not {value}; leave the option out to go on "
+                                  "with it, or train into another folder.")
+        return settings
+    if not resume and not overwrite and any((out / name).exists() for name in (RUN, checkpoint.NAME, MODEL)):
+        raise FastGSError(f"there is a training run in {out} already; --resume goes on with it, --overwrite begins anew.")
+    settings = make(wanted)
+    if not resume:
+        for name in (checkpoint.NAME, MODEL, REPORT, LOG, STATUS):
+            (out / name).unlink(missing_ok=True)
+        shutil.rmtree(out / SEGMENTS, ignore_errors=True)
+    checkpoint.write_json(out / RUN, {"settings": settings.to_dict()})
+    return settings
+
+
+def train(capture, store, settings: Settings, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
+    """Train, or go on with, the run in a folder; returns the report, in the first process.
+
+    capture, store  see captures.base; settings  what begin() gave; group  distributed.Group
+    Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.
+    """
+    from ..core.distributed import Group
+    from .segments import spans
+
+    group = group or Group()
+    out = Path(out)
+    cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
+    if len(cuts) > 1 and settings.motion == "keyframes":
+        raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
+                          "motion, or --set segment_frames=0.")
+    reporter: Silent = Silent()
+    if group.first:
+        done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
+        reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
+    try:
+        with StopFlag() as stop:
+            return _train(capture, store, settings, out, group, reporter, stop, cuts)
+    except KeyboardInterrupt as stopped:
+        reporter.status("stopped", reason=str(stopped) or "stopped.")
+        raise
+    except BaseException as error:
+        reporter.status("failed", reason=str(error) or type(error).__name__)
+        raise
+    finally:
+        reporter.close()
+
+
+def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
+    import torch
+
+    from .segments import joined_model, part
+
+    torch.set_num_threads(1)  # the kernels have threads of their own; and sums do not depend on the machine
+    reporter.status("preparing")
+    group.first_does(lambda: reporter.fill(store, capture.shots))
+    about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
+             "settings": json.dumps(settings.to_dict(), allow_nan=False)}
+    if len(cuts) == 1:
+        model = _segment(capture, store, settings, out, group, reporter, stop, None, 0)
+    else:
+        models = []
+        for number, cut in enumerate(cuts):
+            folder = segment_folder(out, number)
+            group.first_does(lambda folder=folder: folder.mkdir(parents=True, exist_ok=True))
+            reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
+            decoder = models[0] if models else None
+            models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number))
+        model = joined_model(models, cuts, capture.clip, {})
+    return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
+
+
+def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number):
+    """The model of one segment, or of a whole short capture: trained, gone on with, or finished already.
+
+    decoder  the model whose decoder it shares, None: it learns its own
+    """
+    from ..core.trainer import Trainer, run
+
+    name = folder / SEGMENT_MODEL
+    if group.share(name.exists() if group.first else None):
+        return formats.load(name)
+    found = group.first_does(lambda: checkpoint.load(folder))
+    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found, decoder)
+
+    def save(last: bool):
+        arrays, about = trainer.state()
+        try:
+            checkpoint.save(folder, arrays, {**about, "elapsed": getattr(reporter, "elapsed", 0.0)})
+        except FastGSError as error:
+            if last:
+                raise
+            reporter.say(f"{error} Training goes on, and tries again.")
+
+    if found is None:
+        group.first_does(lambda: save(False))
+    stop.patient = True
+    complete = run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations)
+    stop.patient = False
+    if not complete:
+        raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume goes on from there.")
+    model = trainer.final_model({})
+    if folder.parent.name == SEGMENTS:
+        group.first_does(lambda: _keep_segment(model, folder, reporter))
+    return model
+
+
+def _keep_segment(model, folder, reporter):
+    """The finished segment's model takes the place of its checkpoint."""
+    checkpoint.write_json(folder / DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
+    formats.save(model, folder / SEGMENT_MODEL)
+    (folder / checkpoint.NAME).unlink(missing_ok=True)
+
+
+def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
+    """The trainer at its first step, or where the checkpoint left it; the first process tells the others."""
+    about = group.share(found[1] if found else None)
+    if about is not None:
+        trainer = kind(capture, store, settings, None, group, decoder)
+        trainer.restore(group.share_arrays(found[0] if found else {}), about)
+        return trainer
+    from ...captures.capture import Points
+    from ..core.model import model_from_points
+    from ..initial.backdrop import with_backdrop
+    from ..initial.points import initial_points, thinned
+
+    points = group.first_does(
+        lambda: with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)))
+    points = points and thinned(points, settings.max_gaussians, settings.seed)
+    arrays = {} if points is None else {name: np.asarray(array) for name, array in vars(points).items() if array is not None}
+    points = Points(**group.share_arrays(arrays))
+    model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
+    return kind(capture, store, settings, model, group, decoder, points.size)
+
+
+def _finish(model, capture, store, settings, out, group, reporter) -> dict:
+    from ..core.trainer import measure
+
+    formats.save(model, out / MODEL)
+    report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
+              "model_bytes": (out / MODEL).stat().st_size, "seconds": round(getattr(reporter, "elapsed", 0.0), 1),
+              "peak_memory_bytes": peak_memory(), "processes": group.size, "settings": settings.to_dict()}
+    if capture.held_out:
+        whole, foreground, _ = measure(model, capture, store, settings, capture.held_out)
+        report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
+    checkpoint.write_json(out / REPORT, report)
+    reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
+    return report
+
+
+def segment_folder(out: Path, number: int) -> Path:
+    """Where a segment of a long capture is trained."""
+    return out / SEGMENTS / f"{number:03d}"
+
+
+def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, float]:
+    """Steps and seconds of the run in a folder; raises FastGSError where a checkpoint cannot be used."""
+    done, elapsed = 0, 0.0
+    for folder in [out] if segments == 1 else [segment_folder(out, k) for k in range(segments)]:
+        if (folder / SEGMENT_MODEL).exists():
+            done += iterations
+            with contextlib.suppress(OSError, ValueError, KeyError):
+                elapsed = json.loads((folder / DONE).read_text("utf-8"))["elapsed"]
+        elif (found := checkpoint.load(folder)) is not None:
+            done, elapsed = done + found[1]["iteration"], found[1].get("elapsed", 0.0)
+    return done, elapsed
+
+
+def preview_shots(capture) -> list:
+    """Some shots, spread over the time of the first held-out view; of the first view, where none is held out."""
+    pool = capture.held_out or capture.training
+    shots = [shot for shot in pool if shot.view == pool[0].view]
+    picked = np.unique(np.linspace(0, len(shots) - 1, min(PREVIEW_SHOTS, len(shots))).round().astype(int))
+    return [shots[i] for i in picked]
+
+
+def peak_memory() -> int | None:
+    """The most memory that this process has had, in bytes; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    import sys
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _earlier(path: Path) -> dict | None:
+    """The settings of the run in a folder, if there is one."""
+    if not path.exists():
+        return None
+    try:
+        return json.loads(path.read_text("utf-8"))["settings"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FastGSError(f"{path} cannot be read ({error}); delete it to train from the beginning.") from error
+
+
+class StopFlag:
+    """Ctrl-C and SIGTERM.  While `patient`, they only set the flag, and the step that is being taken is finished; a second Ctrl-C does
+    not wait.  Otherwise there is nothing to save, and they end the run at once.
+    """
+
+    def __init__(self):
+        self.patient = self.asked = False
+
+    def __call__(self) -> bool:
+        return self.asked
+
+    def __enter__(self):
+        self._before = {}
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *error):
+        for number, old in self._before.items():
+            signal.signal(number, old)
+
+    def _handle(self, number, frame):
+        if self.asked or not self.patient:
+            raise KeyboardInterrupt
+        self.asked = True

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From the open scene to a capture of our layout, picture by picture; what is there already is kept."""
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ... import fastgs_blender as fg
+from ...fastgs_blender.captures import generated
+from ...fastgs_blender.captures.layouts import own
+from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.outputs import replacing
+from ...fastgs_blender.util.plainfiles import read_exr, write_exr, write_png
+from .studio import Studio
+from .subject import find
+
+POINTS = 20_000
+"""Starting points that the depth gives."""
+AXES = "RFU"
+"""A Blender scene's world: x right, y forward, z up."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to film, as in the operator's properties; cameras: names of the scene's own, () for a rig of `count`."""
+
+    frame_start: int
+    frame_end: int
+    frame_step: int = 1
+    width: int = 640
+    height: int = 480
+    samples: int = 16
+    cameras: tuple[str, ...] = ()
+    count: int = 12
+    rig: str = "dome"
+    angle: float = 42.0
+    distance: float = 1.0
+    selected: tuple[str, ...] | None = None
+    hold_out: bool = True
+    world: str = 'AUTO'
+
+    @property
+    def frames(self) -> list[int]:
+        return list(range(self.frame_start, self.frame_end + 1, self.frame_step))
+
+
+def film_steps(scene: bpy.types.Scene, plan: Plan, out):
+    """A generator that films: it yields (pictures that are done, of how many), and returns the notes on what could not be had.
+
+    Pictures, masks and depth that are in the folder already are kept.  Raises FastGSError.
+    """
+    out = Path(out)
+    yield 0, len(plan.frames) * max(len(plan.cameras), 1)
+    with Studio(scene, plan.width, plan.height, plan.samples, plan.world) as studio:
+        subject = find(studio, plan.frames, None if plan.selected is None else set(plan.selected))
+        views = _chosen(studio, plan) if plan.cameras else _rig(plan, subject)
+        _describe(out, scene, plan, views)
+        work = [(number, frame, view) for number, frame in enumerate(plan.frames) for view in views]
+        notes: set[str] = set()
+        there = None
+        for done, (number, frame, view) in enumerate(work):
+            yield done, len(work)
+            name = f"{number + 1:04}"
+            if (out / view / f"{name}.png").exists():  # written last
+                continue
+            if frame != there:
+                studio.go_to(frame)
+                there = frame
+            picture = studio.film(views[view][number], subject.names)
+            if picture.cover is None:
+                notes.add("the render engine has no Cryptomatte, so there are no masks")
+            if picture.depth is None:
+                notes.add("the render engine gives no depth, so there are no starting points from it")
+            _write(out, view, name, picture)
+        _write_points(out, plan, views)
+        yield len(work), len(work)
+    return sorted(notes)
+
+
+def _rig(plan, subject) -> dict[str, list[fg.Camera]]:
+    """Cameras around the subject; the first looks from the front, and is the one that is held out."""
+    focal = min(plan.width, plan.height) / 2 / np.tan(np.radians(plan.angle) / 2)
+    distance = plan.distance * subject.radius / np.sin(np.radians(plan.angle) / 2)
+    digits = max(len(str(plan.count - 1)), 2)
+    eyes = subject.centre + distance * generated.directions(plan.count, plan.rig)
+    views = {}
+    for k, eye in enumerate(eyes):
+        camera = fg.Camera(plan.width, plan.height, focal, focal, plan.width / 2, plan.height / 2,
+                           generated.look_at(eye, subject.centre), near=max(1e-3 * distance, 1e-4))
+        views[f"cam{k:0{digits}}"] = [camera] * len(plan.frames)
+    return views
+
+
+def _chosen(studio, plan) -> dict[str, list[fg.Camera]]:
+    """The scene's own cameras of these names, frame by frame."""
+    views: dict[str, list[fg.Camera]] = {}
+    for frame in plan.frames:
+        studio.go_to(frame)
+        for name in plan.cameras:
+            obj = studio.scene.objects.get(name)
+            if obj is None or obj.type != 'CAMERA':
+                raise FastGSError(f'the scene has no camera "{name}"; choose others.')
+            views.setdefault(name, []).append(studio.filmed_by(obj))
+    for name, shots in views.items():
+        lens = np.array([(c.fx, c.fy, c.cx, c.cy) for c in shots])
+        if np.ptp(lens, axis=0).max() > 1e-3 * lens[0, 0]:
+            raise FastGSError(f'the lens of the camera "{name}" is animated, which a capture cannot hold; choose others.')
+    names = {name: re.sub(r"[^\w.-]+", "_", name).strip(".") or "cam" for name in views}
+    if len(set(names.values())) < len(names) or "masks" in names.values():
+        names = {name: f"cam{k:02}" for k, name in enumerate(views)}
+    return {names[name]: shots for name, shots in views.items()}
+
+
+def _describe(out: Path, scene, plan, views):
+    """cameras.json; a folder that holds a capture with other settings is refused."""
+    entries = []
+    for name, shots in views.items():
+        first = shots[0]
+        still = all(np.allclose(shot.world_to_camera, first.world_to_camera, atol=1e-9) for shot in shots)
+        pose = first.world_to_camera if still else np.array([shot.world_to_camera for shot in shots])
+        entries.append(dict(name=name, width=first.width, height=first.height, fx=first.fx, fy=first.fy, cx=first.cx, cy=first.cy,
+                            world_to_camera=np.round(pose, 12)))
+    made = {**asdict(plan), "engine": scene.render.engine, "scene": scene.name}
+    old = out / own.FILE
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if old.exists():
+            before = json.loads(old.read_text("utf-8"))
+            if before.get("made") == json.loads(json.dumps(made)) and len(before["cameras"]) == len(entries):
+                return
+            raise FastGSError(f"{out} holds a capture with other settings; choose another folder, or remove that one.")
+        rate = scene.render.fps / scene.render.fps_base / plan.frame_step
+        held_out = [next(iter(views))] if plan.hold_out and len(views) > 2 else []
+        own.write_cameras(out, entries, frame_count=len(plan.frames), fps=rate, start_frame=1, held_out=held_out, axes=AXES, made=made)
+        for name in views:
+            for folder in (out / name, out / "masks" / name, out / "depth" / name):
+                folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError, KeyError) as error:
+        raise FastGSError(f"{out}: the capture cannot be written there ({getattr(error, 'strerror', None) or error}); choose another "
+                          "folder.") from error
+
+
+def _write(out: Path, view: str, name: str, picture):
+    """A picture, its mask and depth, aside and renamed; the picture last."""
+    rgb = _bytes(picture.rgb if picture.alpha is None else np.concatenate([picture.rgb, picture.alpha[..., None]], -1))
+    files = []
+    if picture.depth is not None:
+        files.append((out / "depth" / view / f"{name}.exr", lambda part: write_exr(part, {"Z": picture.depth})))
+    if picture.cover is not None:
+        files.append((out / "masks" / view / f"{name}.png", lambda part: write_png(part, _bytes(picture.cover))))
+    files.append((out / view / f"{name}.png", lambda part: write_png(part, rgb)))
+    for path, write in files:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing([path]) as (part,):
+                write(part)
+        except OSError as error:
+            raise FastGSError(f"{path}: the picture cannot be written ({error.strerror}); free some space and go on: what is there is "
+                              "kept.") from error
+
+
+def _bytes(image):
+    return np.floor(np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _write_points(out: Path, plan, views):
+    """points.ply from the depth of all pictures: what the masks show belongs to its frame, all else is always there."""
+    path = out / "points.ply"
+    if path.exists():
+        return
+    rng = np.random.default_rng(0)
+    shots = [(number, view) for number in range(len(plan.frames)) for view in views
+             if (out / "depth" / view / f"{number + 1:04}.exr").exists()]
+    if not shots:
+        return
+    each = max(POINTS // len(shots), 1)
+    if len(shots) > POINTS:
+        shots = [shots[i] for i in np.linspace(0, len(shots) - 1, POINTS).astype(int)]
+    columns = []
+    for number, view in shots:
+        name = f"{number + 1:04}"
+        depth = read_exr(out / "depth" / view / f"{name}.exr")[0]["Z"]
+        rows = np.flatnonzero(np.isfinite(depth))
+        if not len(rows):
+            continue
+        picked = np.unique(rng.choice(rows, min(each, len(rows)), replace=False))
+        y, x = np.divmod(picked, plan.width)
+        mask = out / "masks" / view / f"{name}.png"
+        moving = _pixels(mask)[y, x, 0] > 0.5 if mask.exists() else np.ones(len(x), bool)
+        columns.append((generated.unproject(views[view][number], depth, y, x), _bytes(_pixels(out / view / f"{name}.png")[y, x, :3]),
+                        np.where(moving, number / len(plan.frames), np.nan)))
+    if columns:
+        xyz, rgb, t = (np.concatenate(column) for column in zip(*columns))
+        with replacing([path]) as (part,):
+            generated.write_points(part, xyz, rgb, t)
+
+
+def _pixels(path) -> np.ndarray:
+    """The numbers [h, w, 4] of a picture file as they are, the top row first."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        image.colorspace_settings.name = 'Non-Color'
+        width, height = image.size
+        values = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(values)
+        return values.reshape(height, width, 4)[::-1]
+    finally:
+        bpy.data.images.remove(image)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of a scene a capture is about: the objects that move, or those that are selected; and the space that they sweep."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...fastgs_blender.util.errors import FastGSError
+
+SOLID = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME'}
+MOST_POINTS, MOST_INSTANCES, LOOKS = 300, 20_000, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """names of its objects, as Cryptomatte has them; the middle [3] of the sphere that it stays in, its radius, its lowest height."""
+
+    names: set[str]
+    centre: np.ndarray
+    radius: float
+    floor: float
+
+
+def find(studio, frames, chosen: set[str] | None = None) -> Subject:
+    """The subject in these frames: the objects named in `chosen`, else what moves with all that hangs on the same parent, else everything.
+
+    Raises FastGSError where nothing is to be seen.
+    """
+    looks = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(LOOKS, len(frames))).round().astype(int))]
+    seen = []
+    for frame in looks:
+        studio.go_to(frame)
+        seen.append(_outlines(studio.depsgraph))
+    everything = {key: item.top for outlines in seen for key, item in outlines.items()}
+    if chosen is not None:
+        keys = {key for key in everything if chosen & {key, *_ancestors(studio.scene, key)}}
+    else:
+        tops = {everything[key] for key in everything if _moves([outlines[key].points for outlines in seen if key in outlines])}
+        keys = {key for key, top in everything.items() if top in tops} or set(everything)
+    if not keys:
+        raise FastGSError("there is nothing to capture: no object with a surface is visible in renders; show or select some.")
+    found = [outlines[key] for outlines in seen for key in keys if key in outlines]
+    points = np.concatenate([item.points for item in found])
+    centre = (points.min(0) + points.max(0)) / 2
+    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-3)
+    return Subject(set().union(*(item.names for item in found)), centre, radius, float(points[:, 2].min()))
+
+
+@dataclass(eq=False)
+class _Outline:
+    top: str
+    names: set[str]
+    points: np.ndarray
+
+
+def _outlines(depsgraph) -> dict[str, _Outline]:
+    """Some points of every visible object's surface, by the object that brings it into the scene."""
+    found: dict[str, list] = {}
+    for number, instance in enumerate(depsgraph.object_instances):
+        obj = instance.object
+        owner = (instance.parent if instance.is_instance else obj).original
+        if number >= MOST_INSTANCES:
+            break
+        if obj.type not in SOLID or owner.hide_render or obj.original.hide_render or not instance.show_self:
+            continue
+        matrix = np.array(instance.matrix_world)
+        found.setdefault(owner.name, [owner, set(), []])
+        found[owner.name][1].add(obj.original.name)
+        found[owner.name][2].append(_points(obj) @ matrix[:3, :3].T + matrix[:3, 3])
+    return {name: _Outline(_top(owner).name, names, np.concatenate(points)) for name, (owner, names, points) in found.items()}
+
+
+def _points(obj) -> np.ndarray:
+    vertices = obj.data.vertices if obj.type == 'MESH' else ()
+    if not len(vertices):
+        return np.array(obj.bound_box, np.float64)
+    points = np.empty(3 * len(vertices), np.float32)
+    vertices.foreach_get("co", points)
+    return points.reshape(-1, 3)[:: max(1, len(vertices) // MOST_POINTS)]
+
+
+def _moves(outlines) -> bool:
+    first = outlines[0]
+    size = max(float(np.ptp(first, axis=0).max()), 1e-6)
+    return any(later.shape != first.shape or np.abs(later - first).max() > 1e-3 * size for later in outlines[1:])
+
+
+def _top(obj):
+    while obj.parent:
+        obj = obj.parent
+    return obj
+
+
+def _ancestors(scene, name: str) -> set[str]:
+    obj, found = scene.objects.get(name), set()
+    while obj is not None and obj.parent:
+        obj = obj.parent
+        found.add(obj.name)
+    return found

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The switch that hides proxies' points in viewports while the splats themselves are drawn there.
+
+It is one node of the Geometry Nodes group that all proxies of a .blend share (splats/proxy.py): the points stay for final
+renders of other engines, and their bounding box stays to be selected and framed.
+"""
+from __future__ import annotations
+
+import bpy
+
+GROUP = "FAST-GS Proxy"
+SWITCH = "Hide Points in Viewports"
+
+
+def hide(hidden: bool) -> None:
+    """Hide or show the points in all viewports.  To be called where Blender's data may be written."""
+    for group in bpy.data.node_groups:
+        node = group.nodes.get(SWITCH) if group.name == GROUP and group.library is None else None
+        if node is not None and node.boolean != hidden:
+            node.boolean = hidden
+
+
+def hidden() -> bool:
+    """Whether the points of all proxies are hidden."""
+    switches = [group.nodes.get(SWITCH) for group in bpy.data.node_groups if group.name == GROUP and group.library is None]
+    return all(node is None or node.boolean for node in switches)

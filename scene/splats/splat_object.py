@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Making and refreshing splat objects: what importing, baking and reloading have in common."""
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+
+from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.util.errors import FastGSError
+from .. import objects
+from . import proxy
+
+
+def sentence(error: Exception) -> str:
+    """An error's message as a report shows it."""
+    text = str(error)
+    return text[:1].upper() + text[1:]
+
+
+def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, relative: bool = False) -> bpy.types.Object:
+    """A new object that shows the file, selected and active, at the world's origin; its clip starts with the scene.
+
+    limit     the most points of its proxy
+    orient    turn it from the file's axes to Blender's
+    relative  keep the path relative to the .blend, where that is possible
+
+    Raises FastGSError for a file that cannot be read, before anything is made.
+    """
+    path = bpy.path.abspath(path)
+    model = objects.load_model(path)
+    name = bpy.path.display_name_from_filepath(path)
+    obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit))
+    proxy.show_in_all_engines(obj)
+    obj.fastgs.filepath = _relative(path) if relative else path
+    obj.fastgs.start_frame = context.scene.frame_start
+    write_facts(obj, model, path)
+    if orient:
+        obj.matrix_world = objects.axes_matrix(model.axes)
+    _place(context, obj)
+    return obj
+
+
+def write_facts(obj: bpy.types.Object, model: GaussianModel, path: str) -> None:
+    """Store on the object what panels say about its file."""
+    settings = obj.fastgs
+    settings.gaussian_count = len(model)
+    settings.frame_count = model.clip.frame_count
+    settings.fps = model.clip.fps
+    with Path(path).open("rb") as file:
+        settings.file_hash = hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def show_file(obj: bpy.types.Object, path: str) -> None:
+    """Let an object show another file, its path relative to the .blend where it was.  Raises FastGSError as refresh() does."""
+    before = obj.fastgs.filepath
+    obj.fastgs.filepath = _relative(path) if before.startswith("//") else path
+    try:
+        refresh(obj)
+    except FastGSError:
+        obj.fastgs.filepath = before
+        raise
+
+
+def refresh(obj: bpy.types.Object) -> None:
+    """Let an object's facts and proxy follow its file.  Raises FastGSError, and changes nothing, where the file cannot be read."""
+    path = objects.abspath(obj)
+    model = objects.load_model(path)
+    if not obj.is_editable:
+        return
+    write_facts(obj, model, path)
+    if obj.type == 'MESH' and obj.data.is_editable:
+        if obj.data.users > 1:  # the others may show another file
+            obj.data = proxy.new_mesh(obj.data.name, model)
+        else:
+            proxy.fill(obj.data, model)
+    obj.update_tag()
+
+
+def _relative(path: str) -> str:
+    if not bpy.data.filepath:
+        return path
+    try:
+        return bpy.path.relpath(path)
+    except ValueError:  # on another drive
+        return path
+
+
+def _place(context, obj: bpy.types.Object) -> None:
+    """Link the object where the user works, and make it the only selected one."""
+    layer = context.view_layer
+    active = layer.active_layer_collection
+    usable = active.is_visible and not active.exclude and active.collection.is_editable
+    (active.collection if usable else context.scene.collection).objects.link(obj)
+    space = context.space_data
+    if space and space.type == 'VIEW_3D' and space.local_view:
+        obj.local_view_set(space, True)
+    for other in layer.objects.selected:
+        other.select_set(False)
+    obj.select_set(True)
+    layer.objects.active = obj

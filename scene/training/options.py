@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What may be said about a training run: the panel keeps it in the scene, the operator takes it from there unless it is told."""
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from ...fastgs_blender.jobs import checks
+from ...fastgs_blender.training.core.settings import PRESETS, Settings
+from ..filming.options import CaptureOptions
+
+PREVIEWS = 30
+"""Pictures to look at that a run makes on its way."""
+
+
+class TrainingOptions:
+    """Shared by the scene's settings and the operator that starts a run."""
+
+    source: EnumProperty(
+        name="Source", description="What to train on",
+        items=(
+            ('FOLDER', "Capture", "A folder with a multi-view capture", 0),
+            ('CAMERAS', "Cameras", "The scene's cameras that have an image sequence or a film as background", 1),
+            ('SCENE', "This Scene", "The open scene itself, filmed with its own render engine", 2),
+        ), default='FOLDER')
+    capture: StringProperty(name="Capture", description="The capture's folder, or a file that describes it", subtype='DIR_PATH')
+    out: StringProperty(
+        name="Results", description="Folder for the model and everything about the run; empty for a new one beside the .blend",
+        subtype='DIR_PATH')
+    preset: EnumProperty(
+        name="Preset", description="How long to train, and how large the model may become",
+        items=tuple((name.upper(), name.capitalize(), "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
+                    for number, name in enumerate(PRESETS)), default='STANDARD')
+    iterations: IntProperty(name="Steps", description="Steps of training; 0 leaves them to the preset", default=0, min=0)
+    max_gaussians: IntProperty(
+        name="Most Gaussians", description="Never more Gaussians than this; 0 leaves it to the preset", default=0, min=0)
+    order: IntProperty(
+        name="Order", description="Order L of the motion; 0 takes the usual one for the clip's length", default=0, min=0, max=64)
+    motion_weight: FloatProperty(
+        name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=Settings.motion_weight, min=0.0,
+        soft_max=10.0, precision=3)
+    scale: FloatProperty(
+        name="Picture Scale", description="Size of the pictures against the files; 0 leaves it to the capture's layout",
+        default=0.0, min=0.0, max=1.0)
+    frames: StringProperty(
+        name="Frames", description='Part of the capture, as in "0:99", counted from 0; empty for all of it')
+    held_out: StringProperty(
+        name="Held-Out Views", description="Cameras to evaluate with instead of training on them, separated by commas; empty for the "
+        "capture's own choice")
+
+
+class FASTGS_PG_training(CaptureOptions, TrainingOptions, bpy.types.PropertyGroup):
+    """The training panel's settings."""
+
+    import_result: BoolProperty(
+        name="Import When Done", description="Add the finished model to the scene, where its cameras are", default=True)
+
+
+def arguments(options) -> list[str]:
+    """The options as `fastgs train` takes them."""
+    steps, _ = checks.size_of(options.preset, options.iterations)
+    chosen = ["--preset", options.preset.lower(), "--motion-weight", f"{options.motion_weight:.6g}",
+              "--set", f"preview_every={max(steps // PREVIEWS, 1)}"]
+    for name, flag in (("iterations", "--iterations"), ("max_gaussians", "--max-gaussians"), ("order", "--order")):
+        if getattr(options, name):
+            chosen += [flag, str(getattr(options, name))]
+    if options.scale:
+        chosen += ["--scale", f"{options.scale:.6g}"]
+    if options.frames.strip():
+        chosen += ["--frames", options.frames.strip()]
+    if options.held_out.strip():
+        chosen += ["--held-out", ",".join(name.strip() for name in options.held_out.split(",") if name.strip())]
+    return chosen

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where this Blender keeps its training jobs and which Python trains: what the preferences and the user folder say."""
+from __future__ import annotations
+
+import importlib.util
+import sys
+import tempfile
+from pathlib import Path
+
+import bpy
+
+from ...fastgs_blender.jobs.environment import Maker, python_in
+from ...fastgs_blender.jobs.queue import Jobs
+from ...fastgs_blender.util.errors import FastGSError
+from .. import settings
+
+maker: Maker | None = None
+"""The environment that is being made, or was made last, in this Blender."""
+
+
+def folder(name: str) -> Path:
+    """A folder of the extension's own for data; it is not made."""
+    try:
+        return Path(bpy.utils.extension_path_user(settings.EXTENSION, path=name))
+    except ValueError:  # not loaded as an extension
+        return Path(tempfile.gettempdir(), "fastgs-blender", name)
+
+
+def jobs() -> Jobs:
+    """The user's training jobs."""
+    return Jobs(folder("training/jobs"))
+
+
+def made_environment() -> Path:
+    """Where a button makes an environment for training."""
+    return folder("training/environment")
+
+
+def python() -> str:
+    """The training Python as the preferences have it; raises FastGSError where there is none."""
+    preferences = settings.preferences()
+    chosen = bpy.path.abspath(preferences.training_python) if preferences and preferences.training_python else ""
+    if preferences and preferences.training_choice == 'CHOSEN':
+        found = python_in(chosen) if chosen else None
+        if found is None:
+            raise FastGSError(f"there is no Python at {chosen or 'the chosen place'}; choose an environment's folder or its python "
+                              "program in the preferences.")
+        return found
+    if not is_making() and (found := python_in(str(made_environment()))):
+        return found
+    if importlib.util.find_spec("torch") is None:
+        raise FastGSError("Blender's own Python has no PyTorch; in the extension's preferences choose an environment that has it, or let "
+                          "one be made.")
+    return sys.executable
+
+
+def is_making() -> bool:
+    """Whether an environment is being made just now."""
+    return maker is not None and maker.poll()
+
+
+def unregister():
+    """Nothing is made on after the extension has gone; training itself goes on."""
+    global maker
+    if maker is not None:
+        maker.stop()
+    maker = None

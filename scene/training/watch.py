@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Looks at the training jobs once a second: starts the next one, shows pictures and logs, tells the end."""
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from pathlib import Path
+
+import bpy
+
+from ...fastgs_blender.jobs import queue as files
+from ...fastgs_blender.jobs.queue import Job, State
+from . import show, store
+
+log = logging.getLogger(__name__)
+EVERY = 1.0
+
+_found: list[tuple[Job, State]] | None = None
+
+
+def found() -> list[tuple[Job, State]]:
+    """The jobs and how they stood at the last look."""
+    return look() if _found is None else _found
+
+
+def look() -> list[tuple[Job, State]]:
+    """Look now."""
+    global _found
+    known = store.jobs()
+    _found = [(job, known.state(job)) for job in known.all()]
+    return _found
+
+
+def current() -> tuple[Job, State] | None:
+    """The job that the panel is about: the one that is running, else the first that waits or pauses, else the last."""
+    rows = found()
+    for kinds in (files.RUNNING, ('PAUSED', 'QUEUED')):
+        for row in rows:
+            if row[1].kind in kinds:
+                return row
+    return rows[-1] if rows else None
+
+
+def begin() -> None:
+    """Look from now on, until nothing is going on any more."""
+    look()
+    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=EVERY, persistent=True)
+
+
+def _tick():
+    try:
+        return _look_and_tell()
+    except Exception:  # a timer that raises is never called again
+        log.exception("Looking at the training jobs failed")
+        return 10 * EVERY
+
+
+def _look_and_tell():
+    known = store.jobs()
+    known.start_next()
+    before = _found
+    rows = look()
+    for job, state in rows:
+        if state.running:
+            show.update(job)
+        elif state.kind in ('FINISHED', 'FAILED') and not job.told:
+            job.told = True
+            known.save(job)
+            show.update(job)
+            tell(job, state)
+    if before != rows:
+        redraw()
+    busy = any(state.running or state.kind == 'QUEUED' for _, state in rows)
+    return EVERY if busy else None
+
+
+def tell(job: Job, state: State) -> None:
+    """Say that a job has ended, and add its model to the scene that it was begun in."""
+    good = state.kind == 'FINISHED'
+    text = f"{job.name}: {summary(state) if good else state.text}"
+    log.log(logging.INFO if good else logging.ERROR, text)
+    window = next(iter(bpy.context.window_manager.windows), None)
+    if window is None:
+        return
+    with bpy.context.temp_override(window=window):
+        if good and job.scene.get("import") and belongs_here(job):
+            with contextlib.suppress(RuntimeError):  # it is in a mode in which nothing can be added; the panel has a button
+                bpy.ops.fastgs.train_import(job=job.id)
+        bpy.context.window_manager.popup_menu(
+            lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
+            icon='INFO' if good else 'ERROR')
+
+
+def belongs_here(job: Job) -> bool:
+    """Whether a job was begun from the open file: by its name, or, before it has one, by this very Blender."""
+    return job.scene.get("blend") == bpy.data.filepath and (bool(bpy.data.filepath) or job.scene.get("process") == os.getpid())
+
+
+def summary(state: State) -> str:
+    """What came of a finished job."""
+    psnr = state.values.get("held_out_psnr")
+    return f"finished{f', {psnr:.2f} dB in the held-out views' if psnr else ''}"
+
+
+def redraw() -> None:
+    """The panels and the status bars of all windows."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in {'VIEW_3D', 'IMAGE_EDITOR', 'TEXT_EDITOR'}:
+                area.tag_redraw()
+        if not len(window.modal_operators):  # clears no other operator's text; and nothing else redraws a status bar
+            window.workspace.status_text_set(None)
+
+
+def line() -> str:
+    """One line about the job that is running, "" where there is none."""
+    row = current()
+    if row is None or not row[1].running:
+        return ""
+    job, state = row
+    left = state.seconds_left
+    return f"{job.name}: {state.text.lower()} {100 * state.share:.0f} %{f', {duration(left)} left' if left else ''}"
+
+
+def duration(seconds: float) -> str:
+    """45 s, 12 min, 1 h 5 min"""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def newest_preview(job: Job) -> Path | None:
+    """The last picture that a run has made to look at: the model's on the left, the truth on the right."""
+    return max((Path(job.out) / "previews").glob("*.png"), default=None)
+
+
+def register():
+    global _found
+    _found = None
+    if not bpy.app.background:
+        bpy.app.timers.register(_tick, first_interval=EVERY, persistent=True)
+
+
+def unregister():
+    global _found
+    _found = None
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    store.unregister()

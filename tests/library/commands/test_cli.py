@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""fastgs info, convert and bench; and what holds for every subcommand."""
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fastgs_blender as fg
+from fastgs_blender import cli
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def model(rng, make_model):
+    return make_model(rng, 30, basis=fg.Fourier(3), temporal="radial", appearance="sh1", clip=fg.Clip(50, 25.0, 7),
+                      provenance={"source": "a test"})
+
+
+@pytest.fixture
+def file(model, tmp_path):
+    path = tmp_path / "model.safetensors"
+    fg.save(model, path)
+    return path
+
+
+@pytest.fixture
+def run(capsys):
+    """run(*arguments): (exit code, standard output, standard error) of fastgs."""
+
+    def run(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_help_and_version_import_nothing_heavy():
+    program = """
+import sys
+from fastgs_blender import cli
+for argument in (["--help"], ["--version"], ["render", "--help"], ["bench", "--help"]):
+    try:
+        cli.main(argument)
+    except SystemExit as end:
+        assert end.code == 0
+assert not {"numba", "OpenEXR", "PIL", "tqdm", "torch"} & set(sys.modules)
+"""
+    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert all(word in result.stdout for word in ("info", "convert", "render", "bench", fg.__version__))
+
+
+def test_runs_as_a_module(file):
+    result = subprocess.run([sys.executable, "-m", "fastgs_blender", "info", "--json", str(file)], cwd=ROOT, capture_output=True,
+                            text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["gaussians"] == 30
+
+
+def test_info_for_scripts(run, file, model):
+    code, out, err = run("info", "--json", file)
+    facts = json.loads(out)
+    assert (code, err) == (0, "")
+    assert facts["gaussians"] == 30
+    assert facts["motion"]["basis"] == "fourier"
+    assert facts["motion"]["order"] == 3
+    assert facts["motion"]["band_limit_hz"] == pytest.approx(3 / (50 / 25.0))
+    assert facts["rotation"]["band_limit_hz"] is None
+    assert facts["temporal_opacity"] == "radial"
+    assert facts["appearance"] == {"kind": "sh", "columns": 12, "degree": 1}
+    assert facts["clip"] == {"frame_count": 50, "fps": 25.0, "start_frame": 7, "duration_seconds": 2.0}
+    assert facts["raster"]["blur"] == model.raster.blur
+    assert (facts["axes"], facts["colour_space"]) == (model.axes, "srgb")
+    assert facts["provenance"]["source"] == "a test"
+    assert facts["file_bytes"] == file.stat().st_size
+    assert facts["memory_bytes"] == model.nbytes
+
+
+def test_info_bounds_hold_the_motion(run, file, model):
+    facts = json.loads(run("info", "--json", file)[1])
+    centres = np.concatenate([fg.slice_model(model, t, cull=False).position for t in (0, 0.25, 0.5, 0.75, 1)])
+    np.testing.assert_allclose(facts["bounds"]["low"], centres.min(0), atol=1e-5)
+    np.testing.assert_allclose(facts["bounds"]["high"], centres.max(0), atol=1e-5)
+
+
+def test_info_for_people(run, file):
+    code, out, _ = run("info", file)
+    assert code == 0
+    assert all(words in out for words in ("fourier, order 3", "up to 1.5 Hz", "50 frames from 7 at 25 fps", "sh, columns 12, degree 1",
+                                          "radial", "srgb", "a test", str(file)))
+
+
+def test_info_of_a_still_model(run, rng, make_model, tmp_path):
+    path = tmp_path / "still.safetensors"
+    fg.save(make_model(rng, 3), path)
+    facts = json.loads(run("info", "--json", path)[1])
+    assert facts["motion"] == {"basis": "static", "terms": 0, "band_limit_hz": None}
+
+
+@pytest.mark.parametrize("arguments", [
+    ("info", "{none}"), ("info", "{text}"), ("info", "{folder}"), ("convert", "{none}", "{folder}/a.ply"),
+    ("convert", "{model}", "{folder}/a.unknown"), ("convert", "{model}", "{folder}/no/such/folder/a.ply"),
+    ("bench", "--gaussians", "0"), ("bench", "--repeat", "-1"), ("bench", "--size", "12"), ("bench", "--threads", "0"),
+    ("bench", "--size", "8x8", "--gaussians", "5", "--backend", "magic"),
+])
+@pytest.mark.parametrize("debug", [False, True])
+def test_errors_are_one_sentence_and_exit_code_2(run, file, tmp_path, arguments, debug):
+    (tmp_path / "text.ply").write_text("no model at all")
+    names = {"none": tmp_path / "none.ply", "text": tmp_path / "text.ply", "folder": tmp_path, "model": file}
+    code, out, err = run(*(a.format(**names) for a in arguments), *(["--debug"] if debug else []))
+    lines = err.strip().splitlines()
+    assert (code, out) == (2, "")
+    assert lines[-1].startswith("fastgs: ")
+    assert lines[-1].endswith(".")
+    assert ("Traceback" in err) == debug
+    assert debug or len(lines) == 1
+
+
+def test_arguments_that_make_no_sense_end_with_2(run):
+    for arguments in ([], ["explode"], ["info"], ["render", "a"]):
+        with pytest.raises(SystemExit) as end:
+            run(*arguments)
+        assert end.value.code == 2
+
+
+def test_convert_and_back_keeps_everything(run, file, model, tmp_path):
+    code, out, err = run("convert", file, tmp_path / "copy.safetensors")
+    assert (code, err) == (0, "")
+    assert "30 Gaussians" in out
+    copy = fg.load(tmp_path / "copy.safetensors")
+    assert all(np.array_equal(copy.arrays[name], model.arrays[name]) for name in model.arrays)
+
+
+def test_convert_tells_what_is_lost(run, file, tmp_path):
+    code, out, err = run("convert", file, tmp_path / "lossy.splatv")
+    assert code == 0
+    assert "fastgs: lost: " in err
+    assert "lost" not in out
+    code, out, err = run("convert", file, tmp_path / "lossy2.splatv", "--json")
+    result = json.loads(out)
+    assert result["losses"]
+    assert result["outputs"] == [str(tmp_path / "lossy2.splatv")]
+
+
+def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
+    model.position[3] = np.nan
+    path = tmp_path / "diverged.safetensors"
+    fg.save(model, path)
+    code, out, err = run("info", "--json", path)
+    assert (code, json.loads(out)["gaussians"]) == (0, 29)
+    assert err.startswith("fastgs: lost: ")
+    assert "1 of 30" in err
+    assert len(err.strip().splitlines()) == 1
+    assert "1 of 30" in json.loads(run("convert", "--json", path, tmp_path / "b.safetensors")[1])["losses"][0]
+
+
+def test_convert_overwrites_only_when_told(run, file, tmp_path):
+    target = tmp_path / "out.safetensors"
+    target.write_bytes(b"precious")
+    code, _, err = run("convert", file, target)
+    assert code == 2
+    assert "--overwrite" in err
+    assert target.read_bytes() == b"precious"
+    assert run("convert", file, target, "--overwrite")[0] == 0
+    assert len(fg.load(target)) == 30
+
+
+def test_convert_does_not_replace_a_decoder_either(run, rng, make_model, tmp_path):
+    source = tmp_path / "with_decoder.safetensors"
+    fg.save(make_model(rng, 5, basis="cubic", rotation_basis="line", temporal="radial", appearance="sigmoid"), source)
+    assert run("convert", source, tmp_path / "a.ply")[0] == 0
+    decoder = (tmp_path / "a.pt").read_bytes()
+    (tmp_path / "a.ply").unlink()
+    code, _, err = run("convert", source, tmp_path / "a.ply")
+    assert code == 2
+    assert "a.pt" in err
+    assert not (tmp_path / "a.ply").exists()
+    assert (tmp_path / "a.pt").read_bytes() == decoder
+    assert run("convert", source, tmp_path / "a.ply", "--overwrite")[0] == 0
+
+
+def test_convert_a_frame(run, file, model, tmp_path):
+    assert run("convert", file, tmp_path / "frame.ply", "--at", "12.5")[0] == 0
+    frozen, now = fg.load(tmp_path / "frame.ply"), fg.slice_model(model, 12.5 / 50)
+    assert isinstance(frozen.basis, fg.Static)
+    np.testing.assert_allclose(frozen.position, now.position, atol=1e-6)
+    np.testing.assert_allclose(np.exp(frozen.scale), now.scale, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("pattern", "names"), [
+    ("f_####.ply", ["f_0000.ply", "f_0002.ply", "f_0004.ply"]), ("f.%03d.ply", ["f.000.ply", "f.002.ply", "f.004.ply"]),
+    ("%d.ply", ["0.ply", "2.ply", "4.ply"]),
+])
+def test_convert_frames(run, file, tmp_path, pattern, names):
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    code, out, _ = run("convert", file, folder / pattern, "--at", "0:4:2", "--json")
+    assert code == 0
+    assert sorted(p.name for p in folder.iterdir()) == names
+    assert [Path(p).name for p in json.loads(out)["outputs"]] == names
+    assert not np.array_equal(fg.load(folder / names[0]).position[:5], fg.load(folder / names[1]).position[:5])
+    assert all(pattern in loss for loss in json.loads(out)["losses"])
+    assert len(json.loads(out)["losses"]) <= 1
+    # one of the files is there already: nothing at all is written
+    (folder / names[0]).unlink()
+    assert run("convert", file, folder / pattern, "--at", "0:4:2")[0] == 2
+    assert not (folder / names[0]).exists()
+
+
+def test_convert_frames_needs_a_place_for_the_number(run, file, tmp_path):
+    code, _, err = run("convert", file, tmp_path / "f.ply", "--at", "0:4")
+    assert code == 2
+    assert "out_####.ply" in err
+
+
+def test_bench_prints_a_table(run):
+    code, out, _ = run("bench", "--gaussians", "200", "--size", "48x32", "--repeat", "2", "--threads", "1")
+    assert code == 0
+    assert all(words in out for words in ("200 Gaussians", "48 x 32", "1 threads", "slice and project", "rasterise", "whole frame"))
+
+
+def test_bench_a_file_for_scripts(run, file):
+    result = json.loads(run("bench", file, "--size", "32x32", "--repeat", "1", "--json")[1])
+    assert result["gaussians"] == 30
+    assert 0 < result["visible"] <= 30
+    assert set(result["milliseconds"]) == {"slice and project", "sort", "tiles and rasterise", "whole frame"}
+    oracle = json.loads(run("bench", file, "--size", "32x32", "--repeat", "1", "--json", "--backend", "reference")[1])
+    assert set(oracle["milliseconds"]) == {"whole frame"}

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The parts of training that need no picture: settings, starting model, schedule, density control, checkpoints."""
+import errno
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fastgs_blender as fg
+from fastgs_blender.captures.capture import Points
+from fastgs_blender.captures.pixels.store import Pixels
+from fastgs_blender.training.core import density, schedule, targets
+from fastgs_blender.training.core import model as starting
+from fastgs_blender.training.core import settings as options
+from fastgs_blender.training.initial.neighbours import neighbour_distance
+from fastgs_blender.training.run import checkpoint
+
+
+def test_settings_survive_json():
+    chosen = options.settings("draft", order=7, warm_up=(0.1,), motion="fourier")
+    assert options.from_dict(json.loads(json.dumps(chosen.to_dict()))) == chosen
+    assert chosen.iterations < options.settings().iterations < options.settings("final").iterations
+
+
+@pytest.mark.parametrize("wrong", [
+    {"motion": "wavelets"}, {"iterations": 0}, {"iterations": 2.5}, {"wings": 2}, {"batch": True}, {"dssim": float("nan")}, {"dssim": 2},
+    {"warm_up": (0.5, 0.1)}, {"warm_up": 3}, {"preset": "best"}, {"free_centre": 1},
+])
+def test_settings_that_mean_nothing_are_told(wrong):
+    with pytest.raises(fg.FastGSError):
+        options.from_dict(wrong)
+
+
+@pytest.mark.parametrize(("text", "value"), [
+    ("iterations=3e3", ("iterations", 3000)), ("dssim = 0.5", ("dssim", 0.5)), ("warm_up=", ("warm_up", ())), ("warm_up=0.1,0.2",
+     ("warm_up", (0.1, 0.2))), ("free_centre=yes", ("free_centre", True)), ("density=mcmc", ("density", "mcmc")),
+])
+def test_options_as_text(text, value):
+    assert options.option_from_text(text) == value
+
+
+@pytest.mark.parametrize("text", ["iterations", "wings=2", "iterations=many", "free_centre=perhaps", "iterations=1e400"])
+def test_option_texts_that_mean_nothing_are_told(text):
+    with pytest.raises(fg.FastGSError):
+        options.option_from_text(text)
+
+
+@pytest.mark.parametrize(("motion", "terms"), [("cosine", 10), ("fourier", 10), ("fourier+linear", 11), ("paper", 10), ("polynomial", 3),
+                                               ("keyframes", 11), ("static", 0)])
+def test_usual_orders_have_about_as_many_coefficients(motion, terms):
+    assert starting.motion_basis(motion, 0, fg.Clip(40)).terms == terms
+
+
+def test_short_clips_get_lower_orders_but_for_the_printed_form():
+    for motion in ("cosine", "fourier", "fourier+linear", "keyframes", "polynomial"):
+        assert starting.motion_basis(motion, 0, fg.Clip(10)).terms <= 4
+        assert starting.motion_basis(motion, 6, fg.Clip(10)).terms >= 6
+    assert starting.motion_basis("paper", 0, fg.Clip(10)) == fg.Fourier(5, 1.0, 0.0)
+    assert starting.motion_basis("cosine", 0, fg.Clip(1)) == fg.Static()
+
+
+def test_cosines_span_the_clip():
+    basis = starting.motion_basis("cosine", 3, fg.Clip(20))
+    np.testing.assert_allclose(basis.weights(np.array([0, 19 / 20])), [[1, 1, 1], [-1, 1, -1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 5, 90, 1500])
+def test_neighbour_distance(rng, count):
+    xyz = rng.normal(size=(count, 3))
+    squared = np.sort(((xyz[:, None] - xyz[None]) ** 2).sum(-1), 1)[:, 1:4]
+    found, exact = neighbour_distance(xyz), np.sqrt(squared.mean(1))
+    assert (found >= exact * (1 - 1e-9)).all()
+    assert np.mean(found / exact) < 1.03
+
+
+def test_one_point_has_no_neighbour():
+    assert neighbour_distance(np.zeros((1, 3)))[0] == np.inf
+
+
+@pytest.mark.parametrize("appearance", ["features", "rgb", "sh2"])
+def test_the_first_model_shows_the_points(rng, appearance):
+    points = Points(rng.uniform(-1, 1, (300, 3)), rng.uniform(0.1, 0.9, (300, 3)), np.where(np.arange(300) < 200, np.nan, 0.25),
+                    np.where(np.arange(300) < 190, np.nan, 0.5))
+    chosen = options.settings(appearance=appearance, start_opacity=0.5, start_size=0.8, start_life=0.1)
+    model = starting.model_from_points(points, chosen, fg.Clip(20, 25.0, 3), "RUB", 20.0)
+    assert model.axes == "RUB" and model.clip == fg.Clip(20, 25.0, 3) and len(model) == 300
+    early, at = fg.slice_model(model, 0.0, cull=False), fg.slice_model(model, 0.25, cull=False)
+    np.testing.assert_allclose(at.position, points.xyz, atol=1e-6)
+    np.testing.assert_allclose(at.opacity[200:], 0.5, atol=1e-5)
+    assert early.opacity[:200].min() > 0.48 and early.opacity[200:].max() < 0.5 * np.exp(-0.9)
+    np.testing.assert_allclose(np.exp(model.scale[:190, 0]), 0.8 * neighbour_distance(points.xyz[:200])[:190], rtol=1e-4)
+    np.testing.assert_allclose(np.exp(model.scale[190:]), 0.5, rtol=1e-4)
+
+
+def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():
+    shots = [SimpleNamespace(t=f / 7) for f in range(7) for _ in range(5)]
+    views = schedule.Views(shots, 3)
+    seen = np.zeros(len(shots), int)
+    for i in range(35):
+        chosen = views.at(i, 2)
+        assert len({shots[j].t for j in chosen}) == 1 and len(set(chosen)) == 2
+        seen[chosen] += 1
+    assert seen.min() == seen.max() == 2
+    assert views.at(11, 2) == schedule.Views(shots, 3).at(11, 2)
+    assert any(views.at(i, 2) != schedule.Views(shots, 4).at(i, 2) for i in range(5))
+
+
+def test_a_single_moving_camera_helps_out_from_other_moments():
+    views = schedule.Views([SimpleNamespace(t=f / 6) for f in range(6)], 0)
+    seen = np.bincount(np.concatenate([views.at(i, 3) for i in range(4)]), minlength=6)
+    assert (seen == 2).all()
+
+
+def test_more_views_than_the_capture_has():
+    assert len(schedule.Views([SimpleNamespace(t=0.0)] * 3, 0).at(4, 8)) == 8
+
+
+@pytest.mark.parametrize("has_alpha", [False, True])
+def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
+    """A mask file says where the subject is, the picture's own alpha what there is at all."""
+    rgb, subject, alpha = rng.uniform(size=(4, 6, 3)).astype(np.float32), np.eye(4, 6, dtype=np.float32), np.tri(4, 6, dtype=np.float32)
+    pixels = Pixels(rgb, subject * alpha, alpha=alpha) if has_alpha else Pixels(rgb, subject)
+    capture, store = SimpleNamespace(mask_means="foreground"), SimpleNamespace(pixels=lambda shot: pixels)
+    shot = SimpleNamespace(mask="file", camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
+    found = targets.target(capture, store, shot, options.settings(foreground_weight=3.0, background="white"), 1)
+    np.testing.assert_allclose(found.weight, 1 + 2 * pixels.mask)
+    np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
+    assert found.opaque == (not has_alpha) and (found.background == 1).all()
+
+
+def test_rates_fall_and_divide_by_the_frequency():
+    chosen = options.settings()
+    first, last = (schedule.learning_rates(chosen, i, 2.0, fg.Fourier(2, linear=True)) for i in (0, chosen.iterations))
+    assert first["position"] == pytest.approx(2 * chosen.position_rate) and last["position"] == pytest.approx(2 * chosen.position_rate_end)
+    np.testing.assert_allclose(first["motion"] / first["motion"][0], np.repeat([1, 1, 0.5, 0.5, 1], 3))
+    assert last["motion"][0] == pytest.approx(chosen.motion_decay * first["motion"][0])
+
+
+class Rows:
+    """An optimiser's rows, without its steps."""
+
+    def __init__(self, model):
+        self.arrays, self.begun = {k: v.copy() for k, v in model.arrays.items()}, []
+
+    def take(self, index):
+        self.arrays = {k: v[index] for k, v in self.arrays.items()}
+
+    def append(self, arrays):
+        self.arrays = {k: np.concatenate([v, arrays[k]]) for k, v in self.arrays.items()}
+
+    def reset(self, name, rows):
+        self.begun.append((name, rows))
+
+
+class Wishes:
+    """Statistics in which every Gaussian but the first `calm` wants more."""
+
+    def __init__(self, n, calm=0):
+        self.gradient = np.where(np.arange(n) < calm, 0.0, 1.0)
+        self.absolute, self.seen, self.radius = self.gradient.copy(), np.ones(n), np.zeros(n)
+
+    def take(self, index):
+        for name in ("gradient", "absolute", "seen", "radius"):
+            setattr(self, name, getattr(self, name)[index])
+
+
+def strategy(name, model, **choices):
+    chosen = options.settings(density=name, iterations=1000, densify_every=100, densify_from=0.0, densify_until=1.0, grow=0.5, **choices)
+    return density.STRATEGIES[name](chosen, 1.0, model)
+
+
+@pytest.mark.parametrize("name", density.STRATEGIES)
+def test_the_cap_holds_and_only_due_steps_change(rng, make_model, name):
+    model = make_model(rng, 60, "cosine", "line", "radial", "sigmoid")
+    rows, control = Rows(model), strategy(name, model, max_gaussians=100, noise=0.0)
+    for iteration in range(95, 1001):
+        before = len(rows.arrays["opacity"])
+        changed = control.after_step(iteration, rows, Wishes(before), {"position": 1e-4})
+        assert changed == (iteration % 100 == 0)
+        assert len(rows.arrays["opacity"]) <= 100 and (changed or len(rows.arrays["opacity"]) == before)
+    assert len(rows.arrays["opacity"]) > 85
+    assert all(np.isfinite(array).all() for array in rows.arrays.values())
+
+
+def test_splitting_keeps_what_is_there_and_cloning_copies(rng, make_model):
+    model = make_model(rng, 40, "cosine", "line", "radial", "sigmoid", size=0.1)
+    model.opacity[:] = 2.0
+    model.scale[:20] = np.log(1e-3)
+    rows, control = Rows(model), strategy("default", model, max_gaussians=10_000)
+    control.after_step(100, rows, Wishes(40, calm=10), {})
+    assert len(rows.arrays["opacity"]) == 40 + 21  # half of the 40, and one
+    old, new = ({k: v[part] for k, v in rows.arrays.items()} for part in (slice(40), slice(40, None)))
+    assert np.array_equal(old["position"][:20], model.position[:20])
+    assert np.array_equal(new["motion"][0], model.motion[10])
+    large = np.flatnonzero(old["scale"][:, 0] != model.scale[:, 0])
+    assert (large >= 20).all() and len(large)
+    np.testing.assert_allclose(old["scale"][large], model.scale[large] - np.log(1.6), atol=1e-6)
+
+
+def test_faint_gaussians_go(rng, make_model):
+    model = make_model(rng, 30)
+    model.opacity[:] = np.where(np.arange(30) < 12, -9, 3)
+    rows = Rows(model)
+    strategy("default", model).after_step(100, rows, Wishes(30, calm=30), {})
+    assert len(rows.arrays["opacity"]) == 18
+
+
+def test_reset_makes_opaque_ones_faint(rng, make_model):
+    model = make_model(rng, 30)
+    rows = Rows(model)
+    strategy("default", model, reset_every=250).after_step(250, rows, Wishes(30), {})
+    assert rows.arrays["opacity"].max() <= np.log(0.01 / 0.99) + 1e-6 and rows.begun[0][0] == "opacity"
+
+
+def test_reborn_gaussians_leave_the_picture_alone(rng, make_model):
+    """The dead are moved into a living one: what is seen stays nearly the same."""
+    model = make_model(rng, 3, "static", size=0.3, raster=fg.Raster(near=0.0))
+    model.position[:] = 0
+    model.scale[:] = np.log(0.3)
+    model.opacity[:] = [1.0, -9, -9]
+    rows = Rows(model)
+    strategy("mcmc", model, max_gaussians=3, noise=0.0).after_step(100, rows, Wishes(3), {"position": 1e-4})
+    camera = fg.Camera(32, 32, 40, 40, 16, 16, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
+    before, after = (fg.render(m, camera)["alpha"] for m in (model, replace(model, **rows.arrays)))
+    assert rows.arrays["opacity"].min() > -5
+    assert np.abs(after - before).max() < 0.06 and after[16, 16] == pytest.approx(before[16, 16], abs=0.02)
+
+
+@pytest.mark.parametrize("basis", ["cosine", "cubic"])
+def test_a_new_temporal_centre_changes_no_course(rng, make_model, basis):
+    model = make_model(rng, 20, basis, "line", "radial", "rgb", motion=0.2)
+    arrays = {k: v.copy() for k, v in model.arrays.items()}
+    density.shift(arrays, rng.uniform(0, 1, 20).astype(np.float32), model)
+    for t in (0.1, 0.8):
+        a, b = (fg.slice_model(m, t, cull=False) for m in (model, replace(model, **arrays)))
+        np.testing.assert_allclose(a.position, b.position, atol=1e-5)
+        np.testing.assert_allclose(np.abs((a.rotation * b.rotation).sum(1)), 1, atol=1e-5)
+
+
+def test_a_checkpoint_comes_back(rng, tmp_path):
+    arrays = {"a.b": rng.normal(size=(3, 2)).astype(np.float32), "c": np.arange(4, dtype=np.int64)}
+    assert checkpoint.load(tmp_path) is None
+    checkpoint.save(tmp_path, arrays, {"iteration": 7})
+    back, about = checkpoint.load(tmp_path)
+    assert about["iteration"] == 7 and back.keys() == arrays.keys()
+    assert all(np.array_equal(back[k], v) and back[k].dtype == v.dtype for k, v in arrays.items())
+
+
+def test_a_full_disk_is_told_and_leaves_the_checkpoint(tmp_path, monkeypatch):
+    checkpoint.save(tmp_path, {"a": np.zeros(3)}, {"iteration": 1})
+    before = (tmp_path / checkpoint.NAME).read_bytes()
+
+    def full(path, tensors, metadata):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "write_tensors", full)
+    with pytest.raises(fg.FastGSError, match=r"checkpoint.*No space left.*kept"):
+        checkpoint.save(tmp_path, {"a": np.ones(3)}, {"iteration": 2})
+    assert (tmp_path / checkpoint.NAME).read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [checkpoint.NAME]
+
+
+@pytest.mark.parametrize("content", [b"", b"junk", b"\x08\0\0\0\0\0\0\0{}      "])
+def test_a_broken_checkpoint_is_told(tmp_path, content):
+    (tmp_path / checkpoint.NAME).write_bytes(content)
+    with pytest.raises(fg.FastGSError, match="delete it"):
+        checkpoint.load(tmp_path)
+
+
+def test_leftovers_go(tmp_path):
+    (tmp_path / ".fastgs-0011.tmp").write_bytes(b"half")
+    checkpoint.remove_leftovers(tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The time left, in status.json and in the bar: from the pace of steps, not from the compiling before them."""
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from fastgs_blender.training.run import progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that pass only when told, from the second 1000 on."""
+    watch = SimpleNamespace(now=1000.0)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: watch.now)
+    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
+    return watch
+
+
+@pytest.mark.parametrize("begin", [0, 40])
+def test_time_left_does_not_count_compiling(tmp_path, clock, begin):
+    reporter = progress.Reporter(tmp_path, 100, begin=begin, elapsed=7.0 * begin)
+
+    def left():
+        reporter.status("training")
+        return json.loads((tmp_path / progress.STATUS).read_text("utf-8"))["seconds_left"]
+
+    clock.now += 90  # decoding, starting points
+    assert left() is None
+    for iteration, seconds in enumerate((300, 60, 2, 2, 2, 4, 4, 4), begin + 1):
+        clock.now += seconds
+        reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
+        if iteration == begin + 1:
+            assert left() is None and "<?" in str(reporter.bar)
+    steps = 100 - begin - 8
+    assert left() == pytest.approx(3 * steps)
+    assert f"<{3 * steps // 60:02d}:{3 * steps % 60:02d}" in str(reporter.bar)
+    assert reporter.elapsed == pytest.approx(7 * begin + 90 + 378), "what has passed is told in full"
+    reporter.close()

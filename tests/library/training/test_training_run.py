@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training itself, on a capture of a few small pictures: it learns, it can be stopped and killed and gives the same file."""
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_captures import toy_capture, write_capture
+
+import fastgs_blender as fg
+
+torch = pytest.importorskip("torch")
+
+from fastgs_blender.training.core import model, settings  # noqa: E402
+from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
+from fastgs_blender.training.run import checkpoint, session  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[3]
+FEW = dict(iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),
+           position_rate=1e-3, position_rate_end=1e-4, motion_rate=2e-3, start_opacity=0.1, start_size=1.0, start_life=0.25,
+           preview_every=0)
+
+
+def trainer(capture=None, **choices):
+    capture, store, points = capture or toy_capture()
+    chosen = settings.settings(**{**FEW, **choices})
+    first = model.model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    return Trainer(capture, store, chosen, first)
+
+
+def steps(who, count):
+    return [who.step() for _ in range(count)]
+
+
+def same(a, b):
+    return all(np.array_equal(x, b.optimiser.arrays[name], equal_nan=True) for name, x in a.optimiser.arrays.items())
+
+
+@pytest.mark.parametrize("choices", [
+    {}, {"density": "mcmc"}, {"motion": "paper"}, {"motion": "fourier+linear", "batch": 2},
+    {"motion": "polynomial", "copied_time": "random"}, {"motion": "keyframes", "regulariser": "group"},
+    {"appearance": "rgb", "temporal": "always"}, {"appearance": "sh1", "gradient": "absolute"},
+], ids=str)
+def test_it_learns(choices):
+    who = trainer(**choices)
+    before, _, _ = who.measure(who.capture.held_out)
+    values = steps(who, 60)
+    after, _, _ = who.measure(who.capture.held_out)
+    assert np.mean([v["loss"] for v in values[-10:]]) < 0.7 * np.mean([v["loss"] for v in values[:10]])
+    assert after > before + 2
+    assert 80 < len(who) <= 160 and max(v["gaussians"] for v in values) <= 160
+
+
+def test_transparent_parts_stay_transparent_before_any_background():
+    who = trainer(toy_capture(mask=True), masks="cut", start_opacity=0.5)
+    steps(who, 120)
+    shot = who.capture.held_out[0]
+    alpha = fg.render(who.model(), shot.camera, shot.t)["alpha"]
+    truth = who.store.pixels(shot).mask
+    assert alpha[truth < 0.01].mean() < 0.1 and alpha[truth > 0.95].mean() > 0.6
+
+
+def test_the_same_seed_gives_the_same_model_and_another_does_not():
+    first, again, other = trainer(), trainer(), trainer(seed=1)
+    for who in (first, again, other):
+        steps(who, 15)
+    assert same(first, again) and not same(first, other)
+
+
+@pytest.mark.parametrize("density", ["default", "mcmc"])
+def test_a_restored_run_goes_on_exactly(tmp_path, density):
+    straight = trainer(density=density)
+    steps(straight, 17)
+    checkpoint.save(tmp_path, *straight.state())
+    steps(straight, 20)
+    capture, store, _ = toy_capture()
+    again = Trainer(capture, store, straight.settings)
+    again.restore(*checkpoint.load(tmp_path))
+    steps(again, 20)
+    assert same(straight, again) and again.iteration == 37
+
+
+def test_another_capture_is_refused(tmp_path):
+    checkpoint.save(tmp_path, *trainer().state())
+    capture, store, _ = toy_capture(frames=3)
+    with pytest.raises(fg.FastGSError, match="another capture"):
+        Trainer(capture, store, settings.settings(**FEW)).restore(*checkpoint.load(tmp_path))
+
+
+def test_a_run_that_is_asked_to_stop_saves_and_stops():
+    who, saved = trainer(), []
+    from fastgs_blender.training.run.progress import Silent
+
+    assert not run(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: who.iteration >= 5)
+    assert who.iteration == 5 and saved[-1] == (5, True)
+    assert run(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: False)
+    assert saved[-1] == (60, True)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_capture(tmp_path_factory.mktemp("toy"))
+
+
+def arguments(capture, out, *more):
+    options = [text for name, value in FEW.items() for text in ("--set", f"{name}={','.join(map(str, value)) if value == () else value}")]
+    return ["train", str(capture), "--out", str(out), "--init", "file", "--set", "checkpoint_seconds=0", *options, *map(str, more)]
+
+
+def fastgs(*args, **options):
+    environment = {**os.environ, "FASTGS_NO_TENSORBOARD": "1"}
+    return subprocess.run([sys.executable, "-m", "fastgs_blender", *args], cwd=ROOT, env=environment, capture_output=True, text=True,
+                          check=False, **options)
+
+
+@pytest.fixture(scope="module")
+def finished(files, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "model"
+    result = fastgs(*arguments(files, out, "--json"))
+    assert result.returncode == 0, result.stderr
+    return out, json.loads(result.stdout)
+
+
+def test_the_command_leaves_a_model_and_its_history(finished):
+    out, report = finished
+    trained = fg.load(out / "model.safetensors")
+    assert len(trained) == report["gaussians"] <= 160 and report["iterations"] == 60
+    assert report["held_out_psnr"] > 14 and report["model_bytes"] == (out / "model.safetensors").stat().st_size
+    assert trained.clip == fg.Clip(6, 24.0, 1) and json.loads(trained.provenance["settings"])["iterations"] == 60
+    status = json.loads((out / "status.json").read_text())
+    assert status["state"] == "finished" and status["iteration"] == 60
+    rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows if "loss" in row] == [20, 40, 60]
+    assert (out / "loss.png").read_bytes()[:4] == b"\x89PNG"
+    assert not list(out.glob(".fastgs-*"))
+
+
+def test_what_is_there_is_not_overwritten(files, finished):
+    out, _ = finished
+    before = (out / "model.safetensors").read_bytes()
+    result = fastgs(*arguments(files, out))
+    assert result.returncode == 2 and "--resume" in result.stderr and (out / "model.safetensors").read_bytes() == before
+    result = fastgs(*arguments(files, out, "--resume", "--order", 2))
+    assert result.returncode == 2 and "order = 0, not 2" in result.stderr
+    result = fastgs(*arguments(files, out, "--resume"))
+    assert result.returncode == 0 and (out / "model.safetensors").read_bytes() == before
+
+
+def test_killed_at_random_and_resumed_it_gives_the_same_file(files, finished, tmp_path):
+    rng = np.random.default_rng(11)
+    out, kills, target = tmp_path / "killed", 0, finished[0] / "model.safetensors"
+    command = [sys.executable, "-m", "fastgs_blender", *arguments(files, out, "--resume", "--quiet")]
+    environment = {**os.environ, "FASTGS_NO_TENSORBOARD": "1"}
+    while kills < 4:
+        process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.DEVNULL)
+        reached = _iteration(out) + int(rng.integers(1, 12))
+        while process.poll() is None and _iteration(out) < reached:
+            time.sleep(0.002)
+        time.sleep(rng.uniform(0, 0.02))
+        process.kill()
+        process.wait()
+        kills += 1
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert (out / "model.safetensors").read_bytes() == target.read_bytes()
+    assert not list(out.glob(".fastgs-*"))
+
+
+def _iteration(out) -> int:
+    """How far the checkpoint of a run is."""
+    try:
+        found = checkpoint.load(out)
+    except fg.FastGSError:
+        return 0
+    return found[1]["iteration"] if found else 0
+
+
+def test_ctrl_c_saves_and_stops(files, tmp_path, finished):
+    out = tmp_path / "stopped"
+    command = [sys.executable, "-m", "fastgs_blender", *arguments(files, out, "--quiet")]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1"})
+    while process.poll() is None and not (out / "checkpoint.safetensors").exists():
+        time.sleep(0.002)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate()
+    assert process.returncode == 130 and "--resume" in said
+    assert json.loads((out / "status.json").read_text())["state"] == "stopped"
+    assert _iteration(out) < 60
+    assert fastgs(*arguments(files, out, "--resume")).returncode == 0
+    assert (out / "model.safetensors").read_bytes() == (finished[0] / "model.safetensors").read_bytes()
+
+
+def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):
+    capture, store, points = toy_capture()
+    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: points)
+    real = checkpoint.save
+    calls = []
+
+    def full(folder, arrays, about):
+        calls.append(about["iteration"])
+        if len(calls) == 3:
+            raise fg.FastGSError("the checkpoint could not be written: No space left on device; what was there before is kept.")
+        real(folder, arrays, about)
+
+    monkeypatch.setattr(checkpoint, "save", full)
+    chosen = session.begin(tmp_path, {**FEW, "iterations": 12, "checkpoint_seconds": 0.0}, lambda w: settings.settings(**w), False, False)
+    report = session.train(capture, store, chosen, tmp_path, quiet=True)
+    assert "No space left" in capsys.readouterr().err and report["iterations"] == 12 and len(calls) > 3
+
+
+@pytest.mark.parametrize("density", ["default", "mcmc"])
+def test_two_processes_are_one_with_twice_the_batch(files, tmp_path, density):
+    one, two = tmp_path / "one", tmp_path / "two"
+    alone = fastgs(*arguments(files, one, "--density", density, "--batch", 2, "--set", "log_every=1"))
+    assert alone.returncode == 0, alone.stderr
+    script = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "fastgs_blender"]
+    both = subprocess.run([*script, *arguments(files, two, "--density", density, "--set", "log_every=1")], cwd=ROOT, capture_output=True,
+                          text=True, check=False, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1", "OMP_NUM_THREADS": "1"})
+    assert both.returncode == 0, both.stderr
+    logs = [[json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()] for out in (one, two)]
+    assert [row["gaussians"] for row in logs[0]] == [row["gaussians"] for row in logs[1]]
+    np.testing.assert_allclose([row["loss"] for row in logs[0]], [row["loss"] for row in logs[1]], rtol=1e-4)
+    a, b = (fg.load(out / "model.safetensors") for out in (one, two))
+    for name, array in a.arrays.items():
+        np.testing.assert_allclose(b.arrays[name], array, atol=1e-3)

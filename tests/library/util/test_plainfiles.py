@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures without Pillow and OpenEXR are what these read and write; generated rigs look where they should; held files are told."""
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+import fastgs_blender as fg
+from fastgs_blender.captures import generated
+from fastgs_blender.captures.points import load_points
+from fastgs_blender.util import locks
+from fastgs_blender.util.plainfiles import read_exr, write_exr, write_png
+
+ROOT = Path(__file__).resolve().parents[3]
+SIDES = st.integers(1, 9)
+
+
+@given(SIDES, SIDES, st.sampled_from([None, 3, 4]), st.integers(0, 2**32 - 1))
+def test_png_is_what_pillow_reads(tmp_path_factory, height, width, channels, seed):
+    pixels = np.random.default_rng(seed).integers(0, 256, (height, width, *([channels] if channels else [])), np.uint8)
+    path = tmp_path_factory.getbasetemp() / "a.png"
+    write_png(path, pixels)
+    assert np.array_equal(np.asarray(Image.open(path)), pixels)
+
+
+@given(SIDES, SIDES, st.sets(st.sampled_from(["Z", "R", "Layer.Combined.G", "a"]), min_size=1), st.integers(0, 2**32 - 1))
+def test_exr_comes_back_and_openexr_reads_it(tmp_path_factory, height, width, names, seed):
+    openexr = pytest.importorskip("OpenEXR")
+    rng = np.random.default_rng(seed)
+    planes = {name: rng.normal(size=(height, width)).astype(np.float32) for name in names}
+    path = tmp_path_factory.getbasetemp() / "a.exr"
+    write_exr(path, planes)
+    again, _ = read_exr(path)
+    with openexr.File(str(path), separate_channels=True) as file:
+        theirs = {name: channel.pixels for name, channel in file.channels().items()}
+    assert set(again) == set(theirs) == set(names)
+    for name, plane in planes.items():
+        assert np.array_equal(again[name], plane) and np.array_equal(theirs[name], plane)
+
+
+def test_other_exrs_and_cut_ones_are_refused(tmp_path):
+    openexr = pytest.importorskip("OpenEXR")
+    plane = np.zeros((4, 5), np.float32)
+    with openexr.File({"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}, {"Z": plane}) as file:
+        file.write(str(tmp_path / "zip.exr"))
+    write_exr(tmp_path / "whole.exr", {"Z": plane})
+    whole = (tmp_path / "whole.exr").read_bytes()
+    for i, data in enumerate(((tmp_path / "zip.exr").read_bytes(), b"", b"\x89PNG", whole[:40], whole[:-1])):
+        (tmp_path / f"{i}.exr").write_bytes(data)
+        with pytest.raises(fg.FastGSError, match="uncompressed EXR"):
+            read_exr(tmp_path / f"{i}.exr")
+
+
+@pytest.mark.parametrize("rig", generated.RIGS)
+def test_rigs_look_at_the_middle_from_different_places(rig):
+    eyes = np.array([1, 2, 3]) + 4 * generated.directions(12, rig)
+    for eye in eyes:
+        matrix = generated.look_at(eye, np.array([1, 2, 3]))
+        assert np.allclose(matrix @ [1, 2, 3, 1], [0, 0, 4, 1]) and np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3))
+        assert matrix[1, 2] < 0, "up in the picture is up in the world"
+    apart = np.linalg.norm(eyes[:, None] - eyes[None], axis=2)[~np.eye(12, dtype=bool)]
+    assert apart.min() > 0.3 and (eyes[:, 2] > 3).all()
+
+
+def test_cover_and_points(tmp_path):
+    code = np.uint32(0x3F001234)
+    identity = np.full((2, 3), 7, np.uint32)
+    identity[0, 1] = code
+    zero = np.zeros((2, 3), np.float32)
+    planes = {f"CryptoObject00.{letter}": zero for letter in "ba"} | {"CryptoObject00.r": identity.view(np.float32)}
+    planes["CryptoObject00.g"] = zero + 0.75
+    share = generated.cover(planes, json.dumps({"Ball": "3f001234", "Floor": "00000009"}), {"Ball"})
+    assert share[0, 1] == 0.75 and np.count_nonzero(share) == 1
+
+    camera = fg.Camera(3, 2, 4.0, 5.0, 1.4, 1.1, generated.look_at(np.array([3.0, -2, 1]), np.zeros(3)))
+    xyz = generated.unproject(camera, zero + 2.5, np.array([0, 1]), np.array([2, 0]))
+    seen = np.c_[xyz, np.ones(2)] @ camera.world_to_camera.T
+    assert np.allclose(seen[:, 2], 2.5)
+    assert np.allclose(4 * seen[:, 0] / 2.5 + 1.4, [2.5, 0.5]) and np.allclose(5 * seen[:, 1] / 2.5 + 1.1, [0.5, 1.5])
+    generated.write_points(tmp_path / "points.ply", xyz, np.array([[0, 128, 255]] * 2), np.array([0.5, np.nan]))
+    points = load_points(tmp_path / "points.ply")
+    assert np.allclose(points.xyz, xyz) and np.allclose(points.rgb[0], [0, 128 / 255, 1])
+    assert points.t[0] == 0.5 and np.isnan(points.t[1])
+
+
+def test_a_held_file_is_free_when_its_process_is_killed(tmp_path):
+    path = tmp_path / "lock"
+    assert not locks.is_held(path)
+    code = "import sys, time; from fastgs_blender.util import locks; f = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
+    child = subprocess.Popen([sys.executable, "-c", code, path], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        assert child.stdout.readline() == "held\n"
+        assert locks.is_held(path) and locks.hold(path) is None
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+    assert not locks.is_held(path)
+    with locks.hold(path) as mine:
+        assert mine is not None
