@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reading files from outside.  One place opens them, bounds what they may cost, and turns whatever fails into FastGSError.
+
+Every reader of models, captures, cameras, checkpoints, job and status files goes through here:
+
+    with reading(path, "export it again"):         # any exception within becomes one sentence about `path`
+        data = read_bytes(path, limit=LARGEST)     # regular files only, never more than `limit` bytes
+"""
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import BinaryIO
+
+from .errors import FastGSError
+
+LARGEST_JSON = 512 * 2**20
+"""Bytes of the largest JSON file that is read."""
+DAMAGED = "the file is damaged or of another kind, so copy or export it again"
+
+
+@contextmanager
+def reading(path, advice: str = DAMAGED) -> Iterator[None]:
+    """Turn whatever fails in the block into FastGSError that names `path`, gives the reason and ends with the advice.
+
+    A FastGSError passes through as it is: it says more.  Libraries that parse files raise nearly anything on damaged ones, which
+    is why everything but an interruption is caught here, and nowhere else.
+    """
+    try:
+        yield
+    except FastGSError:
+        raise
+    except FileNotFoundError as error:
+        raise FastGSError(f"{path}: there is no such file; check the name and the folder.") from error
+    except MemoryError as error:
+        raise FastGSError(f"{path}: there is too little memory to read it, or {advice}.") from error
+    except OSError as error:
+        raise FastGSError(f"{path}: it cannot be read ({error.strerror or error}); check the file and its permissions.") from error
+    except Exception as error:
+        raise FastGSError(f"{path}: it cannot be read ({_reason(error)}); {advice}.") from error
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    name = type(error).__name__
+    return name if not text else f"{name}: {text[:200]}" if isinstance(error, LookupError) else text[:200]
+
+
+def open_file(path) -> BinaryIO:
+    """A regular file, opened for reading bytes; raises FastGSError for anything else.
+
+    A pipe or a device would make its reader wait for ever; opening it without blocking, and looking before reading, does not.
+    """
+    with reading(path):
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0))
+        try:
+            mode = os.fstat(handle).st_mode
+            if stat.S_ISDIR(mode):
+                raise FastGSError(f"{path}: this is a folder, not a file; give the name of a file in it.")
+            if not stat.S_ISREG(mode):
+                raise FastGSError(f"{path}: this is a pipe or a device, not an ordinary file; copy what it gives into a file first.")
+            return os.fdopen(handle, "rb")
+        except BaseException:
+            os.close(handle)
+            raise
+
+
+def read_bytes(path, limit: int) -> bytes:
+    """All bytes of a regular file of at most `limit` bytes; raises FastGSError."""
+    with reading(path), open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
+            raise FastGSError(f"{path}: it has {size} bytes, which is more than such a file may have ({limit}); choose another file.")
+        return file.read(limit)
+
+
+def read_text(path, limit: int = LARGEST_JSON) -> str:
+    """The text of a UTF-8 file, with or without a byte order mark; raises FastGSError."""
+    with reading(path):
+        return read_bytes(path, limit).decode("utf-8-sig")
+
+
+def read_json(path, limit: int = LARGEST_JSON, advice: str = "it is not JSON, or cut short; copy or export it again"):
+    """The JSON value in a file; raises FastGSError."""
+    with reading(path, advice):
+        return json.loads(read_bytes(path, limit).decode("utf-8-sig"))
