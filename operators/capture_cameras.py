@@ -13,7 +13,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Quaternion
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.cameras.moves import one_sign, quaternions
+from ..fastgs_blender.util import rotations
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import camera as cameras
 from ..scene.cameras import keys as camera_keys
@@ -85,7 +85,7 @@ def set_pose(obj: bpy.types.Object, camera: fg.Camera) -> None:
     pose = cameras.pose_of(camera)
     obj.rotation_mode = 'QUATERNION'
     obj.location = pose[:3, 3]
-    obj.rotation_quaternion = Quaternion(quaternions(pose[None, :3, :3])[0])
+    obj.rotation_quaternion = Quaternion(rotations.from_matrices(pose[:3, :3]))
 
 
 def animate(obj: bpy.types.Object, shots: list[fg.Camera], frames: np.ndarray) -> None:
@@ -93,7 +93,8 @@ def animate(obj: bpy.types.Object, shots: list[fg.Camera], frames: np.ndarray) -
     poses = np.array([cameras.pose_of(camera) for camera in shots])
     optics = [cameras.optics_of(camera) for camera in shots]
     obj.rotation_mode = 'QUATERNION'
-    tracks = [(obj, "location", poses[:, :3, 3]), (obj, "rotation_quaternion", one_sign(quaternions(poses[:, :3, :3])))]
+    turns = rotations.one_sign(rotations.from_matrices(poses[:, :3, :3]))
+    tracks = [(obj, "location", poses[:, :3, 3]), (obj, "rotation_quaternion", turns)]
     tracks += [(obj.data, name, np.array([getattr(o, name) for o in optics])[:, None]) for name in ("lens", "shift_x", "shift_y")]
     for owner, name, values in tracks:
         if len(frames) > 1 and (owner is obj or np.ptp(values) > 1e-7 * max(abs(values).max(), 1e-3)):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..util import rotations
 from ..util.errors import FastGSError
 
 TABLE = 2048
@@ -61,7 +62,7 @@ def orbit(s, centre, radius: float, elevation: float, start: float, turns: float
     # right = z x out, which never vanishes on the way, unlike a comparison with the up axis
     right = np.stack([-np.sin(around), np.cos(around), np.zeros_like(s)], -1)
     matrix = np.stack([right, np.cross(out, right), out], -1)
-    return Path(np.asarray(centre) + radius * out, one_sign(quaternions(matrix)), np.full(s.shape, float(focal)))
+    return Path(np.asarray(centre) + radius * out, rotations.one_sign(rotations.from_matrices(matrix)), np.full(s.shape, float(focal)))
 
 
 def dolly(s, position, rotation, direction, distance: float, focal: float, subject: float | None = None) -> Path:
@@ -90,7 +91,7 @@ def through(s, poses: Path, closed: bool = False) -> Path:
     if count < 2 + closed:
         raise FastGSError(f"a {'closed path needs three' if closed else 'path needs two'} cameras at least; select more.")
     rows = np.append(np.arange(count), 0) if closed else np.arange(count)
-    rotation = one_sign(poses.rotation[rows])
+    rotation = rotations.one_sign(poses.rotation[rows])
     points = np.concatenate([poses.position, np.log(poses.focal)[:, None]], 1)[rows]
     knots = np.arange(len(rows), dtype=np.float64)
     second = _second_derivatives(points, closed)
@@ -120,25 +121,6 @@ def held_inside(path: Path, cameras, margin: float) -> Path:
     return replace(path, position=near + away * np.minimum(1, margin / np.maximum(distance, 1e-30)))
 
 
-def quaternions(matrix: np.ndarray) -> np.ndarray:
-    """Unit quaternions [..., 4], w x y z, of rotation matrices [..., 3, 3] (Bar-Itzhack's eigenvector, stable everywhere)."""
-    m = np.asarray(matrix, np.float64)
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(m, (-2, -1), (0, 1))
-    k = np.stack([
-        np.stack([xx + yy + zz, zy - yz, xz - zx, yx - xy], -1), np.stack([zy - yz, xx - yy - zz, xy + yx, xz + zx], -1),
-        np.stack([xz - zx, xy + yx, yy - xx - zz, yz + zy], -1), np.stack([yx - xy, xz + zx, yz + zy, zz - xx - yy], -1),
-    ], -2)
-    q = np.linalg.eigh(k)[1][..., -1]
-    return np.where(q[..., :1] < 0, -q, q)
-
-
-def one_sign(q: np.ndarray) -> np.ndarray:
-    """The same rotations [M, 4], each quaternion on the side of the one before it."""
-    turns = np.sign((q[1:] * q[:-1]).sum(-1))
-    turns[turns == 0] = 1
-    return q * np.concatenate([[1.0], np.cumprod(turns)])[:, None]
-
-
 def _second_derivatives(points, closed):
     """Of the cubic spline through points [K, D] at whole numbers: natural at its ends, or without ends."""
     n = len(points)
@@ -162,41 +144,22 @@ def _cubic(u, points, second):
     return a * points[i] + b * points[i + 1] + ((a**3 - a) * second[i] + (b**3 - b) * second[i + 1]) / 6
 
 
-def _multiply(p, q):
-    pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    return np.concatenate([pw * qw - (pv * qv).sum(-1, keepdims=True), pw * qv + qw * pv + np.cross(pv, qv)], -1)
-
-
-def _log(q):
-    v = q[..., 1:]
-    norm = np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.arctan2(norm, q[..., :1]) * np.divide(v, norm, out=np.zeros_like(v), where=norm > 1e-15)
-
-
-def _exp(v):
-    angle = np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(angle), np.sinc(angle / np.pi) * v], -1)
-
-
-def _slerp(p, q, b):
-    return _multiply(p, _exp(b * _log(_multiply(p * [1, -1, -1, -1], q))))
-
-
 def _squad(u, q, closed):
     """Spherical quadrangle spline through q [K, 4] at whole numbers."""
-    inverse = q * [1, -1, -1, -1]
     onward, back = np.roll(q, -1, 0), np.roll(q, 1, 0)
     if closed:
         onward[-1], back[0] = q[1], q[-2]
     else:
         onward[-1], back[0] = q[-1], q[0]
     onward, back = (np.where((q * other).sum(-1, keepdims=True) < 0, -other, other) for other in (onward, back))
-    control = _multiply(q, _exp(-0.25 * (_log(_multiply(inverse, onward)) + _log(_multiply(inverse, back)))))
+    to_next, to_last = (rotations.log(rotations.multiply(rotations.inverse(q), other)) for other in (onward, back))
+    control = rotations.multiply(q, rotations.exp(-0.25 * (to_next + to_last)))
     if not closed:  # an end has no neighbour beyond it: it is its own control, so that two poses give the slerp
         control[0], control[-1] = q[0], q[-1]
     i = np.clip(u.astype(int), 0, len(q) - 2)
     b = (u - i)[:, None]
-    return one_sign(_slerp(_slerp(q[i], q[i + 1], b), _slerp(control[i], control[i + 1], b), 2 * b * (1 - b)))
+    between, beside = rotations.slerp(q[i], q[i + 1], b), rotations.slerp(control[i], control[i + 1], b)
+    return rotations.one_sign(rotations.slerp(between, beside, 2 * b * (1 - b)))
 
 
 def _nearest(points, cameras):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..util import rotations
 from ..util.errors import FastGSError
 from .cameras_json import LARGEST_SIDE
 from .lens import Intrinsics
@@ -114,10 +115,7 @@ def from_quaternion(quaternion, translation, where: str) -> np.ndarray:
     length = np.linalg.norm(q)
     if length < 1e-6 or not np.isfinite(length):
         raise FastGSError(f"{where}: its quaternion must not be 0.")
-    w, x, y, z = q / length
     pose = np.eye(4)
-    pose[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+    pose[:3, :3] = rotations.to_matrices(q / length)
     pose[:3, 3] = t
     return pose

@@ -13,8 +13,9 @@ import numpy as np
 from ..model.appearance import RGB, SH, SH_C0, Features
 from ..model.gaussians import GaussianModel
 from ..model.motion import Basis, Polynomial, Static
-from ..model.slicing import sigmoid, unit_quaternions
+from ..model.slicing import sigmoid
 from ..model.temporal import Always, Radial, Window, WindowedRadial
+from ..util import rotations
 
 CHUNK = 1 << 20
 """Numbers held at once while fitting."""
@@ -143,7 +144,7 @@ def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
     fits = polynomial(basis, model.rotation, model.rotation_motion, model.mu_tau, model.mu_tau, *lifetimes(model), 1, samples)
     for part, fit, true, fitted in fits:
         rotation[part], turn[part] = fit[:, 0], fit[:, 1:]
-        cosine = np.abs(np.sum(unit_quaternions(true) * unit_quaternions(fitted), -1))
+        cosine = np.abs(np.sum(rotations.unit(true) * rotations.unit(fitted), -1))
         error += np.sum(np.degrees(2 * np.arccos(np.minimum(cosine, 1))) ** 2)
     rms = sqrt(error / max(1, len(model) * samples))
     lost = [f"its rotation ({basis.name}, {basis.terms} terms) becomes linear in time, RMS error {rms:.3g} degrees"]

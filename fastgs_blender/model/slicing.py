@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..util import rotations
 from .appearance import Features
 from .gaussians import GaussianModel
 from .motion import Static
@@ -39,13 +40,6 @@ def sigmoid(x):
     return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float64)))
 
 
-def unit_quaternions(q: np.ndarray) -> np.ndarray:
-    """Normalised quaternions [M, 4]; those that vanish become the identity, those that are no numbers stay so."""
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    vanishing = norm <= 1e-12
-    return np.where(vanishing, [1.0, 0, 0, 0], q / np.where(vanishing, 1, norm))
-
-
 def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     """The model at time t (any real number).
 
@@ -63,7 +57,7 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     return Slice(
         index=index,
         position=model.position[index] + offset,
-        rotation=unit_quaternions(model.rotation[index] + turn),
+        rotation=rotations.unit(model.rotation[index] + turn),
         scale=np.exp(model.scale[index].astype(np.float64)),
         opacity=sigma[index],
         features=features,

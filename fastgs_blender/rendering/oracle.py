@@ -13,6 +13,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.appearance import SH, Features, decode, sh_basis
 from ..model.slicing import Slice, slice_model
+from ..util import rotations
 from .crops import shown
 from .scene import Buffers, Layout, Part
 
@@ -38,16 +39,6 @@ class Splats:
     alpha_cut: np.ndarray
 
 
-def rotation_matrices(q: np.ndarray) -> np.ndarray:
-    """Rotation matrices [M, 3, 3] of unit quaternions w x y z [M, 4]."""
-    w, x, y, z = q.T
-    return np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ], -1).reshape(-1, 3, 3)
-
-
 def colours(s: Slice, part: Part, camera: Camera) -> np.ndarray:
     """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
     appearance = part.model.appearance
@@ -69,7 +60,7 @@ def project(part: Part, camera: Camera, layout: Layout) -> Splats:
     linear, origin = part.model_to_camera[:3, :3], part.model_to_camera[:3, 3]
     view = s.position @ linear.T + origin
     z = view[:, 2]
-    factor = linear @ rotation_matrices(s.rotation) * s.scale[:, None, :]
+    factor = linear @ rotations.to_matrices(s.rotation) * s.scale[:, None, :]
     seen = shown(part.crops, s.position) & (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..util import rotations
 from .sampling import triangle_normals
 
 
@@ -46,8 +47,8 @@ def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) ->
     stretch = np.stack([length, np.divide(area_ratio, length, out=np.zeros_like(length), where=length > 0)], -1).max(0)
     x = x / np.where(valid, length, 1)[..., None]
     z = normal / np.where(valid, double_area, 1)[..., None]
-    q = _fill(quaternions(np.stack([x, np.cross(z, x), z], -1)), valid)
-    return Tangents(_continuous(q), np.where(flat[:, None], 1.0, stretch))
+    q = _fill(rotations.from_matrices(np.stack([x, np.cross(z, x), z], -1)), valid)
+    return Tangents(rotations.one_sign(q), np.where(flat[:, None], 1.0, stretch))
 
 
 def plane(edges: np.ndarray):
@@ -78,24 +79,6 @@ def _most_stretched(edges, inverse):
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
-def quaternions(axes: np.ndarray) -> np.ndarray:
-    """Unit quaternions [..., 4] w x y z of rotation matrices [..., 3, 3] whose columns are the axes.
-
-    Of the four equivalent formulas each matrix gets the one with the largest divisor (Shepperd 1978).
-    """
-    m = axes
-    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
-    trace = d.sum(-1, keepdims=True)
-    squares = np.concatenate([1 + trace, 1 - trace + 2 * d], -1)  # 4 w^2, 4 x^2, 4 y^2, 4 z^2
-    s, p = m - np.swapaxes(m, -1, -2), m + np.swapaxes(m, -1, -2)
-    wx, wy, wz = s[..., 2, 1], s[..., 0, 2], s[..., 1, 0]
-    xy, xz, yz = p[..., 0, 1], p[..., 0, 2], p[..., 1, 2]
-    w2, x2, y2, z2 = np.moveaxis(squares, -1, 0)
-    rows = np.stack([np.stack(r, -1) for r in ((w2, wx, wy, wz), (wx, x2, xy, xz), (wy, xy, y2, yz), (wz, xz, yz, z2))], -2)
-    q = np.take_along_axis(rows, squares.argmax(-1)[..., None, None], -2)[..., 0, :]
-    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-30)
-
-
 def _fill(q, valid):
     """Quaternions [S, U, 4]; where not valid [S, U] those of the nearest valid time before, else after, else none at all."""
     if valid.all():
@@ -106,10 +89,3 @@ def _fill(q, valid):
     source = np.where(before >= 0, before, first)
     filled = np.take_along_axis(q, np.maximum(source, 0)[..., None], 0)
     return np.where(source[..., None] >= 0, filled, [1.0, 0, 0, 0])
-
-
-def _continuous(q):
-    """The same rotations [S, U, 4], of q and -q always the one nearer to the time before; w >= 0 at first."""
-    flip = np.where(np.einsum("sud,sud->su", q[1:], q[:-1]) < 0, -1.0, 1.0)
-    sign = np.concatenate([np.where(q[:1, :, 0] < 0, -1.0, 1.0), flip]).cumprod(0)
-    return q * sign[..., None]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 import fastgs_blender as fg
-from fastgs_blender.model.slicing import unit_quaternions
-from fastgs_blender.rendering.oracle import rotation_matrices
+from fastgs_blender.util import rotations
 
 
 def random_pose(rng: np.random.Generator, distance: float) -> np.ndarray:
     """World-to-camera [4, 4]: a random rotation, the origin `distance` in front of the camera and a little off axis."""
     pose = np.eye(4)
-    pose[:3, :3] = rotation_matrices(unit_quaternions(rng.normal(size=(1, 4))))[0]
+    pose[:3, :3] = rotations.to_matrices(rotations.unit(rng.normal(size=(1, 4))))[0]
     pose[:3, 3] = rng.normal(0, 0.3, 3) + (0, 0, distance)
     return pose
 

@@ -15,7 +15,6 @@ from ...util.outputs import replacing
 from .. import poses
 from ..camera import Camera
 from ..cameras_json import LARGEST_SIDE
-from ..moves import quaternions
 
 MOST_FRAMES = 1_000_000
 
@@ -67,11 +66,6 @@ def camera_to_world(camera: Camera) -> np.ndarray:
 def opengl_to_world(camera: Camera) -> np.ndarray:
     """Camera-to-world [4, 4] of a camera that looks along -z with y up."""
     return camera_to_world(camera) @ poses.OPENGL
-
-
-def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion [4], w x y z, of a rotation matrix [3, 3]."""
-    return quaternions(np.asarray(rotation)[None])[0]
 
 
 def symmetric(width: int, height: int, focal: float, pose: np.ndarray) -> Camera:

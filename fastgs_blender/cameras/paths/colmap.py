@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from ...util import rotations
 from ...util.errors import FastGSError, LossWarning
 from ...util.outputs import replacing
 from ..colmap_files import has_model, read_images
 from ..lens import pinhole_for
-from .base import CameraPath, quaternion, refuse_orthographic
+from .base import CameraPath, refuse_orthographic
 
 name, label = "colmap", "COLMAP model (folder)"
 PLACES = ("", "sparse/0", "sparse")
@@ -41,7 +42,7 @@ def save(path: CameraPath, folder, picture) -> None:
         key = camera.width, camera.height, *(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
         number = cameras.setdefault(key, len(cameras) + 1)
         pose = camera.world_to_camera
-        numbers = [repr(float(v)) for v in (*quaternion(pose[:3, :3]), *pose[:3, 3])]
+        numbers = [repr(float(v)) for v in (*rotations.from_matrices(pose[:3, :3]), *pose[:3, 3])]
         images += [" ".join([f"{i + 1}", *numbers, f"{number}", f"frame_{path.start_frame + i:05d}.png"]), ""]
     rows = [f"{number} PINHOLE {w} {h} {' '.join(map(repr, rest))}" for (w, h, *rest), number in cameras.items()]
     texts = {"cameras.txt": ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows],

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...util import rotations
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
@@ -21,7 +22,6 @@ from .base import (
     camera_to_world,
     degrees_of,
     focal_of,
-    quaternion,
     refuse_orthographic,
     symmetric,
     warn_of_losses,
@@ -71,7 +71,7 @@ def save(path: CameraPath, file, picture) -> None:
     keys = []
     for i, camera in enumerate(path.cameras):
         pose = camera_to_world(camera)
-        w, x, y, z = quaternion(CYCLE @ pose[:3, :3]).tolist()
+        w, x, y, z = rotations.from_matrices(CYCLE @ pose[:3, :3]).tolist()
         keys.append({"R": [x, y, z, w], "T": (CYCLE @ (pose[:3, 3] * SCALE + OFFSET)).tolist(), "slice": 0.0, "scale": 1.0,
                      "fov": degrees_of(camera.fy, camera.height), "aperture_size": 0.0, "timestamp": (i + 1) / fps})
     write_json(file, {"loop": False, "time": 0.0, "path": keys, "duration_seconds": len(keys) / fps, "spline_order": 1})

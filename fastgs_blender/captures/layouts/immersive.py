@@ -17,6 +17,7 @@ import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Lens
+from ...util import rotations
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
 from ..rigs import RigCamera, from_rig
@@ -85,9 +86,7 @@ def _intrinsics(entry, where):
 def _pose(entry, where) -> np.ndarray:
     centre = poses.numbers(_field(entry, "position", where), (3,), f"{where}: its position")
     axis = poses.numbers(_field(entry, "orientation", where), (3,), f"{where}: its orientation")
-    half = np.linalg.norm(axis) / 2
-    quaternion = np.r_[np.cos(half), axis * np.sinc(half / np.pi) / 2]
-    pose = poses.from_quaternion(quaternion, np.zeros(3), where)
+    pose = poses.from_quaternion(rotations.exp(axis / 2), np.zeros(3), where)
     pose[:3, 3] = -pose[:3, :3] @ centre
     return pose
 

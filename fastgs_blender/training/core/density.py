@@ -11,7 +11,8 @@ from math import comb
 import numpy as np
 
 from ...model.appearance import Features
-from ...model.slicing import sigmoid, unit_quaternions
+from ...model.slicing import sigmoid
+from ...util import rotations
 from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 
@@ -202,7 +203,7 @@ class MCMC(Strategy):
         rng = generator(self.settings.seed, NOISE, iteration)
         reach = self.settings.noise * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
         step = rng.standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]
-        axes = rotation_matrices(arrays["rotation"][rows])
+        axes = _axes(arrays, rows)
         scale = np.exp(arrays["scale"][rows].astype(np.float64))
         arrays["position"][rows] += np.einsum("nij,nj,nkj,nk->ni", axes, scale**2, axes, step).astype(np.float32)
 
@@ -227,19 +228,15 @@ def shift(arrays, centre, template):
         arrays["features"][:, 6:9] = 0
 
 
-def rotation_matrices(quaternions) -> np.ndarray:
-    """[M, 3, 3] of quaternions w x y z, normalised here."""
-    w, x, y, z = unit_quaternions(np.asarray(quaternions, np.float64)).T
-    return np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1).reshape(-1, 3, 3)
+def _axes(arrays, rows):
+    """Rotation matrices [M, 3, 3] of Gaussians, float64."""
+    return rotations.to_matrices(rotations.unit(arrays["rotation"][rows].astype(np.float64)))
 
 
 def _inside(arrays, rows, rng):
     """Random steps [M, 3] float32 with the distribution of each Gaussian."""
     local = rng.standard_normal((len(rows), 3)) * np.exp(arrays["scale"][rows].astype(np.float64))
-    return np.einsum("nij,nj->ni", rotation_matrices(arrays["rotation"][rows]), local).astype(np.float32)
+    return np.einsum("nij,nj->ni", _axes(arrays, rows), local).astype(np.float32)
 
 
 def _spread(opacity, count):

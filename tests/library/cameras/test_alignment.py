@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.alignment import ground_from_cameras, ground_from_points
-from fastgs_blender.rendering.oracle import rotation_matrices
+from fastgs_blender.util.rotations import to_matrices
 
 
 def random_rotation(rng):
     q = rng.normal(size=4)
-    return rotation_matrices((q / np.linalg.norm(q))[None])[0]
+    return to_matrices((q / np.linalg.norm(q))[None])[0]
 
 
 def applied(motion, points):

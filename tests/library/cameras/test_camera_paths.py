@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, load_path, save_path
-from fastgs_blender.rendering.oracle import rotation_matrices
 from fastgs_blender.util.errors import LossWarning
+from fastgs_blender.util.rotations import to_matrices
 
 NAMES = [module.name for module in FORMATS]
 FULL = ("own", "cameras.json", "colmap")
@@ -28,7 +28,7 @@ def random_path(rng, frames: int, full: bool, level: bool) -> CameraPath:
     cameras = []
     for _ in range(frames):
         q = rng.normal(size=4)
-        rotation = rotation_matrices((q / np.linalg.norm(q))[None])[0]
+        rotation = to_matrices((q / np.linalg.norm(q))[None])[0]
         if level:
             forward = rotation[2] * [1, 0.5, 1]
             right = np.cross([0, 1, 0], forward)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import fastgs_blender as fg
 from fastgs_blender.cameras import moves
-from fastgs_blender.rendering.oracle import rotation_matrices
+from fastgs_blender.util import rotations
 
 S = np.linspace(0, 1, 1201)
 
@@ -17,7 +17,7 @@ def poses(rng, count):
     steps = np.concatenate([rng.normal(size=(count, 3)) * 0.3, np.ones((count, 1))], 1)[:, [3, 0, 1, 2]]
     q = [np.array([1.0, 0, 0, 0])]
     for step in steps[1:]:
-        q.append(moves._multiply(q[-1], step / np.linalg.norm(step)))
+        q.append(rotations.multiply(q[-1], step / np.linalg.norm(step)))
     angle = np.cumsum(rng.uniform(0.5, 1.0, count)) * 5 / count
     position = np.stack([np.cos(angle), np.sin(angle), 0.3 * np.cos(2 * angle)], -1) * rng.uniform(3, 4, (count, 1))
     return moves.Path(position, np.array(q), rng.uniform(20, 80, count))
@@ -69,7 +69,7 @@ def test_an_orbit_looks_at_its_centre_and_keeps_its_distance(elevation):
     centre = np.array([1.0, -2.0, 3.0])
     path = moves.orbit(S, centre, 4.0, elevation, 0.3, -1.5, 35.0)
     np.testing.assert_allclose(np.linalg.norm(path.position - centre, axis=1), 4)
-    matrices = rotation_matrices(path.rotation)
+    matrices = rotations.to_matrices(path.rotation)
     np.testing.assert_allclose(-matrices[:, :, 2], (centre - path.position) / 4, atol=1e-9)
     np.testing.assert_allclose(matrices[:, 2, 0], 0, atol=1e-9)  # level: the picture's x axis lies in the ground plane
     assert largest_jump(path.position) < 0.05 and largest_jump(path.rotation) < 0.05

@@ -10,7 +10,7 @@ from fastgs_blender.model.fitting import SAFE, Fit, choose, motion_families, rot
 from fastgs_blender.model.motion import Cosine, Static
 from fastgs_blender.surfaces.borders import distance_to_borders, find_borders
 from fastgs_blender.surfaces.sampling import near_pairs, sample_surface
-from fastgs_blender.surfaces.tangents import quaternions, tangents
+from fastgs_blender.surfaces.tangents import tangents
 
 
 def places(points, triangles, samples):
@@ -96,17 +96,6 @@ def test_coefficients_are_the_least_squares():
     truth = np.linalg.lstsq(fit.design, values.reshape(40, -1), rcond=None)[0]
     assert np.allclose(coefficients.reshape(6, -1), truth)
     assert np.abs(np.einsum("sk,snd->knd", fit.design, fitted - values)).max() < 1e-9  # what is left is orthogonal
-
-
-@given(st.integers(0, 10_000))
-def test_quaternions_of_rotations(seed):
-    q = np.random.default_rng(seed).normal(size=4)
-    q /= np.linalg.norm(q)
-    w, x, y, z = q
-    matrix = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                       [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                       [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
-    assert abs(abs(quaternions(matrix) @ q) - 1) < 1e-12
 
 
 def test_frames_turn_with_their_triangle_without_jumps_of_sign():
