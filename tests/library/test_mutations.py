@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The campaigns of mutated files see every kind of failure, name it so that it can be replayed, and pass a good reader."""
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import time
+import warnings
+
+import mutations
+import pytest
+
+from fastgs_blender.util.errors import FastGSError
+from fastgs_blender.util.reading import read_json
+
+SEEDS = {"a": {"x.json": json.dumps({"n": 3, "names": ["b", "c"], "inner": json.dumps({"deep": [1.5, True]})}).encode()}}
+
+
+def good(folder):
+    read_json(folder / "x.json")
+
+
+def failing(how):
+    """A reader that fails as told where the number is not 3."""
+    def read(folder):
+        content = read_json(folder / "x.json")
+        if not isinstance(content, dict) or content.get("n") != 3:
+            how()
+    return read
+
+
+def fail_with(error):
+    def how():
+        raise error
+    return how
+
+
+def grab():
+    try:
+        return bytearray(3 << 30)
+    except MemoryError as error:
+        raise FastGSError("no memory.") from error
+
+
+def test_a_good_reader_passes(tmp_path):
+    told = mutations.campaign("good", good, SEEDS, tmp_path)
+    assert min(told.values()) > 20
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
+@pytest.mark.parametrize(("how", "said"), [
+    (fail_with(KeyError("n")), "KeyError"), (fail_with(FastGSError("two\nlines")), "one printable sentence"),
+    (lambda: os.kill(os.getpid(), signal.SIGSEGV), "ended the process with -11"), (lambda: os._exit(3), "ended the process with 3"),
+    (lambda: warnings.warn("hm", stacklevel=1), "UserWarning"), (grab, "more memory"),
+])
+def test_failures_are_seen_and_named(tmp_path, how, said):
+    with pytest.raises(AssertionError, match=said) as failed:
+        mutations.campaign("bad", failing(how), SEEDS, tmp_path)
+    assert 'FASTGS_MUTATION="bad/a/' in str(failed.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
+@pytest.mark.parametrize("how", [lambda: time.sleep(1000), lambda: [None for _ in iter(int, 1)]])
+def test_waiting_and_endless_work_are_ended(tmp_path, monkeypatch, how):
+    monkeypatch.setattr(mutations, "SILENCE", 1)
+    monkeypatch.setattr(mutations, "CPU", 0.2)
+    monkeypatch.setattr(mutations, "MOST", 1)
+    with pytest.raises(AssertionError, match="waited for|ended the process"):
+        mutations.campaign("bad", failing(how), SEEDS, tmp_path)
+
+
+def test_a_failure_is_replayed_in_this_process(tmp_path, monkeypatch):
+    reader = failing(fail_with(KeyError("n")))
+    with pytest.raises(AssertionError) as failed:
+        mutations.campaign("bad", reader, SEEDS, tmp_path)
+    monkeypatch.setenv("FASTGS_MUTATION", str(failed.value).split('"')[1])
+    with pytest.raises(KeyError):
+        mutations.campaign("bad", reader, SEEDS, tmp_path)
+
+
+def test_the_same_number_gives_the_same_mutation():
+    data = SEEDS["a"]["x.json"]
+    first = [mutations.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
+    assert first == [mutations.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
+    assert len(set(first)) > 150
