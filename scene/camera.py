@@ -58,11 +58,22 @@ def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | 
     cx, cy = width / 2 * (1 + centre_x), height / 2 * (1 - centre_y)
     if shift_x is not None:
         cx -= (shift_x - data.shift_x) * _shift_unit(data.sensor_fit, width, height, aspect_x, aspect_y)
-    pose = np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64)
-    pose[:3, :3] /= np.maximum(np.linalg.norm(pose[:3, :3], axis=0), 1e-30)  # a camera's own scale does not count
+    pose = _unscaled(obj, np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64))
     return fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=cx, cy=cy,
                      world_to_camera=OPENCV @ np.linalg.inv(pose), orthographic=orthographic,
                      near=data.clip_start, window=frame.window)
+
+
+def _unscaled(obj, pose: np.ndarray) -> np.ndarray:
+    """A camera's pose [4, 4] without its scale, which does not count.  Raises FastGSError where no directions are left."""
+    length = np.linalg.norm(pose[:3, :3], axis=0)
+    if not np.isfinite(pose).all() or length.min() < 1e-30:
+        problem = "has a scale of 0" if np.isfinite(pose).all() else "stands or is turned by numbers that are not finite"
+        raise fg.FastGSError(f'the camera "{obj.name}" {problem}; give it a scale of 1 and look at its transform and its parents.')
+    pose[:3, :3] /= length
+    if abs(np.linalg.det(pose[:3, :3])) < 1e-9:
+        raise fg.FastGSError(f'the camera "{obj.name}" is sheared flat by its parents; clear their scale.')
+    return pose
 
 
 def _shift_unit(fit: str, width: int, height: int, aspect_x: float, aspect_y: float) -> float:

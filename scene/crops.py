@@ -19,7 +19,7 @@ def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     made = []
     for item in used:
         box = np.array(_world(item.object.original, depsgraph), np.float64) @ extent(item.object)
-        flat = abs(np.linalg.det(box)) < 1e-30
+        flat = not (np.isfinite(box).all() and abs(np.linalg.det(box)) > 1e-30)
         made.append(Crop(np.full((4, 4), np.nan) if flat else np.linalg.inv(box) @ world, item.mode == 'REMOVE'))
     return tuple(made)
 

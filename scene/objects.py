@@ -14,15 +14,17 @@ import bpy
 from mathutils import Matrix
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.util.identity import FileIdentity, status_of
+from ..fastgs_blender.util.reading import reading
 
 log = logging.getLogger(__name__)
 
 
 @dataclass
 class _Entry:
-    """What became of a file: its model, or the sentence that says why there is none."""
+    """A file that was read: its model, or the sentence that says why it has none."""
 
-    stamp: tuple[int, int]
+    identity: FileIdentity
     model: fg.GaussianModel | None = None
     error: str | None = None
 
@@ -68,10 +70,9 @@ def load_model(path: str) -> fg.GaussianModel:
     with _lock:
         loading = _loading.setdefault(path, threading.Lock())
     with loading:
-        stamp = _stamp(path)
         entry = _entries.get(path)
-        if entry is None or entry.stamp != stamp:
-            entry = _read(path, stamp)
+        if entry is None or not entry.identity.same():
+            entry = _read(path)
             with _lock:
                 _entries[path] = entry
     if entry.model is None:
@@ -80,7 +81,7 @@ def load_model(path: str) -> fg.GaussianModel:
 
 
 def error_of(obj: bpy.types.Object) -> str | None:
-    """Why an object cannot be shown, as far as known without reading its file; None where nothing speaks against it.
+    """Why an object cannot be shown, as a sentence, or None where nothing is known to be wrong.  Its file is not read.
 
     Cheap enough for a panel's draw().
     """
@@ -88,15 +89,15 @@ def error_of(obj: bpy.types.Object) -> str | None:
     if not path:
         return None
     try:
-        stamp = _stamp(path)
+        status = status_of(path)
     except fg.FastGSError as error:
         return str(error)
     entry = _entries.get(path)
-    return entry.error if entry and entry.stamp == stamp else None
+    return entry.error if entry and entry.identity.status == status else None
 
 
 def reloads() -> int:
-    """How often reload() was called: whoever keeps models must ask for them again when this changes."""
+    """How often reload() was called.  Code that keeps models calls load_model() again when this number changes."""
     return _reloads
 
 
@@ -124,7 +125,7 @@ def clear():
 
 
 def loaded_bytes() -> int:
-    """Memory of the models at hand."""
+    """Bytes of the models in memory."""
     with _lock:
         return sum(e.model.nbytes for e in _entries.values() if e.model)
 
@@ -133,21 +134,12 @@ def _key(path: str) -> str:
     return os.path.normpath(os.path.abspath(path))
 
 
-def _stamp(path: str) -> tuple[int, int]:
+def _read(path: str) -> _Entry:
+    identity = FileIdentity.of(path)
     try:
-        status = os.stat(path)
-    except OSError:
-        raise fg.FastGSError(f"{path}: there is no such file; choose it again or put it back.") from None
-    return status.st_mtime_ns, status.st_size
-
-
-def _read(path: str, stamp: tuple[int, int]) -> _Entry:
-    try:
-        return _Entry(stamp, model=fg.load(path))
+        with reading(path):
+            return _Entry(identity, model=fg.load(path))
     except fg.FastGSError as error:
-        return _Entry(stamp, error=str(error))
-    except (OSError, MemoryError) as error:
-        return _Entry(stamp, error=f"{path}: the file cannot be read ({error or type(error).__name__}).")
-    except Exception as error:
-        log.exception("%s: unexpected error", path)
-        return _Entry(stamp, error=f"{path}: the file cannot be read ({type(error).__name__}: {error}).")
+        if error.__cause__ is not None:
+            log.info("%s", error, exc_info=error.__cause__)
+        return _Entry(identity, error=str(error))

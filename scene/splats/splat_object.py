@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Making and refreshing splat objects: what importing, baking and reloading have in common."""
+"""Makes splat objects and lets them follow their files; import, bake and reload use it."""
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 import bpy
 
 from ...fastgs_blender.model.gaussians import GaussianModel
-from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.errors import FastGSError, printable
+from ...fastgs_blender.util.reading import open_file, reading
 from .. import objects
 from . import proxy
 
 
 def sentence(error: Exception) -> str:
-    """An error's message as a report shows it."""
-    text = str(error)
+    """An error's message as a report shows it: it begins with a capital and can be printed."""
+    text = printable(error)
     return text[:1].upper() + text[1:]
 
 
@@ -43,12 +43,12 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
 
 
 def write_facts(obj: bpy.types.Object, model: GaussianModel, path: str) -> None:
-    """Store on the object what panels say about its file."""
+    """Store what panels show of a file on the object.  Raises FastGSError where the file cannot be read."""
     settings = obj.fastgs
     settings.gaussian_count = len(model)
     settings.frame_count = model.clip.frame_count
     settings.fps = model.clip.fps
-    with Path(path).open("rb") as file:
+    with reading(path), open_file(path) as file:
         settings.file_hash = hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -73,6 +73,38 @@ def test_the_unexpected_is_one_sentence_and_a_traceback_in_the_log(
     assert "Traceback" in caplog.text
 
 
+@pytest.mark.parametrize("scale", [(0, 0, 0), (1, 0, 1), (float("nan"), 1, 1)])
+def test_a_camera_without_directions_is_one_sentence(scale, make_model, model_file, splat_object, add_camera, render, caplog):
+    splat_object(model_file(make_model()))
+    add_camera().scale = scale
+    with pytest.raises(RuntimeError, match='the camera "Camera" .*; give it a scale of 1'):
+        render()
+    assert "Traceback" not in caplog.text
+
+
+UNPRINTABLE = "/nowhere/\udcff\x1b[31m.ply"
+"""A file's name that is no UTF-8, with an escape sequence in it."""
+
+
+def test_names_that_cannot_be_printed_are_reported(make_model, model_file, splat_object, add_camera, render, caplog, capfd):
+    splat_object(model_file(make_model()), "Good")
+    splat_object(UNPRINTABLE, "Bad")
+    add_camera()
+    render()
+    assert "Warning: Bad is left out: /nowhere/\\udcff\\x1b[31m.ply" in capfd.readouterr().out
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_a_frame_that_fails_with_a_name_that_cannot_be_printed_is_a_failed_frame(
+        scene, splat_object, add_camera, tmp_path, caplog):
+    splat_object(UNPRINTABLE)
+    add_camera()
+    scene.render.filepath = str(tmp_path / "black.png")
+    with pytest.raises(RuntimeError, match="/nowhere/.*udcff"):
+        bpy.ops.render.render(write_still=True)
+    assert not os.path.exists(scene.render.filepath) and "Traceback" not in caplog.text
+
+
 def test_too_little_memory_is_said(scene, module, fg, make_model, model_file, splat_object, add_camera, render, monkeypatch):
     splat_object(model_file(make_model()))
     add_camera()
