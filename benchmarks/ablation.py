@@ -147,6 +147,7 @@ def points_file(folder: Path, common) -> Path:
 
 def prepare(folder: Path, common):
     """The starting points that all runs share, made once."""
+    from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.settings import settings
     from fastgs_blender.training.initial.backdrop import with_backdrop
     from fastgs_blender.training.initial.points import initial_points
@@ -156,7 +157,7 @@ def prepare(folder: Path, common):
     if path.exists():
         return
     capture = opened(folder)
-    store = capture.frames()
+    store = FrameStore(capture)
     store.fill()
     made = settings(**common)
     points = with_backdrop(capture, store, made, initial_points(capture, store, made))
@@ -169,6 +170,7 @@ def one(capture: str, settings: dict) -> dict:
     import torch
 
     from fastgs_blender.captures.capture import Points
+    from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.model import model_from_points
     from fastgs_blender.training.core.settings import settings as make
     from fastgs_blender.training.core.trainer import Trainer
@@ -176,7 +178,7 @@ def one(capture: str, settings: dict) -> dict:
     torch.set_num_threads(1)
     made = make(**settings)
     filmed = opened(capture)
-    store = filmed.frames()
+    store = FrameStore(filmed)
     with np.load(points_file(Path(capture), settings)) as arrays:
         points = Points(**arrays)
     trainer = Trainer(filmed, store, made, model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent), sizes=points.size)

@@ -143,7 +143,7 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
 
     filename_ext = ".json"
     filter_glob: StringProperty(default="*.json", options={'HIDDEN'})
-    format: EnumProperty(name="Format", description="The program that is to read the path", items=FORMAT_ITEMS, default='OWN')
+    format: EnumProperty(name="Format", description="The program that is to read the path", items=FORMAT_ITEMS, default='FASTGS')
     space: EnumProperty(name="World", description="The world to write the cameras in", items=camera_space.ITEMS, default='AUTO')
     use_range: BoolProperty(name="Own Range", description="Other frames than the scene's", default=False)
     frame_start: IntProperty(name="First Frame", default=1)

@@ -162,22 +162,6 @@ def inside(source_positions: np.ndarray, width: int, height: int, tolerance: flo
     return (x >= -tolerance) & (x <= width + tolerance) & (y >= -tolerance) & (y <= height + tolerance)
 
 
-def resample(image: np.ndarray, source_positions: np.ndarray) -> np.ndarray:
-    """The image [H, W, C] at undistortion_map()'s positions [h, w, 2]: [h, w, C] float32, in the image's own values.
-
-    Cubic (Catmull-Rom, kept within the values around) where pixels keep their size; where the picture shrinks, the mean over each
-    pixel's area, exact for whole factors.  0 outside the source.
-    """
-    from ..kernels.cpu.resample import resample_rows
-    from ..util import threads
-
-    image = np.ascontiguousarray(image if image.dtype in {np.dtype("uint8"), np.dtype("float32")} else image.astype(np.float32))
-    positions = np.ascontiguousarray(source_positions, np.float32)
-    out = np.zeros((*positions.shape[:2], image.shape[2]), np.float32)
-    threads.run(lambda first, last: resample_rows(image, positions, first, last, out), threads.ranges(len(positions), 32))
-    return out
-
-
 def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera, scale: float = 1.0, focal: float | None = None) -> Camera:
     """The pinhole camera whose picture replaces the lens', of the source's size times `scale`.
 

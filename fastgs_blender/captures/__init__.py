@@ -15,7 +15,7 @@ from types import ModuleType
 from ..util.errors import FastGSError
 from .capture import Capture, Options, Points, Shot
 
-LAYOUTS = ("own", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
+LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
 """Modules of layouts/, asked in this order."""
 __all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layout_modules", "open_capture", "recognised"]
 
@@ -56,7 +56,7 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
     """The capture in a folder (or in a file of a layout that has one).
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
-    Raises FastGSError where it is none, or its description cannot be read; Capture.check() tells what is wrong with its pictures.
+    Raises FastGSError where it is none, or its description cannot be read; pixels.checks.check() tells what is wrong with its pictures.
     """
     path = _existing(path)
     options = Options(scale, frames, None if held_out is None else tuple(held_out))

@@ -6,16 +6,14 @@ World: as the layout gives it.  Cameras: OpenCV axes, world-to-camera, pixel cen
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..cameras.lens import Intrinsics, Lens, pinhole_for
 from ..model.gaussians import Clip
 from ..model.points import Points
-from ..util.errors import FastGSError
 from .sources import Source
 
 MASKS = ("foreground", "valid")
@@ -142,49 +140,3 @@ class Capture:
         if np.linalg.cond(system) > 1e6:
             return centres.mean(0)
         return np.linalg.solve(system, np.einsum("nij,nj->i", across, centres))
-
-    def with_cameras(self, cameras: dict[str, Camera], lenses: dict[str, Lens] | None = None) -> Capture:
-        """The capture with these cameras of its views, for one that was filmed without poses.
-
-        cameras  intrinsics and pose of each view as the FrameStore gives its pictures so far (scaled, lens not undone)
-        lenses   distortion of views that have any; their pictures are undistorted from now on
-        Views without a camera are left out, with a note.  Raises FastGSError where none is left.
-        """
-        from .pixels.probe import picture_size
-
-        shots, known = [], {}
-        for shot in self.shots:
-            given = cameras.get(shot.view)
-            if given is None:
-                continue
-            if shot.view not in known:
-                width, height = picture_size(shot.image)
-                sx, sy = width / given.width, height / given.height
-                source = Intrinsics(given.fx * sx, given.fy * sy, given.cx * sx, given.cy * sy, width, height)
-                lens = (lenses or {}).get(shot.view, Lens())
-                known[shot.view] = lens, source, pinhole_for(lens, source, given.world_to_camera, self.scale)
-            lens, source, camera = known[shot.view]
-            shots.append(replace(shot, camera=camera, image=replace(shot.image, lens=lens, intrinsics=source)))
-        if not shots:
-            raise FastGSError(f"{self.path}: none of its views {', '.join(self.views[:8])} has a camera; it cannot be trained on.")
-        lost = [view for view in self.views if view not in known]
-        note = [f"left out for want of a pose: {', '.join(lost)}"] if lost else []
-        return replace(self, shots=shots, notes=[*self.notes, *note])
-
-    def frames(self, budget: int = 2**30, **settings):
-        """The FrameStore of its pixels, with at most `budget` bytes of them in memory; settings as FrameStore has them."""
-        from .pixels.store import FrameStore
-
-        return FrameStore(self, budget, **settings)
-
-    def problems(self) -> list[str]:
-        """What is missing, unreadable, unsynchronised or differently sized, a clause each; reads the files' headers only."""
-        from .pixels.checks import problems
-
-        return problems(self)
-
-    def check(self) -> None:
-        """Raises FastGSError with the list of problems(), if there are any."""
-        from .pixels.checks import check
-
-        check(self)

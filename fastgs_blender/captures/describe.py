@@ -8,6 +8,7 @@ from dataclasses import asdict
 
 from ..util.errors import FastGSError
 from .capture import Capture, Shot
+from .pixels.checks import problems
 from .pixels.probe import Facts, facts
 
 MEANINGS = {"foreground": "mask files, white is the subject", "valid": "mask files, black is ignored", "alpha": "alpha channel"}
@@ -35,7 +36,7 @@ def describe(capture: Capture) -> dict:
         "points": None if capture.points is None else len(capture.points),
         "timed_points": capture.points is not None and capture.points.t is not None,
         "notes": capture.notes,
-        "problems": capture.problems(),
+        "problems": problems(capture),
     }
 
 

@@ -36,6 +36,8 @@ def run(args):
 
     from .. import formats
     from ..captures import open_capture
+    from ..captures.pixels.checks import check
+    from ..captures.pixels.store import FrameStore
     from ..evaluation import report
     from ..evaluation.evaluate import chosen, evaluate, make_folder
 
@@ -48,8 +50,8 @@ def run(args):
     capture = open_capture(args.capture, scale=args.scale)
     views = _views(args.views, capture)
     shots = chosen(capture, views, frames)
-    replace(capture, shots=shots, faults=[]).check()
-    store = capture.frames(0)
+    check(replace(capture, shots=shots, faults=[]))
+    store = FrameStore(capture, 0)
     try:
         with tqdm(total=len(shots), unit="frame", desc="decoding", disable=args.quiet or not store.missing(shots)) as bar:
             store.fill(lambda done, total: _advance(bar, done, total), shots)

@@ -56,6 +56,8 @@ def run(args):
     except ImportError as error:
         raise FastGSError("training needs PyTorch: pip install torch") from error
     from ..captures import open_capture
+    from ..captures.pixels.checks import check
+    from ..captures.pixels.store import FrameStore
     from ..training.core.distributed import joined
     from ..training.initial.calibrate import with_poses
     from ..training.run import session
@@ -69,12 +71,12 @@ def run(args):
                                held_out=tuple(args.held_out.split(",")) if args.held_out else None)
         for remark in capture.notes if group.first else ():
             note(remark)
-        capture.check()
+        check(capture)
         if not capture.posed:
-            store = capture.frames(session.MEMORY)
+            store = FrameStore(capture, session.MEMORY)
             group.first_does(lambda: with_poses(capture, store, args.out, note))
             capture = with_poses(capture, store, args.out)
-        report = session.train(capture, capture.frames(session.MEMORY), settings, args.out, group, args.quiet)
+        report = session.train(capture, FrameStore(capture, session.MEMORY), settings, args.out, group, args.quiet)
     if group.first:
         if args.json:
             print_json(report)

@@ -9,7 +9,7 @@ import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..captures.layouts import own
+from ..captures.layouts import fastgs
 from ..training.core.settings import PRESETS, Settings
 from ..util.errors import FastGSError
 from . import causes
@@ -76,7 +76,7 @@ def picture_size(capture: str) -> tuple[int, int, int]:
         return latest.width * latest.height, latest.views, latest.frames
     path = Path(capture)
     try:
-        values = json.loads((path / own.FILE if path.is_dir() else path).read_text("utf-8"))
+        values = json.loads((path / fastgs.FILE if path.is_dir() else path).read_text("utf-8"))
         sizes = [camera["width"] * camera["height"] for camera in values["cameras"]]
         return int(max(sizes)), len(sizes), int(values["frame_count"])
     except (OSError, ValueError, KeyError, TypeError):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.captures import generated
-from ...fastgs_blender.captures.layouts import own
+from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.outputs import replacing
 from ...fastgs_blender.util.plainfiles import read_exr, write_exr, write_png
@@ -126,7 +126,7 @@ def _describe(out: Path, scene, plan, views):
         entries.append(dict(name=name, width=first.width, height=first.height, fx=first.fx, fy=first.fy, cx=first.cx, cy=first.cy,
                             world_to_camera=np.round(pose, 12)))
     made = {**asdict(plan), "engine": scene.render.engine, "scene": scene.name}
-    old = out / own.FILE
+    old = out / fastgs.FILE
     try:
         out.mkdir(parents=True, exist_ok=True)
         if old.exists():
@@ -136,7 +136,7 @@ def _describe(out: Path, scene, plan, views):
             raise FastGSError(f"{out} holds a capture with other settings; choose another folder, or remove that one.")
         rate = scene.render.fps / scene.render.fps_base / plan.frame_step
         held_out = [next(iter(views))] if plan.hold_out and len(views) > 2 else []
-        own.write_cameras(out, entries, frame_count=len(plan.frames), fps=rate, start_frame=1, held_out=held_out, axes=AXES, made=made)
+        fastgs.write_cameras(out, entries, frame_count=len(plan.frames), fps=rate, start_frame=1, held_out=held_out, axes=AXES, made=made)
         for name in views:
             for folder in (out / name, out / "masks" / name, out / "depth" / name):
                 folder.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...fastgs_blender.captures.layouts import own
+from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import camera as cameras
 
@@ -150,7 +150,7 @@ def write_capture(context, out: Path) -> str:
                          **dict(zip(("fx", "fy", "cx", "cy"), lens[0].tolist())),
                          world_to_camera=matrices if np.ptp(matrices, axis=0).max() > 1e-9 else matrices[0])
             entries.append(entry | _lay_out(out, names[obj], plate, first, last))
-        own.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base,
+        fastgs.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base,
                           axes=AXES)
     except OSError as error:
         raise FastGSError(f"{out}: the capture cannot be written there ({error.strerror}); choose another folder.") from error

@@ -128,7 +128,7 @@ def capture(fg, module, tmp_path):
                 (folder / f"cam{i}").mkdir()
                 for f, picture in enumerate(grey):
                     Image.fromarray(picture).save(folder / f"cam{i}" / f"{11 + f:04d}.png")
-        module("fastgs_blender.captures.layouts.own").write_cameras(folder, entries, frame_count=FRAMES, fps=fps, start_frame=11)
+        module("fastgs_blender.captures.layouts.fastgs").write_cameras(folder, entries, frame_count=FRAMES, fps=fps, start_frame=11)
         return folder, made, path
 
     return write
@@ -334,7 +334,7 @@ def test_what_is_no_capture_leaves_nothing(tmp_path, capture):
 
 # ---- camera paths --------------------------------------------------------------------------------------------------------
 
-FORMATS = {'OWN': True, 'NERFSTUDIO': False, 'INSTANT_NGP': False, 'SUPERSPLAT': False, 'CAMERAS_JSON': True, 'COLMAP': True}
+FORMATS = {'FASTGS': True, 'NERFSTUDIO': False, 'INSTANT_NGP': False, 'SUPERSPLAT': False, 'CAMERAS_JSON': True, 'COLMAP': True}
 """Each format, and whether it holds any intrinsics."""
 
 

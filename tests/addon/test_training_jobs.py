@@ -48,7 +48,7 @@ def moving_scene(scene):
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory):
-    """A capture of three views and two frames, as the library's own layout."""
+    """A capture of three views and two frames, as a FAST-GS capture."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "library"))
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
     try:
@@ -128,11 +128,11 @@ def test_a_scene_is_filmed_and_left_as_it_was(moving_scene, module, fg, tmp_path
 
     open_capture = module("fastgs_blender.captures").open_capture
     capture = open_capture(out)
-    capture.check()
+    module("fastgs_blender.captures.pixels.checks").check(capture)
     assert capture.views == ["cam00", "cam01", "cam02", "cam03"] and capture.held_out_views == ["cam00"]
     assert (capture.clip.frame_count, capture.axes) == (2, "RFU")
     # the masks show the ball, in every view where the ball is: its centre is known
-    store = capture.frames(2**20, folder=tmp_path / "cache")
+    store = module("fastgs_blender.captures.pixels.store").FrameStore(capture, 2**20, folder=tmp_path / "cache")
     for shot in capture.shots:
         pixels = store.pixels(shot)
         centre = np.array([(-0.5, 0.5)[shot.frame], 0, 0, 1])
@@ -162,7 +162,7 @@ def test_a_world_that_our_engine_shows_itself_is_left_out(moving_scene, module, 
     bpy.ops.fastgs.capture_scene(out=str(tmp_path / "film"), count=2, samples=1, frame_end=3, world=world, **SIZE)
     assert not moving_scene.render.film_transparent
     capture = module("fastgs_blender.captures").open_capture(tmp_path / "film")
-    pixels = capture.frames(2**20, folder=tmp_path / "cache").pixels(capture.shots[0])
+    pixels = module("fastgs_blender.captures.pixels.store").FrameStore(capture, 2**20, folder=tmp_path / "cache").pixels(capture.shots[0])
     assert (pixels.alpha is None) == filmed
     if not filmed:
         assert pixels.alpha[12, 16] == 1 and pixels.alpha[0, 0] == 0 and np.abs(pixels.alpha - pixels.mask).max() < 0.1

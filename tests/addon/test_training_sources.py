@@ -31,7 +31,7 @@ def capture(module, tmp_path):
         (folder / name).mkdir(parents=True)
         for k in range(3):
             write_png(folder / name / f"{k + 10:04}.png", np.full((30, 40, 3), 50 * k + i, np.uint8))
-    module("fastgs_blender.captures.layouts.own").write_cameras(
+    module("fastgs_blender.captures.layouts.fastgs").write_cameras(
         folder, [dict(name=name, world_to_camera=poses[name], **lens) for name, lens in CAMERAS.items()],
         frame_count=3, fps=24, start_frame=10, axes="RFU")
     return folder
@@ -39,7 +39,7 @@ def capture(module, tmp_path):
 
 def opened(module, path):
     found = module("fastgs_blender.captures").open_capture(path)
-    assert not found.problems()
+    assert not module("fastgs_blender.captures.pixels.checks").problems(found)
     return {(shot.view, shot.frame): shot for shot in found.shots}
 
 

@@ -11,6 +11,8 @@ from PIL import Image
 from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures.capture import Capture
+from fastgs_blender.captures.pixels.checks import problems
+from fastgs_blender.captures.pixels.store import FrameStore
 
 
 def draw_spots(width: int, height: int, pixels, sigma: float = 2.5) -> np.ndarray:
@@ -105,8 +107,8 @@ class SpotRig:
         world   [4, 4] from this rig's world to the capture's
         """
         world = np.eye(4) if world is None else world
-        assert len(capture) == len(names) * self.frames and set(capture.views) == set(names) and not capture.problems()
-        store = capture.frames(folder=cache)
+        assert len(capture) == len(names) * self.frames and set(capture.views) == set(names) and not problems(capture)
+        store = FrameStore(capture, folder=cache)
         for shot in capture.shots:
             camera = names.index(shot.view)
             np.testing.assert_allclose(shot.camera.world_to_camera @ world, self.poses[camera], atol=1e-6)

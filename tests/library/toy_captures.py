@@ -86,7 +86,7 @@ def toy_capture(frames: int = 6, views: int = 5, mask: bool = False):
 
 
 def write_capture(folder: Path, frames: int = 6, views: int = 5) -> Path:
-    """The same capture as files in our own layout."""
+    """The same capture as files as a FAST-GS capture."""
     capture, store, points = toy_capture(frames, views)
     cameras = []
     for shot in capture.at_frame(0):

@@ -13,10 +13,10 @@ from types import ModuleType
 
 from ...util.errors import FastGSError
 from .. import poses
-from . import colmap, inria, nerfstudio, ngp, own, supersplat
+from . import colmap, fastgs, inria, nerfstudio, ngp, supersplat
 from .base import CameraPath, Picture
 
-FORMATS: tuple[ModuleType, ...] = (own, nerfstudio, ngp, supersplat, inria, colmap)
+FORMATS: tuple[ModuleType, ...] = (fastgs, nerfstudio, ngp, supersplat, inria, colmap)
 __all__ = ["FORMATS", "CameraPath", "Picture", "format_named", "load_path", "save_path"]
 
 
@@ -53,7 +53,7 @@ def format_named(name: str) -> ModuleType:
     raise FastGSError(f"there is no camera path format {name!r}; there are {', '.join(module.name for module in FORMATS)}.")
 
 
-def save_path(path: CameraPath, file, name: str = "own", picture: Picture | None = None) -> None:
+def save_path(path: CameraPath, file, name: str = "fastgs", picture: Picture | None = None) -> None:
     """Write a camera path in the format of that name, aside and renamed.
 
     What the format cannot hold is told by a LossWarning.  Raises FastGSError where the file cannot be written.

@@ -19,8 +19,9 @@ import numpy as np
 from ...cameras.colmap_files import ColmapImage, has_model, read_images, read_points
 from ...util.errors import FastGSError
 from ..capture import Capture, Options, Points
+from ..pixels.sequences import frame_range, numbered_pictures, video_frames
 from ..rigs import Entry, RigCamera, from_entries, from_rig, gap_sentences
-from ..sources import PICTURES, VIDEOS, Source, frame_range, numbered_pictures, video_frames
+from ..sources import PICTURES, VIDEOS, Source
 
 name = "COLMAP"
 MODEL_PLACES = ("sparse/0", "sparse", ".", "manual", "colmap/sparse/0", "distorted/sparse/0")

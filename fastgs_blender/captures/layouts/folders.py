@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures or videos without any calibration: a folder of numbered pictures, or a video, for each camera.
 
-Recognised last.  The capture has no poses until Capture.with_cameras() gives them.
+Recognised last.  The capture has no poses until posing.with_cameras() gives them.
 """
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pathlib import Path
 
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
+from ..pixels.sequences import frame_range, numbered_pictures, video_frames
 from ..rigs import RigCamera, from_rig
-from ..sources import PICTURES, VIDEOS, Source, frame_range, numbered_pictures, video_frames
+from ..sources import PICTURES, VIDEOS, Source
 
 name = "folders without poses"
 NOT_CAMERAS = ("masks", "mask")

@@ -20,8 +20,9 @@ from ...cameras.lens import Lens
 from ...util import rotations
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
+from ..pixels.sequences import video_frames
 from ..rigs import RigCamera, from_rig
-from ..sources import VIDEOS, video_frames
+from ..sources import VIDEOS
 
 name = "Google Immersive"
 MODELS = "models.json"

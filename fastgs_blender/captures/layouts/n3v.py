@@ -21,9 +21,10 @@ from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
+from ..pixels.sequences import numbered_pictures, video_frames
 from ..points import load_points
 from ..rigs import RigCamera, from_rig
-from ..sources import VIDEOS, Source, numbered_pictures, video_frames
+from ..sources import VIDEOS, Source
 
 name = "Neural 3D Video"
 POSES = "poses_bounds.npy"

@@ -23,8 +23,9 @@ from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
+from ..pixels.sequences import numbered_pictures, video_frames
 from ..rigs import RigCamera, from_rig
-from ..sources import VIDEOS, Source, numbered_pictures, video_frames
+from ..sources import VIDEOS, Source
 
 name = "Qualisys"
 SUBPIXELS = 64

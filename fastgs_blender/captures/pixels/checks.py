@@ -11,6 +11,7 @@ from ..capture import Capture, Shot
 from ..rigs import ranges
 from ..sources import Source
 from .probe import Facts, facts
+from .video import index
 
 MOST = 12
 """Problems that one sentence lists."""
@@ -91,8 +92,6 @@ def _facts(source: Source, unreadable: dict) -> Facts | None:
 
 def _synchronisation(capture: Capture) -> list[str]:
     """Videos of one rig whose rates differ or that are not evenly spaced cannot be filmed together."""
-    from .video import index
-
     videos: dict[Path, str] = {}
     for shot in capture.shots:
         if shot.image.frame is not None:

@@ -6,16 +6,14 @@ Where there are both, another channel has the alpha alone.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 
 import numpy as np
 
-from ...cameras.camera import Camera
-from ...cameras.lens import Intrinsics, Lens, inside, resample, undistortion_map
 from ...util.errors import FastGSError
 from ..capture import Shot
 from . import pictures
 from .probe import facts
+from .undistortion import positions_of, resample
 from .video import frames
 
 
@@ -82,7 +80,7 @@ def _finished(shot: Shot, scale: float, rgb: np.ndarray, alpha: np.ndarray | Non
 def _reshaped(shot, scale, rgb, alpha, further):
     target = shape(shot, scale)[:2]
     deep = rgb.dtype == np.float32
-    positions = None if shot.camera is None else warp(shot)
+    positions = None if shot.camera is None else positions_of(shot)
     if positions is None and target == rgb.shape[:2]:
         planes = [rgb if not deep else _bytes(rgb, deep), *(_bytes(plane, deep)[..., None] for plane in further)]
         return np.ascontiguousarray(np.concatenate(planes, -1))
@@ -133,29 +131,3 @@ def _narrow(plane, count, axis):
         weights = share.astype(np.float32).reshape([-1 if i == axis else 1 for i in range(plane.ndim)])
         out += np.take(plane, np.minimum(first + k, length - 1), axis) * weights
     return out
-
-
-def warp(shot: Shot) -> np.ndarray | None:
-    """undistortion_map() of a shot with a camera; None where its pixels need no moving, only scaling."""
-    camera, image = shot.camera, shot.image
-    return _warp(image.lens, image.intrinsics, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
-
-
-@lru_cache(maxsize=8)
-def _warp(lens: Lens, source: Intrinsics, target: tuple) -> np.ndarray | None:
-    camera = Camera(*target, np.eye(4))
-    if lens.is_pinhole:
-        sx, sy = camera.width / source.width, camera.height / source.height
-        same = np.array([source.fx * sx, source.fy * sy, source.cx * sx, source.cy * sy])
-        if np.abs(same - target[2:]).max() < 1e-6 * max(camera.width, camera.height):
-            return None
-    return undistortion_map(lens, source, camera)
-
-
-def valid(shot: Shot) -> np.ndarray | None:
-    """Mask [h, w], False where the lens has no picture of a pixel; None where it has one everywhere."""
-    positions = None if shot.camera is None else warp(shot)
-    if positions is None:
-        return None
-    seen = inside(positions, shot.image.intrinsics.width, shot.image.intrinsics.height)
-    return None if seen.all() else seen

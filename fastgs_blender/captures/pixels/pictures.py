@@ -11,6 +11,7 @@ import numpy as np
 from ...rendering import colour
 from ...util.errors import FastGSError
 from ..sources import Source
+from . import exr
 
 
 def read(source: Source) -> tuple[np.ndarray, np.ndarray | None]:
@@ -45,8 +46,6 @@ def read_grey(source: Source) -> np.ndarray:
 
 
 def _exr(path):
-    from . import exr
-
     rgb, alpha = exr.read(path)
     return (rgb if alpha is None else colour.straight(rgb, alpha)), alpha
 

@@ -9,6 +9,9 @@ from typing import NamedTuple
 from ...cameras.cameras_json import LARGEST_SIDE
 from ...util.errors import FastGSError
 from ..sources import Source
+from . import exr
+from .pictures import opened
+from .video import index
 
 
 class Facts(NamedTuple):
@@ -23,8 +26,6 @@ class Facts(NamedTuple):
 def facts(source: Source) -> Facts:
     """The facts of a source's file; raises FastGSError where it cannot be read."""
     if source.frame is not None:
-        from .video import index
-
         found = index(source.path)
         return Facts(found.width, found.height, False, False)
     try:
@@ -50,15 +51,11 @@ def _facts(path: Path, size: int, _changed: int) -> Facts:
 
 
 def _exr(path: Path) -> Facts:
-    from .exr import header
-
-    width, height, channels = header(path)
+    width, height, channels = exr.header(path)
     return Facts(width, height, "A" in channels, True)
 
 
 def _pillow(path: Path) -> Facts:
-    from .pictures import opened
-
     with opened(path) as picture:
         alpha = "A" in picture.getbands() or "transparency" in picture.info
         return Facts(*picture.size, alpha, picture.mode.startswith(("I", "F")))

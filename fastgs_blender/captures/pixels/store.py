@@ -22,7 +22,8 @@ import numpy as np
 from ...rendering.images import remove_stale
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
-from . import decoding, framefiles
+from . import decoding, framefiles, undistortion
+from .checks import sentence
 from .filling import fill
 from .probe import facts
 
@@ -105,8 +106,6 @@ class FrameStore:
             done += 1
             report(done, len(shots))
         if faults:
-            from .checks import sentence
-
             raise FastGSError(sentence(self.capture.path, list(dict.fromkeys(faults))))
 
     def pixels(self, shot: Shot) -> Pixels:
@@ -151,7 +150,7 @@ class FrameStore:
         camera = shot.camera
         key = shot.image.lens, shot.image.intrinsics, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
         if key not in self._valid:
-            self._valid[key] = decoding.valid(shot)
+            self._valid[key] = undistortion.valid(shot)
         return self._valid[key]
 
     def _path(self, shot: Shot) -> Path:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...cameras.lens import Lens
+from ...captures.posing import with_cameras
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from .features import MOST_FEATURES, PEAK, pycolmap_module
@@ -35,12 +36,12 @@ def with_poses(capture, store, out, say=print):
     path = Path(out) / FILE
     known = _read(path, capture) if path.exists() else None
     if known:
-        return capture.with_cameras(*known)
+        return with_cameras(capture, *known)
     cameras, lenses, frame = calibrated(capture, store)
     say(f"poses: {len(cameras)} of {len(capture.views)} cameras found by pycolmap from frame {frame}")
     path.parent.mkdir(parents=True, exist_ok=True)
     keep(path, capture, cameras, lenses)
-    return capture.with_cameras(cameras, lenses)
+    return with_cameras(capture, cameras, lenses)
 
 
 def calibrated(capture, store) -> tuple[dict[str, Camera], dict[str, Lens], int]:

@@ -18,7 +18,7 @@ from fastgs_blender.util.errors import LossWarning
 from fastgs_blender.util.rotations import to_matrices
 
 NAMES = [module.name for module in FORMATS]
-FULL = ("own", "cameras.json", "colmap")
+FULL = ("fastgs", "cameras.json", "colmap")
 """Formats that hold any intrinsics."""
 
 
@@ -82,7 +82,7 @@ def test_round_trip(name, seed, frames, tmp_path):
     assert got.axes == ("RFU" if name in {"nerfstudio", "instant-ngp"} else "RDF")
     if name not in {"cameras.json", "colmap"}:
         assert got.fps == path.fps
-    if name == "own":
+    if name == "fastgs":
         assert got.start_frame == path.start_frame
 
 

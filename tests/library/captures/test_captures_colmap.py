@@ -14,6 +14,7 @@ import fastgs_blender as fg
 from fastgs_blender.cameras.colmap_files import MODELS
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.pixels.checks import problems
 
 NAMES = ["cam00", "cam01", "cam02"]
 SIMPLE = Intrinsics(150, 152, 81, 59, 160, 120)
@@ -102,7 +103,7 @@ def test_a_workspace_for_each_frame(tmp_path, tmp_path_factory):
     part = open_capture(tmp_path, frames=slice(1, 3))
     assert part.clip == fg.Clip(2, 30, 1) and (part.points.t == 0).all() and len(part.points) == 2
     (tmp_path / "colmap_1" / "images" / "cam02.png").unlink()
-    assert any("cam02.png is missing" in text for text in open_capture(tmp_path).problems())
+    assert any("cam02.png is missing" in text for text in problems(open_capture(tmp_path)))
 
 
 def test_a_moment(tmp_path, tmp_path_factory):
@@ -233,4 +234,4 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
 def test_pictures_of_another_size_are_told(workspace):
     path = workspace()
     SpotRig(SIMPLE._replace(width=80)).write_picture(path / "images/cam01/0001.png", 1, 0)
-    assert open_capture(path).problems() == ["cam01 has pictures of 80 x 120 pixels where its calibration is for 160 x 120 (frames 1)"]
+    assert problems(open_capture(path)) == ["cam01 has pictures of 80 x 120 pixels where its calibration is for 160 x 120 (frames 1)"]

@@ -11,6 +11,8 @@ from spots import SpotRig
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures import Options
 from fastgs_blender.captures.layouts import immersive
+from fastgs_blender.captures.pixels.checks import problems
+from fastgs_blender.captures.pixels.store import FrameStore
 from fastgs_blender.util.errors import FastGSError
 
 NAMES = ["camera_0001", "camera_0002", "camera_0009"]
@@ -59,7 +61,7 @@ def test_fisheye_videos(scene, tmp_path_factory):
 
 
 def test_what_the_lens_does_not_see_is_masked(scene, tmp_path_factory):
-    store = load(scene).frames(folder=tmp_path_factory.mktemp("cache"))
+    store = FrameStore(load(scene), folder=tmp_path_factory.mktemp("cache"))
     valid = store.pixels(store.capture.shots[0]).valid
     assert valid[120, 160] and not valid[0, 0] and 0.4 < valid.mean() < 0.95
 
@@ -101,4 +103,4 @@ def test_files_of_another_size_are_told(scene):
     entries = models()
     entries[1]["width"] = 700
     (scene / "models.json").write_text(json.dumps(entries), "utf-8")
-    assert any("camera_0002" in text and "640 x 480" in text for text in load(scene).problems())
+    assert any("camera_0002" in text and "640 x 480" in text for text in problems(load(scene)))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from spots import draw_spots, find_spots, project
 
-from fastgs_blender.cameras.lens import Intrinsics, Lens, inside, pinhole_for, resample, undistortion_map
+from fastgs_blender.cameras.lens import Intrinsics, Lens, inside, pinhole_for, undistortion_map
+from fastgs_blender.captures.pixels.undistortion import resample
 from fastgs_blender.util.errors import FastGSError
 from fastgs_blender.util.threads import set_threads
 

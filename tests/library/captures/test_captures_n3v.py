@@ -9,6 +9,7 @@ from spots import SpotRig
 from fastgs_blender.cameras.lens import Intrinsics
 from fastgs_blender.captures import Options
 from fastgs_blender.captures.layouts import n3v
+from fastgs_blender.captures.pixels.checks import problems
 from fastgs_blender.util.errors import FastGSError
 
 NAMES = ["cam00", "cam02", "cam03", "cam13"]
@@ -79,7 +80,7 @@ def test_camera_that_is_not_synchronised_is_left_out(pictures):
 def test_missing_frame_is_told(pictures):
     path, _ = pictures
     (path / "cam02" / "images" / "0001.png").unlink()
-    assert any("cam02" in text and "1" in text for text in load(path).problems())
+    assert any("cam02" in text and "1" in text for text in problems(load(path)))
 
 
 def test_deleted_camera_is_refused(pictures):
@@ -108,5 +109,5 @@ def test_damaged_poses_are_one_sentence(pictures, content, sentence):
 
 def test_unreadable_video_is_told_with_the_others(videos):
     (videos / "cam02.mp4").write_bytes(b"no video")
-    found = load(videos).problems()
+    found = problems(load(videos))
     assert any("cam02.mp4" in text and "cannot be read" in text for text in found)

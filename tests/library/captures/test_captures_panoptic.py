@@ -12,6 +12,8 @@ from spots import SpotRig
 from fastgs_blender.cameras.lens import Intrinsics
 from fastgs_blender.captures import Options
 from fastgs_blender.captures.layouts import panoptic
+from fastgs_blender.captures.pixels.checks import problems
+from fastgs_blender.captures.pixels.store import FrameStore
 from fastgs_blender.util.errors import FastGSError
 
 NAMES = ["1", "2", "7", "0"]
@@ -63,7 +65,7 @@ def test_pictures(scene, tmp_path_factory):
 
 def test_masks_of_0_and_1_are_black_and_white(scene, tmp_path_factory):
     capture = load(scene)
-    mask = capture.frames(folder=tmp_path_factory.mktemp("cache")).pixels(capture.shots[0]).mask
+    mask = FrameStore(capture, folder=tmp_path_factory.mktemp("cache")).pixels(capture.shots[0]).mask
     np.testing.assert_array_equal(mask, RIG.picture(NAMES.index(capture.shots[0].view), 0)[..., 0] > 20)
 
 
@@ -77,7 +79,7 @@ def test_without_masks_points_and_test_cameras(scene):
 
 def test_missing_picture_is_told(scene):
     (scene / "ims" / "2" / "000001.jpg").unlink()
-    assert any("000001.jpg" in text for text in load(scene).problems())
+    assert any("000001.jpg" in text for text in problems(load(scene)))
 
 
 @pytest.mark.parametrize(("change", "sentence"), [

@@ -9,6 +9,7 @@ from spots import SpotRig, project
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures import Options, open_capture
 from fastgs_blender.captures.layouts import qualisys
+from fastgs_blender.captures.pixels.checks import problems
 from fastgs_blender.util.errors import FastGSError
 
 NAMES = ["26580", "26581", "26583"]
@@ -142,7 +143,7 @@ def test_real_cameras_agree_about_their_treadmill(shared_data):
     pytest.importorskip("av")
     capture = open_capture(shared_data / "people")
     assert capture.layout == "Qualisys" and capture.views == ["cam01", "cam02", "cam03", "cam04"] and capture.held_out_views == ["cam04"]
-    assert (capture.clip.frame_count, capture.clip.fps) == (100, 60) and not capture.problems()
+    assert (capture.clip.frame_count, capture.clip.fps) == (100, 60) and not problems(capture)
     shots = capture.at_frame(0)
     errors = []
     for bolt in BOLTS:

@@ -15,8 +15,9 @@ import pytest
 from PIL import Image
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.captures.layouts.own import write_cameras
+from fastgs_blender.captures.layouts.fastgs import write_cameras
 from fastgs_blender.captures.pixels import decoding, framefiles
+from fastgs_blender.captures.pixels.checks import check, problems
 from fastgs_blender.captures.pixels.store import FrameStore
 from fastgs_blender.util.errors import FastGSError
 
@@ -107,8 +108,9 @@ MEMORY = """
 import resource, sys
 import numpy as np
 from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.pixels.store import FrameStore
 capture = open_capture(sys.argv[1])
-store = capture.frames(8 * 2**20, folder=sys.argv[2])
+store = FrameStore(capture, 8 * 2**20, folder=sys.argv[2])
 store.fill(threads=1)
 store.pixels(capture.shots[0])
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -166,8 +168,9 @@ def test_half_written_and_damaged_files_are_not_believed(capture, cache):
 FILL = """
 import sys
 from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.pixels.store import FrameStore
 capture = open_capture(sys.argv[1])
-store = capture.frames(folder=sys.argv[2])
+store = FrameStore(capture, folder=sys.argv[2])
 store.fill()
 assert all((store.stored(shot) == 40 * int(shot.view[3:]) + 5 * shot.frame).all() for shot in capture.shots)
 """
@@ -218,7 +221,7 @@ def test_other_caches_go_after_a_month(capture, tmp_path, monkeypatch):
         other.mkdir(parents=True)
         (other / "x.frame").write_bytes(b"x")
     os.utime(old, (0, 0))
-    capture.frames().fill()
+    FrameStore(capture).fill()
     assert not old.exists() and young.exists() and len(list(folder.iterdir())) == 24
 
 
@@ -226,8 +229,8 @@ def test_other_caches_go_after_a_month(capture, tmp_path, monkeypatch):
 
 
 def test_nothing_wrong(capture):
-    assert capture.problems() == []
-    capture.check()
+    assert problems(capture) == []
+    check(capture)
 
 
 def test_everything_wrong_is_told_at_once(capture):
@@ -239,13 +242,13 @@ def test_everything_wrong_is_told_at_once(capture):
     Image.fromarray(np.zeros((20, 20, 3), np.uint8)).save(folder / "cam2" / "0006.png")
     (folder / "masks" / "cam0").mkdir(parents=True)
     Image.fromarray(np.zeros((9, 9), np.uint8)).save(folder / "masks" / "cam0" / "0001.png")
-    found = "\n".join(open_capture(folder).problems())
+    found = "\n".join(problems(open_capture(folder)))
     for words in ("cam0 lacks 2 frames: 3-4", "0002.png: the picture is empty", "0005.png: the picture cannot be read (it is no picture)",
                   "cam2 has pictures of 20 x 20 pixels where its calibration is for 40 x 30 (frames 6)", "masks of 9 x 9",
                   "cam0 has masks for some of its frames only"):
         assert words in found
     with pytest.raises(FastGSError, match="there are 6 problems") as error:
-        open_capture(folder).check()
+        check(open_capture(folder))
     assert str(error.value).startswith(str(folder)) and "\n" not in str(error.value)
     assert not open_capture(folder, frames=slice(6, None)).faults  # the part asked for is whole
 
@@ -254,7 +257,7 @@ def test_many_problems_are_not_all_listed(capture):
     for shot in capture.shots[:20]:
         shot.image.path.write_bytes(b"x")
     with pytest.raises(FastGSError, match="and 8 more"):
-        open_capture(capture.path).check()
+        check(open_capture(capture.path))
 
 
 def test_a_picture_whose_end_is_missing_is_found_while_filling(capture, cache):
@@ -263,7 +266,7 @@ def test_a_picture_whose_end_is_missing_is_found_while_filling(capture, cache):
     Image.fromarray(rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)).save(path)
     path.write_bytes(path.read_bytes()[:900])
     damaged = open_capture(capture.path)
-    assert not damaged.problems()
+    assert not problems(damaged)
     store = FrameStore(damaged, folder=cache)
     with pytest.raises(FastGSError, match=path.name) as error:
         store.fill()
@@ -273,7 +276,7 @@ def test_a_picture_whose_end_is_missing_is_found_while_filling(capture, cache):
 
 def test_a_whole_camera_that_is_missing(capture):
     shutil.rmtree(capture.path / "cam1")
-    assert open_capture(capture.path).problems() == ["cam1 lacks 8 frames: 1-8"]
+    assert problems(open_capture(capture.path)) == ["cam1 lacks 8 frames: 1-8"]
 
 
 def test_videos_of_different_length_and_rate(tmp_path):
@@ -286,7 +289,7 @@ def test_videos_of_different_length_and_rate(tmp_path):
                 container.mux(stream.encode(av.VideoFrame(32, 32, "yuv420p")))
             container.mux(stream.encode(None))
     (tmp_path / "d.mp4").write_bytes(b"x")
-    found = "\n".join(open_capture(tmp_path).problems())
+    found = "\n".join(problems(open_capture(tmp_path)))
     for words in ("c lacks 3 frames: 7-9", "different frame rates (a, c at 25, b at 30)", "d.mp4: the video cannot be read"):
         assert words in found
 

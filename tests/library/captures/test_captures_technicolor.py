@@ -9,6 +9,7 @@ from spots import SpotRig
 from fastgs_blender.cameras.lens import Intrinsics
 from fastgs_blender.captures import Options
 from fastgs_blender.captures.layouts import technicolor
+from fastgs_blender.captures.pixels.checks import problems
 from fastgs_blender.util.errors import FastGSError
 
 HEADER = "f cx cy ar sk qw qx qy qz tx ty tz"
@@ -61,7 +62,7 @@ def test_skew_is_undone_with_the_lens(scene):
 
 def test_missing_picture_is_told(scene):
     (scene / "Fabien_undist_00052_01.png").unlink()
-    assert load(scene).problems() == ["01 lacks the frame 52"]
+    assert problems(load(scene)) == ["01 lacks the frame 52"]
 
 
 def test_corrupt_picture_of_birthday_is_left_out(tmp_path):
@@ -71,7 +72,7 @@ def test_corrupt_picture_of_birthday_is_left_out(tmp_path):
             rig.write_picture(tmp_path / f"Birthday_undist_{frame:05d}_{name}.png", 0, 0)
     write_cameras(tmp_path)
     capture = load(tmp_path)
-    assert len(capture) == 5 and not capture.problems() and "frame 173 of camera 09" in capture.notes[0]
+    assert len(capture) == 5 and not problems(capture) and "frame 173 of camera 09" in capture.notes[0]
 
 
 @pytest.mark.parametrize(("row", "sentence"), [

@@ -14,6 +14,8 @@ from spots import SpotRig
 import fastgs_blender as fg
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.pixels.checks import problems
+from fastgs_blender.captures.pixels.store import FrameStore
 
 NAMES = ["cam00", "cam01", "cam02"]
 SIMPLE = Intrinsics(150, 152, 81, 59, 160, 120)
@@ -127,8 +129,8 @@ def test_dnerf(dnerf, tmp_path_factory):
     places = {("train", 0): 0, ("train", 0.5): 1, ("train", 1): 2, ("val", 0.25): 3, ("test", 0.25): 4}
     for shot in capture.shots:
         np.testing.assert_allclose(shot.camera.world_to_camera, rig.poses[places[shot.view, shot.t]], atol=1e-9)
-    assert not capture.problems()
-    pixels = capture.frames(folder=tmp_path_factory.mktemp("cache")).pixels(capture.shots[0])
+    assert not problems(capture)
+    pixels = FrameStore(capture, folder=tmp_path_factory.mktemp("cache")).pixels(capture.shots[0])
     np.testing.assert_allclose(pixels.mask, 200 / 255, atol=1e-6)
 
 
@@ -164,7 +166,7 @@ def test_missing_pictures_are_told(tmp_path):
     frames = write_rig(tmp_path)
     write(tmp_path / "transforms.json", frames, **intrinsics(SIMPLE))
     (tmp_path / "images/cam01/0002.png").unlink()
-    assert open_capture(tmp_path).problems() == ["cam01 lacks the frame 1"]
+    assert problems(open_capture(tmp_path)) == ["cam01 lacks the frame 1"]
     for entry in frames:
         (tmp_path / entry["file_path"]).unlink(missing_ok=True)
     with pytest.raises(fg.FastGSError, match="none of its 9 pictures"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""fastgs eval: what it measures is what the files show, on tiny captures in our own layout."""
+"""fastgs eval: what it measures is what the files show, on tiny captures as FAST-GS captures."""
 from __future__ import annotations
 
 import csv

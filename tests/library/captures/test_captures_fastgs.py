@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our own layout, folders without poses, and what all layouts share: options, pictures' kinds, masks."""
+"""FAST-GS captures, folders without poses, and what all layouts share: options, pictures' kinds, masks."""
 from __future__ import annotations
 
 import json
@@ -14,7 +14,10 @@ from spots import SpotRig
 import fastgs_blender as fg
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures import identify, open_capture
-from fastgs_blender.captures.layouts.own import write_cameras
+from fastgs_blender.captures.layouts.fastgs import write_cameras
+from fastgs_blender.captures.pixels.checks import check, problems
+from fastgs_blender.captures.pixels.store import FrameStore
+from fastgs_blender.captures.posing import with_cameras
 from fastgs_blender.rendering.colour import srgb_to_linear
 
 NAMES = ["cam00", "cam01", "left eye"]
@@ -54,7 +57,7 @@ def test_pictures(capture_folder, tmp_path_factory):
 def test_half_size_is_the_mean_of_four_pixels(capture_folder, tmp_path_factory):
     capture = open_capture(capture_folder, scale=0.5)
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
-    store = capture.frames(folder=tmp_path_factory.mktemp("cache"))
+    store = FrameStore(capture, folder=tmp_path_factory.mktemp("cache"))
     for shot in capture.shots[::4]:
         exact = RIG.picture(NAMES.index(shot.view), shot.frame).reshape(60, 2, 80, 2, 3).mean((1, 3))
         assert np.abs(store.pixels(shot).rgb * 255 - exact).max() <= 0.5001
@@ -132,8 +135,8 @@ def one_picture(folder, shape=(6, 8), **more):
 
 def pixels(folder, cache, **options):
     capture = open_capture(folder, **options)
-    capture.check()
-    return capture.frames(folder=cache).pixels(capture.shots[0])
+    check(capture)
+    return FrameStore(capture, folder=cache).pixels(capture.shots[0])
 
 
 def write_exr(path, rgba):
@@ -277,7 +280,7 @@ CAMERA_KEYS = ("name", "width", "height", "fx", "cy", "world_to_camera", "distor
 @settings(max_examples=40)
 @given(key=st.sampled_from(KEYS + CAMERA_KEYS), value=JSON)
 def test_any_value_is_read_or_refused(tmp_path_factory, key, value):
-    folder = tmp_path_factory.mktemp("own")
+    folder = tmp_path_factory.mktemp("fastgs")
     file = one_picture(folder)
     (folder / "a").mkdir()
     Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(folder / "a" / "0001.png")
@@ -308,16 +311,16 @@ def test_folders_without_poses(tmp_path, tmp_path_factory):
         for frame in range(RIG.frames):
             RIG.write_picture(tmp_path / name / f"{frame + 17:05}.png", i, frame)
     capture = open_capture(tmp_path, scale=0.5)
-    assert not capture.posed and capture.views == NAMES and capture.clip == fg.Clip(3, 30, 17) and not capture.problems()
-    assert capture.frames(folder=tmp_path_factory.mktemp("cache")).size(capture.shots[0]) == (80, 60)
+    assert not capture.posed and capture.views == NAMES and capture.clip == fg.Clip(3, 30, 17) and not problems(capture)
+    assert FrameStore(capture, folder=tmp_path_factory.mktemp("cache")).size(capture.shots[0]) == (80, 60)
     cameras = {name: fg.Camera(80, 60, 75, 76, 40.5, 29.5, RIG.poses[i]) for i, name in enumerate(NAMES)}
-    posed = capture.with_cameras(cameras)
+    posed = with_cameras(capture, cameras)
     assert posed.posed
     RIG.check(posed, tmp_path_factory.mktemp("cache"), NAMES)
-    two = capture.with_cameras({name: cameras[name] for name in NAMES[:2]})
+    two = with_cameras(capture, {name: cameras[name] for name in NAMES[:2]})
     assert two.views == NAMES[:2] and "left eye" in two.notes[-1]
     with pytest.raises(fg.FastGSError, match="none of its views"):
-        capture.with_cameras({})
+        with_cameras(capture, {})
 
 
 def test_a_lens_that_was_found_later(tmp_path, tmp_path_factory):
@@ -326,7 +329,7 @@ def test_a_lens_that_was_found_later(tmp_path, tmp_path_factory):
         rig.write_picture(tmp_path / NAMES[i] / "1.png", i, 0)
     capture = open_capture(tmp_path)
     cameras = {name: fg.Camera(160, 120, *SIMPLE[:4], rig.poses[i]) for i, name in enumerate(NAMES[:2])}
-    rig.check(capture.with_cameras(cameras, dict.fromkeys(cameras, rig.lens)), tmp_path_factory.mktemp("cache"), NAMES[:2])
+    rig.check(with_cameras(capture, cameras, dict.fromkeys(cameras, rig.lens)), tmp_path_factory.mktemp("cache"), NAMES[:2])
 
 
 def test_videos_without_poses(tmp_path):
@@ -334,4 +337,4 @@ def test_videos_without_poses(tmp_path):
     for i in range(2):
         RIG.write_video(tmp_path / f"{NAMES[i]}.mp4", i, fps=50)
     capture = open_capture(tmp_path)
-    assert not capture.posed and capture.views == NAMES[:2] and capture.clip == fg.Clip(3, 50, 0) and not capture.problems()
+    assert not capture.posed and capture.views == NAMES[:2] and capture.clip == fg.Clip(3, 50, 0) and not problems(capture)

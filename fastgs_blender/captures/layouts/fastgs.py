@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our own layout: a folder per camera of numbered pictures (or a video per camera) beside a cameras.json; docs/captures.md.
+"""FAST-GS captures: a folder per camera of numbered pictures (or a video per camera) beside a cameras.json; docs/captures.md.
 
     cameras.json                 {"format": "fast-gs capture", "version": 1, ...}
     cam00/0001.png ...           PNG, JPEG or EXR; the number is start_frame + frame.  Or cam00.mp4, whose first frame is frame 0,
@@ -21,9 +21,10 @@ from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ..capture import MASKS, Capture, Options
+from ..pixels.sequences import numbered_pictures, video_frames
 from ..points import load_points
 from ..rigs import RigCamera, check_count, from_rig
-from ..sources import COLOURS, VIDEOS, Source, numbered_pictures, video_frames
+from ..sources import COLOURS, VIDEOS, Source
 
 name = "fast-gs capture"
 FORMAT, VERSION = "fast-gs capture", 1

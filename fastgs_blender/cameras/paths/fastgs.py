@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our own camera path: everything that a Camera and a CameraPath hold.
+"""FAST-GS camera paths: everything that a Camera and a CameraPath hold.
 
     {"format": "fast-gs camera path", "version": 1, "fps": 24, "start_frame": 1, "axes": "RDF",
      "frames": [{"width", "height", "fx", "fy", "cx", "cy", "world_to_camera": 4 x 4}, ...]}
@@ -14,7 +14,7 @@ from .. import poses
 from ..camera import Camera
 from .base import CameraPath, refuse_orthographic, write_json
 
-name, label = "own", "FAST-GS camera path"
+name, label = "fastgs", "FAST-GS camera path"
 FORMAT, VERSION = "fast-gs camera path", 1
 
 

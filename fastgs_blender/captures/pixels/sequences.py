@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sequences of pictures on disk, as layouts look for them: the numbered files of a folder, the frames of a video."""
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from ...util.errors import FastGSError
+from ..sources import PICTURES, Source
+from .video import index
+
+MOST_DIGITS = 18
+"""Of a picture's number: more would not fit 64 bits."""
+
+
+def numbered_pictures(folder: Path) -> dict[int, Path]:
+    """Picture files of a folder by the last number in their names; files without a number are left out.
+
+    Raises FastGSError where two have the same number.
+    """
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        numbers = re.findall(r"\d+", path.stem)
+        if path.suffix.lower() not in PICTURES or path.name.startswith(".") or not numbers:
+            continue
+        number = int(numbers[-1][-MOST_DIGITS:])
+        if number in found:
+            raise FastGSError(f"{folder}: {found[number].name} and {path.name} both are picture {number}; leave one of them.")
+        found[number] = path
+    return found
+
+
+def frame_range(numbered: Iterable[dict[int, Path]], where: Path) -> tuple[int, int]:
+    """First number and count of frames of a rig, from its cameras' numbered_pictures(); (0, 0) where there are none.
+
+    Raises FastGSError where most pictures between the first and the last number are missing.
+    """
+    numbered = [found for found in numbered if found]
+    if not numbered:
+        return 0, 0
+    start = min(map(min, numbered))
+    count = max(map(max, numbered)) - start + 1
+    if count > 1000 + 10 * max(map(len, numbered)):
+        raise FastGSError(f"{where}: the pictures' numbers go from {start} to {start + count - 1} with most of them missing; number the "
+                          "frames of all cameras alike.")
+    return start, count
+
+
+def numbered_sources(numbered: dict[int, Path], where: Path, **settings) -> list[Source | None]:
+    """One Source per number from the lowest to the highest, None where there is no picture; settings are the Source's others.
+
+    Raises FastGSError as frame_range() does.
+    """
+    start, count = frame_range([numbered], where)
+    return [Source(numbered[n], **settings) if n in numbered else None for n in range(start, start + count)]
+
+
+def video_frames(path: Path, faults: list[str], **settings) -> tuple[Sequence[Source], float | None]:
+    """One Source per frame of a video, and its frames per second; settings are the Source's others.
+
+    For a video that cannot be read: no sources and None, and a sentence is added to faults.
+    """
+    try:
+        found = index(path)
+    except FastGSError as error:
+        faults.append(str(error))
+        return (), None
+    return [Source(path, i, **settings) for i in range(found.count)], found.fps

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures resampled as a pinhole would have taken them; cameras/lens.py has the geometry."""
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...cameras.lens import Intrinsics, Lens, inside, undistortion_map
+from ...util import threads
+from ..capture import Shot
+
+
+def resample(image: np.ndarray, source_positions: np.ndarray) -> np.ndarray:
+    """The image [H, W, C] at undistortion_map()'s positions [h, w, 2]: [h, w, C] float32, in the image's own values.
+
+    Cubic (Catmull-Rom, kept within the values around) where pixels keep their size; where the picture shrinks, the mean over each
+    pixel's area, exact for whole factors.  0 outside the source.
+    """
+    from ...kernels.cpu.resample import resample_rows  # loads numba, which a capture that is only looked at does without
+
+    image = np.ascontiguousarray(image if image.dtype in {np.dtype("uint8"), np.dtype("float32")} else image.astype(np.float32))
+    positions = np.ascontiguousarray(source_positions, np.float32)
+    out = np.zeros((*positions.shape[:2], image.shape[2]), np.float32)
+    threads.run(lambda first, last: resample_rows(image, positions, first, last, out), threads.ranges(len(positions), 32))
+    return out
+
+
+def positions_of(shot: Shot) -> np.ndarray | None:
+    """undistortion_map() of a shot with a camera; None where its pixels are only scaled, if at all."""
+    camera, image = shot.camera, shot.image
+    return _positions(image.lens, image.intrinsics, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
+
+
+@lru_cache(maxsize=8)
+def _positions(lens: Lens, source: Intrinsics, target: tuple) -> np.ndarray | None:
+    camera = Camera(*target, np.eye(4))
+    if lens.is_pinhole:
+        sx, sy = camera.width / source.width, camera.height / source.height
+        same = np.array([source.fx * sx, source.fy * sy, source.cx * sx, source.cy * sy])
+        if np.abs(same - target[2:]).max() < 1e-6 * max(camera.width, camera.height):
+            return None
+    return undistortion_map(lens, source, camera)
+
+
+def valid(shot: Shot) -> np.ndarray | None:
+    """Mask [h, w], False where the lens has no picture of a pixel; None where it has one everywhere."""
+    positions = None if shot.camera is None else positions_of(shot)
+    if positions is None:
+        return None
+    seen = inside(positions, shot.image.intrinsics.width, shot.image.intrinsics.height)
+    return None if seen.all() else seen
