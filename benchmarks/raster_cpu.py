@@ -32,7 +32,8 @@ import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.kernels.cpu import backend as cpu  # noqa: E402
 from fastgs_blender.kernels.cpu import raster  # noqa: E402
 from fastgs_blender.kernels.cpu.project import SCALE  # noqa: E402
-from fastgs_blender.rendering.scene import Layout, Part  # noqa: E402
+from fastgs_blender.rendering.instances import Instance  # noqa: E402
+from fastgs_blender.rendering.layout import Layout  # noqa: E402
 from fastgs_blender.util import threads  # noqa: E402
 
 
@@ -72,7 +73,7 @@ class Stage:
     """The rasterise stage of one frame, ready to run: everything before it is done."""
 
     def __init__(self, model, camera, t):
-        part = Part(model, np.eye(4), t, camera.world_to_camera)
+        part = Instance(model, np.eye(4), t).viewed(camera)
         layout = Layout([part], False)
         self.size = (camera.height, camera.width)
         cloud = cpu.project_parts([part], camera, layout)

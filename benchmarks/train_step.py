@@ -23,7 +23,8 @@ from raster_cpu import fg, scene, threads, timed
 
 from fastgs_blender.kernels.cpu import backend as cpu
 from fastgs_blender.kernels.cpu.loss import photometric as compare
-from fastgs_blender.rendering.scene import Layout, Part
+from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.layout import Layout
 from fastgs_blender.training.core.differentiable import Statistics, render
 from fastgs_blender.training.core.losses import MotionPenalty, photometric
 from fastgs_blender.training.core.optimiser import Optimiser
@@ -45,7 +46,7 @@ class Step:
         self.statistics, self.penalty = Statistics(gaussians), MotionPenalty(self.model.basis, EXTENT)
         target = fg.render(self.model, self.camera, TIME + 0.01, backend="cpu")["rgb"]
         self.target = np.ascontiguousarray(target, np.float32)
-        self.part = Part(self.model, np.eye(4), TIME, self.camera.world_to_camera)
+        self.part = Instance(self.model, np.eye(4), TIME).viewed(self.camera)
         self.layout = Layout([self.part], False)
         self.cloud = self.project()
         self.order = self.cloud.order()

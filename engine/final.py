@@ -68,7 +68,7 @@ def _render_layer(engine, depsgraph):
 def pictures(parts, eye, depth: str | None, background, progress) -> passes.Pictures:
     """All pictures of one view.
 
-    parts       [scene.Placed, ...]
+    parts       list of rendering.instances.Instance
     depth       the library's depth pass to compute, or None
     background  scene-linear colour under the splats, or None for transparent film
     """
@@ -97,7 +97,7 @@ def _painted(parts, space: str, value: float):
             return model
         return replace(model, appearance=fg.RGB(), features=np.full((len(model), 3), value, np.float32))
 
-    return [part._replace(model=paint(part.model)) for part in parts]
+    return [replace(part, model=paint(part.model)) for part in parts]
 
 
 def _views(render) -> list[str]:

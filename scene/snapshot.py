@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import Crop
-from ..fastgs_blender.rendering.scene import Placed
+from ..fastgs_blender.rendering.instances import Instance, ObjectSettings
 from . import crops, objects
 from .time import Retime, clip_frame
 
@@ -32,7 +32,7 @@ class Contents:
     frame: float
     fps: float
 
-    def parts(self, load=objects.load_model) -> tuple[list[Placed], dict[str, str]]:
+    def parts(self, load=objects.load_model) -> tuple[list[Instance], dict[str, str]]:
         """What to render, and {object's name: why its file cannot be loaded}; reads files where it must."""
         parts, failed = [], {}
         for item in self.shown:
@@ -43,7 +43,7 @@ class Contents:
                 continue
             frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
             if frame is not None:
-                parts.append(Placed(model, item.placement, model.clip.t_of_frame(frame), item.crops))
+                parts.append(Instance(model, item.placement, model.clip.t_of_frame(frame), ObjectSettings(item.crops)))
         return parts, failed
 
 

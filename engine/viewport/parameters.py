@@ -8,7 +8,7 @@ import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.motion import Basis
-from ...fastgs_blender.rendering.scene import Part
+from ...fastgs_blender.rendering.instances import ViewedInstance
 from .atlas import Atlas
 from .textures import WIDTH
 
@@ -23,7 +23,7 @@ class Depths:
     b: float = 0.0
 
 
-def table(camera: Camera, parts: list[Part], atlas: Atlas, count: int, groups: dict[int, int], depths: Depths | None,
+def table(camera: Camera, parts: list[ViewedInstance], atlas: Atlas, count: int, groups: dict[int, int], depths: Depths | None,
           depth_size=(1, 1)) -> np.ndarray:
     """float32 [1 + objects, width, 4].
 
@@ -68,7 +68,7 @@ def _object(camera, part, atlas, first, group):
         (part.t, model.temporal_kind.code, moving, plan.groups),
         (move_first, len(move_weights), turning, plan.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
-        (part.near(camera), raster.alpha_max, raster.alpha_cut, raster.blur),
+        (part.near, raster.alpha_max, raster.alpha_cut, raster.blur),
         (first % WIDTH, 0, 0, 0),
         *move_weights, *((w[0], 0, 0, 0) for w in turn_weights),
     ]

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
-from ...fastgs_blender.rendering.scene import Part
+from ...fastgs_blender.rendering.instances import ViewedInstance
 from . import parameters, shaders
 from .atlas import Atlas
 from .eye import WHOLE
@@ -32,10 +32,10 @@ class Group:
     """Parts whose blended numbers become colour in the same way; `part` is the one with a decoder, or None."""
 
     colour_space: str
-    part: Part | None = None
+    part: ViewedInstance | None = None
 
 
-def grouped(parts: list[Part]) -> tuple[list[Group], dict[int, int]]:
+def grouped(parts: list[ViewedInstance]) -> tuple[list[Group], dict[int, int]]:
     """The groups, and which of them each part belongs to, by their places in the lists."""
     groups, member, plain = [], {}, {}
     for number, part in enumerate(parts):
@@ -83,7 +83,7 @@ class Picture:
         """Bytes of the targets."""
         return sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
 
-    def draw(self, camera: Camera, parts: list[Part], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
+    def draw(self, camera: Camera, parts: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
         """Blend the parts, which the atlas holds, in the given order."""
         groups, member = grouped(parts)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]

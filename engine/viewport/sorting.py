@@ -10,7 +10,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.rendering import visibility
-from ...fastgs_blender.rendering.scene import Part, Placed
+from ...fastgs_blender.rendering.instances import Instance
 from ...scene import objects
 from ...scene.snapshot import Contents
 from .. import compiling
@@ -27,7 +27,7 @@ _lock = threading.Lock()
 class Sorted:
     """An answer: the parts as they were, their files' models, and the order [V] float32 in which to draw them."""
 
-    parts: list[Placed]
+    parts: list[Instance]
     models: dict[str, fg.GaussianModel]
     failed: dict[str, str]
     order: np.ndarray
@@ -43,7 +43,7 @@ def sort(contents: Contents, camera: fg.Camera, limit: float, atlas: Atlas) -> S
 
     parts, failed = contents.parts(load)
     atlas.pack({id(part.model): part.model for part in parts}.values())
-    clouds = [Part(*part[:3], camera.world_to_camera, part.crops) for part in parts]
+    clouds = [part.viewed(camera) for part in parts]
     total = sum(len(part.model) for part in parts)
     order = visibility.order(clouds, camera, min(limit, MOST / max(total, 1)), rank,
                              numba=not compiling.is_running())

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...fastgs_blender.rendering.scene import Part
 from ...scene import objects
 from ...scene.snapshot import Contents
 from . import fallback, sorting
@@ -154,7 +153,7 @@ class View:
         parts, _ = contents.parts(_known(answer.models))
         if [id(p.model) for p in parts] != [id(p.model) for p in answer.parts]:
             parts = answer.parts  # what came or went since is drawn when it has been sorted
-        clouds = [Part(*part[:3], camera.world_to_camera) for part in parts]
+        clouds = [part.viewed(camera) for part in parts]
         if clouds:
             self.atlas.hold([part.model for part in clouds], self.others())
         elif not contents.shown and self.atlas.nbytes and not self.others():

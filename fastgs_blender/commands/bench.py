@@ -119,9 +119,10 @@ def _stages(model, camera, repeat):
     import numpy as np
 
     from ..kernels.cpu import backend as cpu
-    from ..rendering.scene import Layout, Part
+    from ..rendering.instances import Instance
+    from ..rendering.layout import Layout
 
-    part = Part(model, np.eye(4), 0.5, camera.world_to_camera)
+    part = Instance(model, np.eye(4), 0.5).viewed(camera)
     layout = Layout([part], depth=False)
     times = {"slice and project": [], "sort": [], "tiles and rasterise": []}
     for _ in range(repeat):

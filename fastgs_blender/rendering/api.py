@@ -4,28 +4,30 @@ from __future__ import annotations
 
 import importlib
 import logging
+import warnings
 from functools import cache, reduce
 
 import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
-from ..util.errors import FastGSError
-from .scene import Layout, Part, Placed
+from ..util.errors import FastGSError, LossWarning
+from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
+from .layout import Layout
 
 PASSES = {"rgb": 3, "alpha": 1, "depth": 1, "median_depth": 1}
 """The passes and their channels."""
 
 BACKENDS = {"cpu": "..kernels.cpu.backend", "reference": ".oracle"}
-"""Module of each backend: draw(parts, camera, layout, median, progress) and decode_features(...)."""
+"""Module of each backend: draw(instances, camera, layout, median, progress) and decode_features(...)."""
 
 
 def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
            progress=None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
-    model     one model, or a list of (model, 4 x 4 placement in the world, t), sorted and blended as one cloud; a fourth member
-              may hold boxes that crop it (crops.py)
+    model     one model, or a list of instances, sorted and blended together: instances.Instance, or (model, placement [4, 4] in the
+              world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
               depth         [h, w]  expected depth along the view axis, inf where alpha is 0
@@ -40,17 +42,17 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
     module = _backend(backend)
     progress = progress or (lambda fraction: None)
-    parts = [part for part in _parts(model, camera, t) if len(part.model)]
-    layout = Layout(parts, depth="depth" in passes)
+    instances = _instances(model, camera, t)
+    layout = Layout(instances, depth="depth" in passes)
     _, _, width, height = camera.window
-    if parts:
-        buffers = module.draw(parts, camera, layout, "median_depth" in passes, progress)
+    if instances:
+        buffers = module.draw(instances, camera, layout, "median_depth" in passes, progress)
         alpha = buffers.alpha
     else:
         alpha = np.zeros((height, width), np.float32)
     out = {}
     for name in passes:
-        if not parts:
+        if not instances:
             shape = (height, width, 3) if name == "rgb" else (height, width)
             image = np.full(shape, np.inf if "depth" in name else 0.0)
         elif name == "rgb":
@@ -68,24 +70,29 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
 
 
 def _decoded(group, buffers, camera, module):
-    if group.part is None:
+    if group.instance is None:
         return buffers.channels[..., group.offset:group.offset + 3]
     weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
-    return module.decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.part, camera)
+    return module.decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
 
 
-def _parts(model, camera, t) -> list[Part]:
-    if isinstance(model, GaussianModel):
-        model = [(model, np.eye(4), t)]
-    parts = []
-    for item, placement, time, crops in (Placed(*each) for each in model):
-        placement = np.array(placement, np.float64)
-        if placement.shape != (4, 4) or not np.isfinite(placement).all():
-            raise FastGSError("a model's placement must be a 4 x 4 matrix of finite numbers.")
-        if not np.isfinite(time):
-            raise FastGSError(f"the time of a model must be a finite number, not {time!r}.")
-        parts.append(Part(item, placement, float(time), camera.world_to_camera, tuple(crops)))
-    return parts
+def _instances(model, camera, t) -> list[ViewedInstance]:
+    """What render() was given, as instances before the camera; those that cannot be computed with, or are empty, are left out."""
+    found = [Instance(model, np.eye(4), t)] if isinstance(model, GaussianModel) else [_instance(each) for each in model]
+    viewed = [instance.viewed(camera) for instance in found if len(instance.model)]
+    for instance in viewed:
+        if not instance.in_range:
+            warnings.warn(LossWarning(f"a model is not drawn: its placement before the camera has numbers beyond {LIMIT:g}."), stacklevel=3)
+    return [instance for instance in viewed if instance.in_range]
+
+
+def _instance(given) -> Instance:
+    """The Instance of (model, placement [4, 4], t), perhaps with boxes or ObjectSettings as a fourth member."""
+    if isinstance(given, Instance):
+        return given
+    model, placement, t, *rest = given
+    settings = rest[0] if rest else ObjectSettings()
+    return Instance(model, placement, t, settings if isinstance(settings, ObjectSettings) else ObjectSettings(settings))
 
 
 @cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Boxes that cut a model down while it is shown: a Gaussian is there while its centre is."""
+"""Crop boxes: a Gaussian is drawn while its centre lies where the boxes leave the model."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -14,25 +14,34 @@ from ..model.slicing import sigmoid
 class Crop:
     """A box.  Boxes to keep add up; what lies in a box to remove is gone, whatever keeps it.
 
-    matrix  [4, 4] from the model's space to the box's own, in which it reaches from -1 to 1 along each axis.  What holds numbers
-            that are none is the matrix of a box without an inside.
+    matrix  [4, 4] from the model's space to the box's own, in which it reaches from -1 to 1 along each axis.  A matrix with NaN
+            is that of a box without an inside.
     remove  whether its inside is removed, rather than kept
     """
 
     matrix: np.ndarray
     remove: bool = False
 
+    def _key(self):
+        return np.asarray(self.matrix, np.float64).tobytes(), bool(self.remove)
 
-def boxes(crops) -> tuple[np.ndarray, np.ndarray]:
+    def __eq__(self, other):
+        return isinstance(other, Crop) and self._key() == other._key()
+
+    def __hash__(self):
+        return hash(self._key())
+
+
+def crop_arrays(crops) -> tuple[np.ndarray, np.ndarray]:
     """(rows of the matrices [B, 3, 4] float64, remove [B] bool), as kernels take them; boxes to keep come first."""
     ordered = sorted(crops, key=lambda crop: crop.remove)
     rows = np.array([np.asarray(crop.matrix, np.float64)[:3] for crop in ordered]).reshape(-1, 3, 4)
     return np.ascontiguousarray(rows), np.array([crop.remove for crop in ordered], bool)
 
 
-def shown(crops, position: np.ndarray) -> np.ndarray:
+def kept_by(crops, position: np.ndarray) -> np.ndarray:
     """Which positions [M, 3] in the model's space the boxes leave: [M] bool."""
-    rows, remove = boxes(crops)
+    rows, remove = crop_arrays(crops)
     kept = np.full(len(position), bool(remove.all()))
     for matrix, removes in zip(rows, remove):
         inside = (np.abs(position @ matrix[:, :3].T + matrix[:, 3]) <= 1).all(1)
@@ -51,5 +60,5 @@ def cropped(model: GaussianModel, crops, per_frame: int = 2) -> GaussianModel:
         seen = opacity * model.temporal_kind.factor(t, model.mu_tau, model.temporal) >= model.raster.alpha_cut
         at = np.flatnonzero(seen & ~kept)
         moved, _ = model.basis.evaluate(model.motion[at], t, model.mu_tau[at])
-        kept[at] = shown(crops, model.position[at] + moved)
+        kept[at] = kept_by(crops, model.position[at] + moved)
     return model.take(kept)

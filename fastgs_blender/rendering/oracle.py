@@ -14,8 +14,9 @@ from ..cameras.camera import Camera
 from ..model.appearance import SH, Features, decode, sh_basis
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
-from .crops import shown
-from .scene import Buffers, Layout, Part
+from .crops import kept_by
+from .instances import LIMIT, ViewedInstance
+from .layout import Buffers, Layout
 
 T_STOP = 1e-4
 """A pixel is finished when the next splat would leave this transmittance or less; that splat is not blended (INRIA, gsplat)."""
@@ -39,29 +40,30 @@ class Splats:
     alpha_cut: np.ndarray
 
 
-def colours(s: Slice, part: Part, camera: Camera) -> np.ndarray:
+def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
-    appearance = part.model.appearance
+    appearance = instance.model.appearance
     if not isinstance(appearance, SH):
         return s.features
     if camera.orthographic:
-        direction = np.broadcast_to(part.camera_to_model[:3, 2], s.position.shape)
+        direction = np.broadcast_to(instance.camera_to_model[:3, 2], s.position.shape)
     else:
-        direction = s.position - part.camera_to_model[:3, 3]
+        direction = s.position - instance.camera_to_model[:3, 3]
     direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
     basis = sh_basis(direction, appearance.degree)
     return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3)))
 
 
-def project(part: Part, camera: Camera, layout: Layout) -> Splats:
-    """One model at its time, projected (EWA splatting as 3DGS does it; rasterisers.md 3.1)."""
-    model, raster = part.model, part.model.raster
-    s = slice_model(model, part.t)
-    linear, origin = part.model_to_camera[:3, :3], part.model_to_camera[:3, 3]
+def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
+    """One instance at its time, projected (EWA splatting as 3DGS does it; rasterisers.md 3.1)."""
+    model, raster = instance.model, instance.model.raster
+    s = slice_model(model, instance.t)
+    linear, origin = instance.model_to_camera[:3, :3], instance.model_to_camera[:3, 3]
     view = s.position @ linear.T + origin
     z = view[:, 2]
     factor = linear @ rotations.to_matrices(s.rotation) * s.scale[:, None, :]
-    seen = shown(part.crops, s.position) & (z > part.near(camera)) & np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
+    seen = kept_by(instance.settings.crops, s.position) & (z > instance.near) & (z <= LIMIT)
+    seen &= np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]
 
@@ -89,8 +91,8 @@ def project(part: Part, camera: Camera, layout: Layout) -> Splats:
         opacity = opacity * np.sqrt(np.divide(sharp, determinant, out=np.zeros_like(sharp), where=determinant > 0))
 
     channels = np.zeros((len(z), layout.channels))
-    colour = colours(s, part, camera)
-    group = layout.group_of(part)
+    colour = colours(s, instance, camera)
+    group = layout.group_of(instance)
     channels[:, group.offset:group.offset + colour.shape[1]] = colour
     if group.weight is not None:
         channels[:, group.weight] = 1
@@ -98,7 +100,7 @@ def project(part: Part, camera: Camera, layout: Layout) -> Splats:
         channels[:, layout.depth] = z
     same = np.ones(len(z))
     splats = Splats(mean, covariance, determinant, opacity, z, channels, raster.alpha_max * same, raster.alpha_cut * same)
-    drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & np.isfinite(channels).all(1)
+    drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & (np.abs(channels) <= LIMIT).all(1)
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
 
 
@@ -143,21 +145,21 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> Buffers:
     return Buffers(out, 1 - transmittance, median)
 
 
-def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
+def draw(instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
     """All models as one cloud, composited into the layout's channels; band: see rasterise()."""
     with np.errstate(all="ignore"):  # what overflows is not drawn
-        clouds = [project(part, camera, layout) for part in parts]
+        clouds = [project(instance, camera, layout) for instance in instances]
     progress(0.1)
     return rasterise(Splats(**{name: np.concatenate([vars(c)[name] for c in clouds]) for name in vars(clouds[0])}), camera, band)
 
 
-def decode_features(features: np.ndarray, weight: np.ndarray, part: Part, camera: Camera) -> np.ndarray:
+def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     """Premultiplied colour [h, w, 3] of blended features [h, w, 9] with their blending weight [h, w].
 
     The decoder sees the features of the surface, un-premultiplied, so that colour does not depend on coverage.
     """
-    appearance: Features = part.model.appearance
-    centre, rays = camera.rays(part.model_to_camera)
+    appearance: Features = instance.model.appearance
+    centre, rays = camera.rays(instance.model_to_camera)
     covered = weight[..., None] > 0
     surface = np.divide(features, weight[..., None], out=np.zeros_like(features), where=covered)
     return decode(surface, centre, rays, appearance) * weight[..., None]

@@ -12,15 +12,15 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
-from .crops import boxes, shown
-from .scene import Part
+from .crops import crop_arrays, kept_by
+from .instances import ViewedInstance
 
 CHUNK = 16_384
 """Gaussians in one piece of work."""
 
 
-def order(parts: list[Part], camera: Camera, limit: float = 1.0, ranks=None, numba: bool = True) -> np.ndarray:
-    """Indices [V] int32 of the Gaussians that a camera shows, the nearest first, counted through all parts as one cloud.
+def order(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, ranks=None, numba: bool = True) -> np.ndarray:
+    """Indices [V] int32 of the Gaussians that a camera shows, the nearest first, counted through all instances in their order.
 
     Left out is what cannot touch a pixel: by temporal opacity, before the near plane, off the picture, cropped.
     numba          whether to use it, where it is installed
@@ -33,13 +33,13 @@ def order(parts: list[Part], camera: Camera, limit: float = 1.0, ranks=None, num
 
             find = _visible
     keys, index, done = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], 0
-    for part in parts:
-        if len(part.model):
-            rank = ranks(part.model) if limit < 1 else np.zeros(0, np.float32)
-            for piece_keys, piece_index in find(part, camera, done, (float(limit), rank)):
+    for instance in instances:
+        if len(instance.model):
+            rank = ranks(instance.model) if limit < 1 else np.zeros(0, np.float32)
+            for piece_keys, piece_index in find(instance, camera, done, (float(limit), rank)):
                 keys.append(piece_keys)
                 index.append(piece_index)
-        done += len(part.model)
+        done += len(instance.model)
     return order_by(np.concatenate(keys), np.concatenate(index))
 
 
@@ -65,36 +65,38 @@ def _scale_bound(matrix: np.ndarray) -> float:
     return float(np.linalg.norm(matrix, 2))
 
 
-def _visible(part: Part, camera: Camera, offset: int, rank):
+def _visible(instance: ViewedInstance, camera: Camera, offset: int, rank):
     from ..kernels.cpu.clouds import plain, weights_at
     from ..kernels.cpu.visible import visible
     from ..util.threads import ranges, run
 
-    model, raster = part.model, part.model.raster
-    to_camera = part.model_to_camera
+    model, raster = instance.model, instance.model.raster
+    to_camera = instance.model_to_camera
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3]])
     spread_x, spread_y = (s * _scale_bound(to_camera[:3, :3]) for s in spread(camera))
-    lens = tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, part.near(camera), camera.width, camera.height,
+    lens = tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, camera.width, camera.height,
                                     spread_x, spread_y))
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
-    common = (offset, tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal)),
-              (part.t, model.temporal_kind.code, weights_at(model.basis, part.t)), view, lens,
-              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)), boxes(part.crops), rank, depth, index)
+    arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
+    common = (offset, arrays,
+              (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
+              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)),
+              crop_arrays(instance.settings.crops), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)
     return [(depth[first:first + n], index[first:first + n]) for (first, _), n in zip(pieces, counts)]
 
 
-def _visible_numpy(part: Part, camera: Camera, offset: int, rank):
-    model, raster = part.model, part.model.raster
+def _visible_numpy(instance: ViewedInstance, camera: Camera, offset: int, rank):
+    model, raster = instance.model, instance.model.raster
     with np.errstate(all="ignore"):
-        sigma = sigmoid(model.opacity) * model.temporal_kind.factor(part.t, model.mu_tau, model.temporal)
+        sigma = sigmoid(model.opacity) * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
         kept = sigma >= raster.alpha_cut
         if len(rank[1]):
             kept &= rank[1] < rank[0]
         at = np.flatnonzero(kept)
-        moved, _ = model.basis.evaluate(model.motion[at], part.t, model.mu_tau[at])
-        to_camera = part.model_to_camera
+        moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
+        to_camera = instance.model_to_camera
         position = model.position[at] + moved
         p = position @ to_camera[:3, :3].T + to_camera[:3, 3]
         z = p[:, 2]
@@ -103,7 +105,7 @@ def _visible_numpy(part: Part, camera: Camera, offset: int, rank):
         size = np.exp(model.scale[at].max(1).astype(np.float64)) * per_depth * _scale_bound(to_camera[:3, :3])
         reach = 2 * np.log(sigma[at] / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
-        seen = (z > part.near(camera)) & np.isfinite(z) & shown(part.crops, position)
+        seen = (z > instance.near) & np.isfinite(z) & kept_by(instance.settings.crops, position)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return [(z[seen].astype(np.float32), (offset + at[seen]).astype(np.int32))]
 

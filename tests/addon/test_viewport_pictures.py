@@ -63,10 +63,10 @@ def drawn(module, gpu_scene):
     """drawn(parts, camera, **resolve): the viewport's picture in scene-linear Rec.709 [h, w, 4]."""
     picture, atlas = module("engine.viewport.picture"), module("engine.viewport.atlas")
     order = module("fastgs_blender.rendering.visibility").order
-    part_of = module("fastgs_blender.rendering.scene").Part
+    instance = module("fastgs_blender.rendering.instances").Instance
 
     def draw(parts, camera, depth=None, keep=lambda indices: indices, **look):
-        parts = [part_of(model, np.array(placement, float), t, camera.world_to_camera) for model, placement, t in parts]
+        parts = [instance(model, placement, t).viewed(camera) for model, placement, t in parts]
         textures, shown = atlas.Atlas(), picture.Picture()
         textures.hold([part.model for part in parts])
 
@@ -86,7 +86,7 @@ def decoder(fg, activation):
 
 def expected(module, parts, camera):
     """The same from the final render's code: Combined on transparent film."""
-    parts = [module("fastgs_blender.rendering.scene").Placed(*part) for part in parts]
+    parts = [module("fastgs_blender.rendering.instances").Instance(*part) for part in parts]
     return module("engine.final").pictures(parts, camera, None, None, lambda fraction: None).combined
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...model.appearance import ACTIVATIONS, Features
-from ...rendering.scene import Buffers, Layout, Part
+from ...rendering.instances import ViewedInstance
+from ...rendering.layout import Buffers, Layout
 from ...util.threads import ranges, run, thread_count
 from . import raster, raster_backward, tiles
 from .clouds import CHUNK, Cloud, plain, project_backward, project_parts
@@ -27,7 +28,7 @@ BACKWARD_BYTES = 24 << 20
 """Bytes of tile entries' gradients held at once; a picture with more goes backward in bands.  Fresh memory costs more than bands."""
 
 
-def draw(parts: list[Part], camera: Camera, layout: Layout, median: bool, progress) -> Buffers:
+def draw(parts: list[ViewedInstance], camera: Camera, layout: Layout, median: bool, progress) -> Buffers:
     """All parts as one cloud, composited into the layout's channels (scene.py)."""
     announce()
     cloud = project_parts(parts, camera, layout, lambda f: progress(0.3 * f))
@@ -200,7 +201,7 @@ def _cursors(counts, first: int, last: int):
     return starts, starts[:-1] + np.cumsum(counts, 0) - counts
 
 
-def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
+def decode_features(features, weight, part: ViewedInstance, camera: Camera) -> np.ndarray:
     """Premultiplied colour [h, w, 3] of blended features [h, w, C >= 9]; see reference.decode_features."""
     _, _, width, height = camera.window
     out, inputs = np.empty((height, width, 3), np.float32), _decoder_inputs(features, weight, part, camera)
@@ -208,7 +209,7 @@ def decode_features(features, weight, part: Part, camera: Camera) -> np.ndarray:
     return out
 
 
-def decode_backward(features, weight, part: Part, camera: Camera, grad):
+def decode_backward(features, weight, part: ViewedInstance, camera: Camera, grad):
     """From d loss / d colour [h, w, 3] to that of features [h, w, C], weight [h, w], w1 [6, 12] and w2 [3, 6].
 
     Every piece of rows has its own sums for the matrices, added in order: the same bytes for any number of threads.

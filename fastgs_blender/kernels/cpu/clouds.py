@@ -9,8 +9,9 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...model.appearance import RGB, SH, Features
-from ...rendering.crops import boxes
-from ...rendering.scene import Layout, Part
+from ...rendering.crops import crop_arrays
+from ...rendering.instances import ViewedInstance
+from ...rendering.layout import Layout
 from ...util.threads import ranges, run
 from . import project, raster
 from .project_backward import project_backward as project_rows_backward
@@ -52,14 +53,14 @@ class Cloud:
         return order_by(self.depth[self.index], self.index)
 
 
-def project_parts(parts: list[Part], camera: Camera, layout: Layout, progress=None) -> Cloud:
+def project_parts(parts: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> Cloud:
     """Slice, cull and project all parts."""
     total = sum(len(part.model) for part in parts)
     shade = np.empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32)
     arrays = np.empty((total, 5)), shade, np.empty(total, np.float32), np.empty(total, np.int32)
     runs, done = [], 0
     for part in parts:
-        count, inputs = len(part.model), (boxes(part.crops), *_inputs(part, camera, layout))
+        count, inputs = len(part.model), (crop_arrays(part.settings.crops), *_inputs(part, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
         pieces = ranges(count, CHUNK)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
@@ -70,7 +71,7 @@ def project_parts(parts: list[Part], camera: Camera, layout: Layout, progress=No
     return Cloud(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
 
 
-def project_backward(part: Part, camera: Camera, layout: Layout, cloud: Cloud, gradients: RasterGradients,
+def project_backward(part: ViewedInstance, camera: Camera, layout: Layout, cloud: Cloud, gradients: RasterGradients,
                      detach_time: bool = False) -> dict[str, np.ndarray]:
     """d loss / d the model's arrays by name, of the cloud of this part alone, from d loss / d splats.
 
@@ -85,13 +86,13 @@ def project_backward(part: Part, camera: Camera, layout: Layout, cloud: Cloud, g
     return out
 
 
-def _inputs(part: Part, camera: Camera, layout: Layout):
+def _inputs(part: ViewedInstance, camera: Camera, layout: Layout):
     """arrays, times, view, lens, constants and look of a part, see project.project."""
     model, group = part.model, layout.group_of(part)
     to_camera, to_model = part.model_to_camera, part.camera_to_model
     x0, y0, width, height = camera.window
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy, part.near(camera), *camera.tangent_limits(),
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, part.near, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r = model.raster
     return (

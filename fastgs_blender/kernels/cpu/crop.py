@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether boxes leave a Gaussian: crops.shown for one position."""
+"""crops.kept_by for one position, for kernels."""
 from __future__ import annotations
 
 from .jit import inline
 
 
 @inline
-def is_left(x, y, z, rows, remove):
-    """rows [B, 3, 4] and remove [B] of crops.boxes."""
+def is_kept(x, y, z, rows, remove):
+    """rows [B, 3, 4] and remove [B] of crops.crop_arrays."""
     kept = len(remove) == 0 or remove[0]
     for b in range(len(remove)):
         inside = True

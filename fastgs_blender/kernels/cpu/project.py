@@ -12,7 +12,7 @@ import numpy as np
 from numba import float32
 
 from . import raster
-from .crop import is_left
+from .crop import is_kept
 from .jit import inline, kernel
 from .spherical import sh_colour
 
@@ -139,7 +139,7 @@ def _project_axis(axis, row0, row1, row2, a02, a12):
 def project(first, last, boxes, arrays, times, view, lens, constants, look, geometry, shade, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
-    boxes      (rows, remove) of the boxes that crop the model, see crops.boxes
+    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
@@ -166,7 +166,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
         delta = t - np.float64(mu_tau[n])
         px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        if not is_left(px, py, pz, crop_rows, crop_remove):
+        if not is_kept(px, py, pz, crop_rows, crop_remove):
             continue
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]

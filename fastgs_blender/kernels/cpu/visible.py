@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .crop import is_left
+from .crop import is_kept
 from .jit import kernel
 from .project import _exp, _moved3, _temporal_factor
 
@@ -22,7 +22,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
     lens       (fx, fy, cx, cy, near, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
     constants  (blur, alpha cut, orthographic)
-    boxes      (rows, remove) of the boxes that crop the model, see crops.boxes
+    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
     rank       [N] float32, or [0]; (limit, rank): Gaussians whose rank is not under the limit are left out
     depth      float32, along the view axis; index int32
     Returns the number of rows written.
@@ -43,7 +43,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
             continue
         px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        if not is_left(px, py, pz, rows, remove):
+        if not is_kept(px, py, pz, rows, remove):
             continue
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z < np.inf):

@@ -8,7 +8,7 @@ from ...cameras.camera import Camera
 from ...model.appearance import RGB, Features
 from ...model.gaussians import GaussianModel
 from ...rendering.api import render
-from ...rendering.scene import Part
+from ...rendering.instances import Instance
 from ...rendering.visibility import importance_rank, order
 
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
@@ -23,8 +23,9 @@ def compile_all(progress=lambda fraction: None) -> None:
     for i, (model, passes) in enumerate(jobs):
         render(model, camera, passes=passes, backend="cpu")
         progress((i + 1) / len(jobs))
-    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera)
-    order([Part(models[0], np.eye(4), 0.0, np.eye(4))], camera, 0.5, importance_rank)
+    instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
+    order([instance], camera)
+    order([instance], camera, 0.5, importance_rank)
 
 
 if __name__ == "__main__":

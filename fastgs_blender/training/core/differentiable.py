@@ -12,7 +12,8 @@ from ...kernels.cpu import backend as cpu
 from ...kernels.cpu.jit import announce
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
-from ...rendering.scene import Layout, Part
+from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.layout import Layout
 from .model import DECODER, with_arrays
 from .statistics import Statistics
 
@@ -37,7 +38,7 @@ class View:
     band  width over which alpha fades in above the cut: 0 but for checks of the gradients (kernels/raster.py)
     """
 
-    part: Part
+    part: ViewedInstance
     camera: Camera
     layout: Layout
     statistics: Statistics | None
@@ -106,7 +107,7 @@ def render(parameters: dict[str, torch.Tensor], template: GaussianModel, camera:
     """
     announce()
     model = with_arrays(template, {name: tensor.detach().numpy() for name, tensor in parameters.items()})
-    part = Part(model, np.eye(4), float(t), camera.world_to_camera)
+    part = Instance(model, np.eye(4), float(t)).viewed(camera)
     view = View(part, camera, Layout([part], depth), statistics, detach_time, float(band))
     channels, alpha, deep = Splat.apply(view, *(parameters[name] for name in model.arrays))
     if isinstance(model.appearance, Features):

@@ -15,7 +15,8 @@ from fastgs_blender.kernels.cpu import backend as cpu
 from fastgs_blender.kernels.cpu import clouds
 from fastgs_blender.model.slicing import slice_model
 from fastgs_blender.rendering import oracle as reference
-from fastgs_blender.rendering.scene import Layout, Part
+from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.layout import Layout
 from fastgs_blender.util import threads
 
 torch = pytest.importorskip("torch")
@@ -81,7 +82,7 @@ class Functional:
 
     def of_reference(self, model, t=T) -> float:
         """Its value by the oracle."""
-        part = Part(model, np.eye(4), t, self.camera.world_to_camera)
+        part = Instance(model, np.eye(4), t).viewed(self.camera)
         layout = Layout([part], self.depth)
         out = reference.draw([part], self.camera, layout, False, lambda fraction: None, BAND)
         rgb = out.channels[..., :3]

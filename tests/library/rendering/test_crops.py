@@ -12,8 +12,8 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.rendering import visibility
-from fastgs_blender.rendering.crops import Crop, cropped, shown
-from fastgs_blender.rendering.scene import Part
+from fastgs_blender.rendering.crops import Crop, cropped, kept_by
+from fastgs_blender.rendering.instances import Instance, ObjectSettings
 
 CAMERA = fg.Camera(48, 40, 40, 40, 24, 20, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]))
 
@@ -36,15 +36,15 @@ def test_boxes_to_keep_add_up_and_boxes_to_remove_win(seed, removes):
     rng = np.random.default_rng(seed)
     crops, points = [box(rng, remove) for remove in removes], rng.uniform(-1.5, 1.5, (50, 3))
     keeps = [crop for crop in crops if not crop.remove]
-    for point, left in zip(points, shown(crops, points)):
+    for point, left in zip(points, kept_by(crops, points)):
         kept = not keeps or any(inside(crop, point) for crop in keeps)
         assert left == (kept and not any(inside(crop, point) for crop in crops if crop.remove))
 
 
 def test_a_box_without_an_inside():
     nothing, points = np.full((4, 4), np.nan), np.zeros((2, 3))
-    assert not shown([Crop(nothing)], points).any()
-    assert shown([Crop(nothing, remove=True)], points).all()
+    assert not kept_by([Crop(nothing)], points).any()
+    assert kept_by([Crop(nothing, remove=True)], points).all()
 
 
 @pytest.mark.parametrize("backend", ["reference", "cpu"])
@@ -54,7 +54,7 @@ def test_a_cropped_picture_is_that_of_what_is_left(backend, removes, basis, temp
     rng = np.random.default_rng(len(removes))
     model, crops = random_model(rng, 200, basis, "line", temporal, motion=0.1), [box(rng, remove) for remove in removes]
     for t in (0.2, 0.9):
-        left = shown(crops, fg.slice_model(model, t, cull=False).position)
+        left = kept_by(crops, fg.slice_model(model, t, cull=False).position)
         assert 10 < left.sum() < 190
         wanted = fg.render(model.take(left), CAMERA, t, passes=("rgb", "alpha", "depth"), backend=backend)
         got = fg.render([(model, np.eye(4), t, crops)], CAMERA, passes=("rgb", "alpha", "depth"), backend=backend)
@@ -68,11 +68,11 @@ def test_a_viewport_sorts_what_is_left(numba, monkeypatch):
         monkeypatch.setitem(sys.modules, "fastgs_blender.kernels.cpu.parallel_sort", None)
     rng = np.random.default_rng(5)
     model, crops = random_model(rng, 300, "fourier", size=0.02), (box(rng), box(rng, True))
-    everything = visibility.order([Part(model, np.eye(4), 0.4, CAMERA.world_to_camera)], CAMERA)
-    left = shown(crops, fg.slice_model(model, 0.4, cull=False).position)
+    everything = visibility.order([Instance(model, np.eye(4), 0.4).viewed(CAMERA)], CAMERA)
+    left = kept_by(crops, fg.slice_model(model, 0.4, cull=False).position)
     wanted = everything[left[everything]]
     assert 10 < len(wanted) < len(everything)
-    np.testing.assert_array_equal(visibility.order([Part(model, np.eye(4), 0.4, CAMERA.world_to_camera, crops)], CAMERA), wanted)
+    np.testing.assert_array_equal(visibility.order([Instance(model, np.eye(4), 0.4, ObjectSettings(crops)).viewed(CAMERA)], CAMERA), wanted)
 
 
 def test_cropped_for_good_are_those_that_are_left_on_some_frame():

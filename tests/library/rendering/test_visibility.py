@@ -12,7 +12,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import parallel_sort
 from fastgs_blender.rendering import visibility
-from fastgs_blender.rendering.scene import Part
+from fastgs_blender.rendering.instances import Instance
 
 
 def numpy_order(parts, camera, monkeypatch, **options):
@@ -31,7 +31,7 @@ def test_only_what_is_seen_in_the_right_order(seed, basis, temporal, monkeypatch
     models = [random_model(rng, 60, basis, "line", temporal, scale=hostile_scales(rng, 60)) for _ in range(2)]
     placement = np.eye(4)
     placement[:3, :3] += rng.normal(0, 0.3, (3, 3))
-    parts = [Part(models[0], np.eye(4), 0.3, camera.world_to_camera), Part(models[1], placement, 0.6, camera.world_to_camera)]
+    parts = [Instance(models[0], np.eye(4), 0.3).viewed(camera), Instance(models[1], placement, 0.6).viewed(camera)]
     order = visibility.order(parts, camera)
     np.testing.assert_array_equal(order, numpy_order(parts, camera, monkeypatch))
     seen = [(part.model.take(np.sort(order[(order >= 60 * k) & (order < 60 * (k + 1))] - 60 * k)), part.placement, part.t)
@@ -50,7 +50,7 @@ def test_most_of_what_is_not_seen_is_left_out():
     rng = np.random.default_rng(1)
     model = random_model(rng, 5000, extent=20, size=0.001)
     camera = fg.Camera(64, 64, 64, 64, 32, 32, np.eye(4), near=0.1)
-    order = visibility.order([Part(model, np.eye(4), 0.0, camera.world_to_camera)], camera)
+    order = visibility.order([Instance(model, np.eye(4), 0.0).viewed(camera)], camera)
     x, y, z = model.position.T
     inside = (z > 0.2) & (abs(x) < 0.5 * z) & (abs(y) < 0.5 * z)
     assert inside.sum() * 0.5 < len(order) < inside.sum() * 1.2
@@ -62,7 +62,7 @@ def test_ranks_leave_out_the_least_important():
     pose = np.eye(4)
     pose[2, 3] = 5
     camera = fg.Camera(64, 64, 40, 40, 32, 32, pose)
-    part = Part(model, np.eye(4), 0.0, camera.world_to_camera)
+    part = Instance(model, np.eye(4), 0.0).viewed(camera)
     whole, half = visibility.order([part], camera), visibility.order([part], camera, 0.5, visibility.importance_rank)
     assert len(half) == 200 and len(whole) == 400
     area = np.sort(model.scale, 1)[:, 1:].sum(1)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The instance of a model in a picture: which model, where it stands, which time it shows, and how its object shows it."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..model.gaussians import GaussianModel
+from ..util.errors import FastGSError
+from .crops import Crop
+
+LIMIT = 1e30
+"""Largest coordinate, depth or colour that is drawn: float32 sums of such numbers stay finite.  What lies beyond is left out."""
+
+
+@dataclass(frozen=True)
+class ObjectSettings:
+    """How an object shows its model.  It goes whole from the object to the kernels and to the viewport; equal settings look equal.
+
+    crops  boxes that cut the model, see crops.py
+    """
+
+    crops: tuple[Crop, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "crops", tuple(self.crops))
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """A model in a picture.
+
+    model      GaussianModel
+    placement  [4, 4] from the model's space to the world; kept as float64
+    t          the time to show, any real number
+    settings   ObjectSettings
+
+    Raises FastGSError where the placement or the time is not finite.
+    """
+
+    model: GaussianModel
+    placement: np.ndarray
+    t: float
+    settings: ObjectSettings = ObjectSettings()
+
+    def __post_init__(self):
+        placement = np.array(self.placement, np.float64)
+        if placement.shape != (4, 4) or not np.isfinite(placement).all():
+            raise FastGSError("a model's placement must be a 4 x 4 matrix of finite numbers.")
+        if not np.isfinite(self.t):
+            raise FastGSError(f"the time of a model must be a finite number, not {self.t!r}.")
+        object.__setattr__(self, "placement", placement)
+        object.__setattr__(self, "t", float(self.t))
+
+    def viewed(self, camera: Camera) -> ViewedInstance:
+        """The instance before a camera."""
+        return ViewedInstance(self.model, self.placement, self.t, self.settings, camera=camera)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewedInstance(Instance):
+    """An instance before a camera.
+
+    Everything that depends on where one looks from (spherical harmonics, the decoder's rays) is computed in the model's own
+    space, so that appearance turns with the object.
+    """
+
+    camera: Camera = field(kw_only=True)
+
+    @cached_property
+    def model_to_camera(self) -> np.ndarray:
+        """[4, 4] float64."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.camera.world_to_camera @ self.placement
+
+    @cached_property
+    def camera_to_model(self) -> np.ndarray:
+        """[4, 4] float64; the pseudo-inverse where an object is scaled flat."""
+        return np.linalg.pinv(self.model_to_camera)
+
+    @cached_property
+    def near(self) -> float:
+        """Depth from which on Gaussians are drawn: the larger of the camera's limit and the model's own, which grows with the object."""
+        scale = np.cbrt(abs(np.linalg.det(self.placement[:3, :3])))
+        return max(self.camera.near, self.model.raster.near * scale)
+
+    @property
+    def in_range(self) -> bool:
+        """Whether its matrix is small enough to compute with (LIMIT); instances that are not in range are left out."""
+        return bool((np.abs(self.model_to_camera) <= LIMIT).all())
