@@ -171,9 +171,9 @@ def one(capture: str, settings: dict) -> dict:
 
     from fastgs_blender.captures.capture import Points
     from fastgs_blender.captures.pixels.store import FrameStore
-    from fastgs_blender.training.core.model import model_from_points
     from fastgs_blender.training.core.settings import settings as make
     from fastgs_blender.training.core.trainer import Trainer
+    from fastgs_blender.training.initial.model import model_from_points
 
     torch.set_num_threads(1)
     made = make(**settings)

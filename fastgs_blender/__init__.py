@@ -16,8 +16,9 @@ from .model.temporal import Always, Radial, Window, WindowedRadial
 from .rendering.api import render
 from .surfaces.bake import BakeReport, bake
 from .util.errors import FastGSError, LossWarning
+from .util.version import VERSION
 
-__version__ = "0.1.0"
+__version__ = VERSION
 __all__ = [
     "RGB", "SH", "Always", "BakeReport", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
     "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",

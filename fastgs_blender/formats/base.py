@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError, LossWarning
+from ..util.version import VERSION
 
 LIMIT = 1e18
 """Larger numbers than this are no scene: their squares leave float32."""
@@ -61,9 +62,7 @@ class Format:
 
 def generator() -> str:
     """Who writes: name and version."""
-    from .. import __version__
-
-    return f"FAST-GS for Blender {__version__}"
+    return f"FAST-GS for Blender {VERSION}"
 
 
 def usable(model: GaussianModel, path: Path) -> GaussianModel:

@@ -27,7 +27,7 @@ class Trainer:
 
     capture, store  the pictures (captures.base.Capture, FrameStore)
     settings        Settings
-    model           where to begin: a GaussianModel (model.model_from_points), or None before restore()
+    model           where to begin: a GaussianModel (initial.model.model_from_points), or None before restore()
     group           the processes that share the views
     decoder         a model whose decoder is used as it is; None: the decoder is trained
     sizes           of the points that the model was made from (captures.base.Points.size): those that have one are held (hold.py)

@@ -177,8 +177,8 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
         trainer.restore(group.share_arrays(found[0] if found else {}), about)
         return trainer
     from ...captures.capture import Points
-    from ..core.model import model_from_points
     from ..initial.backdrop import with_backdrop
+    from ..initial.model import model_from_points
     from ..initial.points import initial_points, thinned
 
     points = group.first_does(

@@ -10,8 +10,8 @@ from fastgs_blender.captures.capture import Points
 torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import hold, settings  # noqa: E402
-from fastgs_blender.training.core.model import model_from_points  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
+from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
 
 FRINGE = 40
 

@@ -14,6 +14,7 @@ from fastgs_blender.captures.pixels.store import Pixels
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
+from fastgs_blender.training.initial.model import model_from_points
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
 
@@ -84,7 +85,7 @@ def test_the_first_model_shows_the_points(rng, appearance):
     points = Points(rng.uniform(-1, 1, (300, 3)), rng.uniform(0.1, 0.9, (300, 3)), np.where(np.arange(300) < 200, np.nan, 0.25),
                     np.where(np.arange(300) < 190, np.nan, 0.5))
     chosen = options.settings(appearance=appearance, start_opacity=0.5, start_size=0.8, start_life=0.1)
-    model = starting.model_from_points(points, chosen, fg.Clip(20, 25.0, 3), "RUB", 20.0)
+    model = model_from_points(points, chosen, fg.Clip(20, 25.0, 3), "RUB", 20.0)
     assert model.axes == "RUB" and model.clip == fg.Clip(20, 25.0, 3) and len(model) == 300
     early, at = fg.slice_model(model, 0.0, cull=False), fg.slice_model(model, 0.25, cull=False)
     np.testing.assert_allclose(at.position, points.xyz, atol=1e-6)

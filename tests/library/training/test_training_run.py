@@ -16,8 +16,9 @@ import fastgs_blender as fg
 
 torch = pytest.importorskip("torch")
 
-from fastgs_blender.training.core import model, settings  # noqa: E402
+from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
+from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, session  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -29,7 +30,7 @@ FEW = dict(iterations=60, points=80, max_gaussians=160, densify_every=10, densif
 def trainer(capture=None, **choices):
     capture, store, points = capture or toy_capture()
     chosen = settings.settings(**{**FEW, **choices})
-    first = model.model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     return Trainer(capture, store, chosen, first)
 
 
