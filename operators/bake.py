@@ -2,129 +2,19 @@
 """Object > Bake to 4D Gaussians: animated objects become a model, without training."""
 from __future__ import annotations
 
-import threading
 import time
-import warnings
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.surfaces.bake import bake, surface_colours, surface_samples
-from ..scene.meshes import baked_light
-from ..scene.meshes.material_colour import MaterialColours
-from ..scene.meshes.surface import Recorder, bakeable, frame_kept, go_to, whole_frames_only
+from ..scene.meshes.baking import Settings, bake_steps
+from ..scene.meshes.surface import bakeable
 from ..scene.splats import splat_object
-from .stepwise import BUDGET, Stepwise
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What to bake, and how; as in the operator's properties."""
-
-    frame_start: int
-    frame_end: int
-    count: int = 100_000
-    tolerance: float = 0.005
-    max_order: int = 0
-    basis: str = "auto"
-    samples_per_frame: int = 2
-    lighting: str = 'NONE'
-    light_samples: int = 64
-    light_frames: int = 8
-
-
-def frame_times(first: int, last: int, per_frame: int) -> list[float]:
-    """Frames from first to last, whole or not; none lies outside."""
-    return [first + i / per_frame for i in range((last - first) * per_frame + 1)]
-
-
-def bake_steps(context, objects, settings: Settings, in_background: bool):
-    """A generator that bakes: it yields the share that is done, and returns (model, report, notes).
-
-    In between the scene stands on other frames; the frame of before is restored at the end, also when the generator is closed
-    early or an error ends it.  With in_background the long pieces that need no Blender run in a thread.
-    """
-    scene = context.scene
-    with frame_kept(scene):
-        recorder = Recorder(context, objects)
-        simulated = any(whole_frames_only(obj) for obj in objects)
-        times = frame_times(settings.frame_start, settings.frame_end, 1 if simulated else settings.samples_per_frame)
-        if simulated:  # a simulation knows no frame to which it has not been played
-            for frame in range(scene.frame_start, settings.frame_start):
-                go_to(scene, frame)
-                yield 0.0
-        for number, frame in enumerate(times):
-            recorder.record(frame)
-            yield 0.4 * (number + 1) / len(times)
-        positions, triangles = np.stack(recorder.positions), recorder.triangles()
-        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, 0.4, 0.5)
-        materials = MaterialColours(recorder.pieces)
-        colours = surface_colours(materials, positions, triangles, samples)
-        if settings.lighting == 'CYCLES':
-            colours = yield from _scaled(
-                baked_light.apply(context, recorder, times, colours, samples, settings.light_samples, settings.light_frames), 0.5, 0.6)
-    part, patch, fps = recorder.parts(), recorder.patches(), scene.render.fps / scene.render.fps_base
-    provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
-
-    def fit(progress):
-        with warnings.catch_warnings():  # what they say stands in the report too, and Blender's user reads that
-            warnings.simplefilter("ignore", UserWarning)
-            return bake(
-                positions, triangles, colours, frames=np.array(times) - settings.frame_start,
-                frame_count=settings.frame_end - settings.frame_start + 1, fps=fps,
-                start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
-                basis=settings.basis, part=part, patch=patch, samples=samples, provenance=provenance, progress=progress)
-
-    model, report = yield from _run(fit, in_background, 0.6, 1.0)
-    return model, report, materials.notes
-
-
-def _scaled(steps, begin, end):
-    """The steps of a part of the work, as shares of the whole; returns its result."""
-    while True:
-        try:
-            yield begin + (end - begin) * next(steps)
-        except StopIteration as stop:
-            return stop.value
-
-
-def _run(work, in_background, begin, end):
-    """Yields progress while work(progress) runs, and returns its result; closing the generator cancels the work."""
-    if not in_background:
-        yield begin
-        return work(None)
-    state = {"done": 0.0}
-    cancelled = threading.Event()
-
-    def progress(fraction):
-        state["done"] = fraction
-        if cancelled.is_set():
-            raise InterruptedError
-
-    def target():
-        try:
-            state["result"] = work(progress)
-        except BaseException as error:
-            state["error"] = error
-
-    thread = threading.Thread(target=target, name="FAST-GS bake", daemon=True)
-    thread.start()
-    try:
-        while thread.is_alive():
-            thread.join(BUDGET)
-            yield begin + (end - begin) * state["done"]
-    finally:
-        cancelled.set()
-        thread.join()
-    if "error" in state:
-        raise state["error"]
-    return state["result"]
+from .stepwise import Stepwise
 
 
 class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):

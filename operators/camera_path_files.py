@@ -14,9 +14,9 @@ from ..fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, format_
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import camera as cameras
 from ..scene.cameras import space as camera_space
+from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
 from .capture_cameras import animate, set_optics, set_pose, use_render_size
-from .fit_scene import frame_rate
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""

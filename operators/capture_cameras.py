@@ -19,8 +19,8 @@ from ..scene import camera as cameras
 from ..scene.cameras import keys as camera_keys
 from ..scene.cameras import space as camera_space
 from ..scene.cameras import undistorted
+from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
-from .fit_scene import frame_rate
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600

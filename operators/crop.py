@@ -8,8 +8,7 @@ import bpy
 from bpy.props import IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.crops import cropped
+from ..fastgs_blender.util.errors import FastGSError
 from ..scene import crops, objects
 from ..scene.splats import splat_object
 
@@ -31,17 +30,7 @@ class FASTGS_OT_add_crop_box(bpy.types.Operator):
         return _editable(context) and context.mode == 'OBJECT'
 
     def execute(self, context):
-        obj = context.object
-        box = bpy.data.objects.new(f"{obj.name} Crop", None)
-        box.empty_display_type = 'CUBE'
-        for collection in obj.users_collection:
-            collection.objects.link(box)
-        around = crops.extent(obj)
-        box.parent = obj
-        box.location = around[:3, 3]
-        box.scale = [max(around[i, i], 1e-3) for i in range(3)]
-        item = obj.fastgs.crops.add()
-        item.object = box
+        box = crops.add_box(context.object)
         for other in context.selected_objects:
             other.select_set(False)
         box.select_set(True)
@@ -93,24 +82,14 @@ class FASTGS_OT_apply_crop(bpy.types.Operator, ExportHelper):
     def execute(self, context):
         obj = context.object
         target = bpy.path.abspath(self.filepath)
-        depsgraph = context.evaluated_depsgraph_get()
         try:
-            if Path(target).resolve() == Path(objects.abspath(obj)).resolve():
-                raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
-            model = objects.load_model(objects.abspath(obj))
-            left = cropped(model, crops.crops_of(obj.evaluated_get(depsgraph), depsgraph))
-            if not len(left):
-                raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")
-            fg.save(left, target)
+            left, total = crops.write_cropped(obj, context.evaluated_depsgraph_get(), target)
             splat_object.show_file(obj, target)
-        except fg.FastGSError as error:
+        except FastGSError as error:
             self.report({'ERROR'}, splat_object.sentence(error))
             return {'CANCELLED'}
-        except OSError as error:
-            self.report({'ERROR'}, f"{target}: the file cannot be written ({error.strerror or error}).")
-            return {'CANCELLED'}
         obj.fastgs.crops.clear()
-        self.report({'INFO'}, f"Wrote {len(left):,} of {len(model):,} Gaussians")
+        self.report({'INFO'}, f"Wrote {left:,} of {total:,} Gaussians")
         return {'FINISHED'}
 
 

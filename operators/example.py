@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model to begin with, which comes with the extension."""
+"""File > Import > 4D Gaussians: Example."""
 from pathlib import Path
 
 import bpy
+
+from ..engine import compiling
+from ..scene.splats.importing import Options, import_files
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "playground.safetensors"
 
@@ -15,4 +18,7 @@ class FASTGS_OT_import_example(bpy.types.Operator):
     bl_options = {'REGISTER', 'UNDO'}
 
     def execute(self, context):
-        return bpy.ops.import_scene.fastgs(filepath=str(EXAMPLE), relative_path=False, set_scene_range=True, use_engine=True)
+        done = import_files(context, [str(EXAMPLE)], Options(fit_range=True, use_engine=True))
+        if done.objects:
+            compiling.start_on_first_use()
+        return done.report(self)

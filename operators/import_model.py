@@ -2,7 +2,6 @@
 """File > Import > 4D Gaussians, and the same by dropping files into the 3D view."""
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import bpy
@@ -10,12 +9,8 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntPropert
 from bpy_extras.io_utils import ImportHelper
 
 from ..engine import compiling
-from ..fastgs_blender.util.errors import FastGSError
-from ..scene.splats import splat_object
+from ..scene.splats.importing import EXTENSIONS, Options, import_files
 from ..scene.splats.proxy import LIMIT
-from .fit_scene import fit_scene
-
-EXTENSIONS = (".safetensors", ".ply", ".splatv")
 
 
 class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
@@ -66,41 +61,16 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             return [str(Path(bpy.path.abspath(self.directory or str(Path(self.filepath).parent)), file.name)) for file in self.files]
         return [self.filepath] if self.filepath else []
 
-    def create(self, context, path: str) -> bpy.types.Object:
-        """Import one file; what cannot be taken over from it is reported."""
-        with warnings.catch_warnings(record=True) as remarks:
-            warnings.simplefilter("always")
-            obj = splat_object.create(
-                context, path, limit=self.proxy_points, orient=self.orientation == 'AUTO', relative=self.relative_path)
-        for remark in remarks:
-            self.report({'WARNING'}, str(remark.message))
-        return obj
-
     def execute(self, context):
         paths = self.paths()
         if not paths:
             self.report({'ERROR'}, "No file was chosen; choose a .safetensors, .ply or .splatv file.")
             return {'CANCELLED'}
-        if context.mode != 'OBJECT':
-            bpy.ops.object.mode_set(mode='OBJECT')
-        made = []
-        for path in paths:
-            try:
-                made.append(self.create(context, path))
-            except FastGSError as error:
-                self.report({'ERROR'}, splat_object.sentence(error))
-        if not made:
-            return {'CANCELLED'}
-        for obj in made:
-            obj.select_set(True)
-        if self.set_scene_range:
-            fit_scene(context.scene, made[0])
-        if self.use_engine:
-            context.scene.render.engine = 'FASTGS'
-        compiling.start_on_first_use()
-        total = sum(obj.fastgs.gaussian_count for obj in made)
-        self.report({'INFO'}, f"Imported {total:,} Gaussians from {len(made)} file{'s' if len(made) > 1 else ''}")
-        return {'FINISHED'}
+        done = import_files(context, paths, Options(
+            self.proxy_points, self.orientation == 'AUTO', self.relative_path, self.set_scene_range, self.use_engine))
+        if done.objects:
+            compiling.start_on_first_use()
+        return done.report(self)
 
 
 class FASTGS_FH_import(bpy.types.FileHandler):

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crop boxes of splat objects: ordinary objects of the scene, whose extent cuts the model down."""
+"""Crop boxes of splat objects: ordinary objects of the scene whose extent says which Gaussians are shown."""
 from __future__ import annotations
 
+from pathlib import Path
+
+import bpy
 import numpy as np
 
-from ..fastgs_blender.rendering.crops import Crop
+from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.crops import Crop, cropped
+from . import objects
 
 
 def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
@@ -39,3 +44,33 @@ def extent(obj) -> np.ndarray:
     out = np.diag([*(high - low) / 2, 1.0])
     out[:3, 3] = (low + high) / 2
     return out
+
+
+def add_box(obj) -> bpy.types.Object:
+    """A new empty around an object's splats that crops them; it is the object's child and moves with it."""
+    box = bpy.data.objects.new(f"{obj.name} Crop", None)
+    box.empty_display_type = 'CUBE'
+    for collection in obj.users_collection:
+        collection.objects.link(box)
+    around = extent(obj)
+    box.parent = obj
+    box.location = around[:3, 3]
+    box.scale = [max(around[i, i], 1e-3) for i in range(3)]
+    obj.fastgs.crops.add().object = box
+    return box
+
+
+def write_cropped(obj, depsgraph, target: str) -> tuple[int, int]:
+    """Write the Gaussians that an object's boxes leave as the file `target`; returns (how many, of how many).
+
+    Raises FastGSError where nothing is left or the file cannot be written, and refuses the file that the object shows.
+    """
+    source = objects.abspath(obj)
+    if Path(target).resolve() == Path(source).resolve():
+        raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
+    model = objects.load_model(source)
+    left = cropped(model, crops_of(obj.evaluated_get(depsgraph), depsgraph))
+    if not len(left):
+        raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")
+    fg.save(left, target)
+    return len(left), len(model)

@@ -41,6 +41,12 @@ def linear(srgb):
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
+def srgb(linear):
+    """The sRGB curve's encoding, for non-negative numbers."""
+    x = np.asarray(linear, float)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
 def combined(rgb, alpha, background=None):
     """What Combined should hold for a premultiplied sRGB picture."""
     weight = alpha[..., None]

@@ -161,3 +161,54 @@ def compositor(scene):
     layers = tree.nodes.new('CompositorNodeRLayers')
     layers.scene = scene
     return SimpleNamespace(layers=layers, show=lambda name: tree.links.new(layers.outputs[name], output.inputs[0]))
+
+
+@pytest.fixture
+def target(tmp_path):
+    """Where bake() writes its model."""
+    return str(tmp_path / "baked.safetensors")
+
+
+@pytest.fixture
+def bake(scene, fg, target):
+    """bake(*objects, **options) -> the model: select the objects, run the operator on frames 1 to 12, read its file."""
+    import bpy
+
+    scene.frame_start, scene.frame_end = 1, 12
+
+    def run(*objects, **options):
+        for obj in scene.objects:
+            obj.select_set(obj in objects)
+        bpy.ops.fastgs.bake(**{"filepath": target, "count": 400, **options})
+        return fg.load(target)
+
+    return run
+
+
+@pytest.fixture
+def add(scene):
+    """add("primitive", **options): one of Blender's mesh primitives."""
+    import bpy
+
+    def make(kind, **options):
+        getattr(bpy.ops.mesh, f"primitive_{kind}_add")(**options)
+        return bpy.context.object
+
+    return make
+
+
+@pytest.fixture
+def paint():
+    """paint(obj, colour, name="Paint"): a new material on an object, in scene-linear colour; returns it and its shader node."""
+    import bpy
+
+    def make(obj, colour=(0.8, 0.8, 0.8), name="Paint"):
+        material = bpy.data.materials.new(name)
+        if bpy.app.version < (5, 0, 0):
+            material.use_nodes = True
+        shader = material.node_tree.nodes["Principled BSDF"]
+        shader.inputs["Base Color"].default_value = (*colour, 1)
+        obj.data.materials.append(material)
+        return material, shader
+
+    return make
