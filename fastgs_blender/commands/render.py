@@ -120,7 +120,7 @@ def _stop_on_sigterm():
 
 
 def _passes(args) -> tuple[str, ...]:
-    from ..rendering.api import PASSES
+    from ..rendering.passes import PASSES
 
     if args.format == "png":
         if args.passes is not None:

@@ -10,16 +10,19 @@ from functools import cache, reduce
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError, LossWarning
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import Layout
-
-PASSES = {"rgb": 3, "alpha": 1, "depth": 1, "median_depth": 1}
-"""The passes and their channels."""
+from .passes import PASSES, Blended
 
 BACKENDS = {"cpu": "..kernels.cpu.backend", "reference": ".oracle"}
 """Module of each backend: draw(instances, camera, layout, median, progress) and decode_features(...)."""
+
+
+DECODER_LIMIT = 1e12
+"""Weights of a decoder beyond which its colours may not fit into float32."""
 
 
 def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
@@ -40,40 +43,39 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
     unknown = [p for p in passes if p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
-    module = _backend(backend)
+    entries = [PASSES[name] for name in passes]
+    needs = {part for entry in entries for part in entry.needs}
+    kernels = _backend(backend)
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
-    layout = Layout(instances, depth="depth" in passes)
-    _, _, width, height = camera.window
-    if instances:
-        buffers = module.draw(instances, camera, layout, "median_depth" in passes, progress)
-        alpha = buffers.alpha
-    else:
-        alpha = np.zeros((height, width), np.float32)
+    blended = _blended(kernels, instances, camera, needs, progress) if instances else None
     out = {}
-    for name in passes:
-        if not instances:
-            shape = (height, width, 3) if name == "rgb" else (height, width)
-            image = np.full(shape, np.inf if "depth" in name else 0.0)
-        elif name == "rgb":
-            image = reduce(np.add, (_decoded(group, buffers, camera, module) for group in layout.groups))
-        elif name == "alpha":
-            image = alpha
-        elif name == "depth":
-            total = buffers.channels[..., layout.depth]
-            image = np.divide(total, alpha, out=np.full(alpha.shape, np.inf, total.dtype), where=alpha > 0)
+    for entry in entries:
+        if blended is None:
+            size = camera.window[3], camera.window[2]
+            image = np.full(size if entry.channels == 1 else (*size, entry.channels), entry.empty)
         else:
-            image = buffers.median
-        out[name] = np.ascontiguousarray(image, np.float32)
+            image = entry.image(blended)
+        out[entry.name] = np.ascontiguousarray(image, np.float32)
     progress(1.0)
     return out
 
 
-def _decoded(group, buffers, camera, module):
+def _blended(kernels, instances, camera, needs, progress) -> Blended:
+    """The instances drawn by a backend: what the passes that were asked for are computed from."""
+    layout = Layout(instances, depth="depth" in needs)
+    buffers = kernels.draw(instances, camera, layout, "median" in needs, progress)
+    rgb = reduce(np.add, (_colour(group, buffers, camera, kernels) for group in layout.groups)) if "rgb" in needs else None
+    depth = None if layout.depth is None else buffers.channels[..., layout.depth]
+    return Blended(rgb, buffers.alpha, depth, buffers.median)
+
+
+def _colour(group, buffers, camera, kernels):
+    """The premultiplied colour [h, w, 3] of a group of channels."""
     if group.instance is None:
         return buffers.channels[..., group.offset:group.offset + 3]
     weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
-    return module.decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
+    return kernels.decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
 
 
 def _instances(model, camera, t) -> list[ViewedInstance]:
@@ -83,6 +85,10 @@ def _instances(model, camera, t) -> list[ViewedInstance]:
     for instance in viewed:
         if not instance.in_range:
             warnings.warn(LossWarning(f"a model is not drawn: its placement before the camera has numbers beyond {LIMIT:g}."), stacklevel=3)
+        look = instance.model.appearance
+        if isinstance(look, Features) and max(np.abs(look.w1).max(), np.abs(look.w2).max()) > DECODER_LIMIT:
+            text = f"a model's decoder has weights beyond {DECODER_LIMIT:g}: colours that float32 cannot hold are black."
+            warnings.warn(LossWarning(text), stacklevel=3)
     return [instance for instance in viewed if instance.in_range]
 
 

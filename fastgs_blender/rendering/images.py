@@ -11,9 +11,7 @@ import numpy as np
 from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from . import colour
-
-FAR = np.float32(1e10)
-"""Depth where there is nothing, as Blender's own engines write it: filters turn an infinity into NaN."""
+from .passes import PASSES
 
 STALE = 600.0
 """Seconds after which a file left aside belongs to nobody: writing a frame takes far less."""
@@ -33,9 +31,8 @@ def write_png(path, image: dict, colour_space: str):
 def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dict | None = None):
     """The passes (default: all in image) as 32-bit float channels, named so that Blender finds its passes again.
 
-    rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer: Depth.Z,
-    MedianDepth.Z (1e10 where there is nothing), and X, Y, Z for passes of several channels.  image["alpha"] must be there if
-    "rgb" is.
+    rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer, such as Depth.Z and
+    MedianDepth.Z (1e10 where there is nothing); passes.py has the names.  image["alpha"] must be there if "rgb" is.
     """
     import OpenEXR
 
@@ -50,22 +47,12 @@ def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dic
 
 def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
     planes = {}
-    for name in passes:
-        if name == "rgb":
-            rgb = colour.scene_linear(image["rgb"], image["alpha"], colour_space)
-            planes.update(zip("RGB", np.moveaxis(rgb, -1, 0), strict=True))
-        elif name == "alpha":
-            planes["A"] = image["alpha"]
-        elif image[name].ndim == 2:
-            planes[f"{_layer(name)}.Z"] = np.minimum(image[name], FAR) if "depth" in name else image[name]
-        else:
-            planes.update(zip((f"{_layer(name)}.{axis}" for axis in "XYZW"), np.moveaxis(image[name], -1, 0), strict=False))
+    for entry in (PASSES[name] for name in passes):
+        values = entry.shown(image[entry.name])
+        if entry.colour:
+            values = colour.scene_linear(values, image["alpha"], colour_space)
+        planes.update(zip(entry.exr, values[None] if entry.channels == 1 else np.moveaxis(values, -1, 0), strict=True))
     return {name: np.ascontiguousarray(plane, np.float32) for name, plane in planes.items()}
-
-
-def _layer(name: str) -> str:
-    """median_depth -> MedianDepth"""
-    return "".join(word.capitalize() for word in name.split("_"))
 
 
 @contextlib.contextmanager

@@ -157,9 +157,12 @@ def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedIn
     """Premultiplied colour [h, w, 3] of blended features [h, w, 9] with their blending weight [h, w].
 
     The decoder sees the features of the surface, un-premultiplied, so that colour does not depend on coverage.
+    Colours beyond LIMIT are 0.
     """
     appearance: Features = instance.model.appearance
     centre, rays = camera.rays(instance.model_to_camera)
     covered = weight[..., None] > 0
     surface = np.divide(features, weight[..., None], out=np.zeros_like(features), where=covered)
-    return decode(surface, centre, rays, appearance) * weight[..., None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        colour = decode(surface, centre, rays, appearance) * weight[..., None]
+    return np.where(np.abs(colour) <= LIMIT, colour, 0)

@@ -13,7 +13,7 @@ from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from .crops import crop_arrays, kept_by
-from .instances import ViewedInstance
+from .instances import LIMIT, ViewedInstance
 
 CHUNK = 16_384
 """Gaussians in one piece of work."""
@@ -34,7 +34,7 @@ def order(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, r
             find = _visible
     keys, index, done = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], 0
     for instance in instances:
-        if len(instance.model):
+        if len(instance.model) and instance.in_range:
             rank = ranks(instance.model) if limit < 1 else np.zeros(0, np.float32)
             for piece_keys, piece_index in find(instance, camera, done, (float(limit), rank)):
                 keys.append(piece_keys)
@@ -105,7 +105,7 @@ def _visible_numpy(instance: ViewedInstance, camera: Camera, offset: int, rank):
         size = np.exp(model.scale[at].max(1).astype(np.float64)) * per_depth * _scale_bound(to_camera[:3, :3])
         reach = 2 * np.log(sigma[at] / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
-        seen = (z > instance.near) & np.isfinite(z) & kept_by(instance.settings.crops, position)
+        seen = (z > instance.near) & (z <= LIMIT) & kept_by(instance.settings.crops, position)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return [(z[seen].astype(np.float32), (offset + at[seen]).astype(np.int32))]
 

@@ -7,9 +7,11 @@ import math
 import numpy as np
 from numba import float32
 
+from ...rendering.instances import LIMIT
 from .jit import inline, kernel
 
 SIGMOID, CLAMP, NONE = range(3)
+MOST = float32(LIMIT)
 BLOCK = 64
 """Pixels decoded together, so that the small matrices are multiplied with vectors."""
 
@@ -78,6 +80,8 @@ def activate(value, activation):
 def decode(first, last, features, weight, w1, w2, activation, to_model, lens, x0, y0, orthographic, out):
     """Rows first..last of out [h, w, 3], premultiplied, from blended features [h, w, C >= 9] with their weight [h, w].
 
+    Colours that are beyond LIMIT, or not a number, become 0.
+
     to_model [4, 3] float64: rotation and scale of camera to model, then the camera's centre there; lens: fx, fy, cx, cy.
     """
     inputs, hidden, base = begin(to_model)
@@ -89,6 +93,7 @@ def decode(first, last, features, weight, w1, w2, activation, to_model, lens, x0
                 for p in range(n):
                     share = weight[row, start + p]
                     for c in range(3):
-                        out[row, start + p, c] = activate(base[c, p], activation) * share
+                        value = activate(base[c, p], activation) * share
+                        out[row, start + p, c] = value if abs(value) <= MOST else float32(0.0)
             else:
                 out[row, start:start + n, :] = float32(0.0)

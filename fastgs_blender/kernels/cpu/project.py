@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import float32
 
+from ...rendering.instances import LIMIT
 from . import raster
 from .crop import is_kept
 from .jit import inline, kernel
@@ -171,7 +172,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        if not (z > near and z < np.inf):
+        if not (z > near and z <= LIMIT):
             continue
 
         qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
@@ -206,7 +207,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
             value = colour[c] if appearance == SH else np.float64(features[n, c])
             if c >= 6:
                 value *= delta
-            good = good and abs(value) < np.inf
+            good = good and abs(value) <= LIMIT
             shade[out, raster.CHANNEL + channel + c] = value
         if not good:
             continue

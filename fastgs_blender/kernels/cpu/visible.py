@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ...rendering.instances import LIMIT
 from .crop import is_kept
 from .jit import kernel
 from .project import _exp, _moved3, _temporal_factor
@@ -46,7 +47,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
         if not is_kept(px, py, pz, rows, remove):
             continue
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        if not (z > near and z < np.inf):
+        if not (z > near and z <= LIMIT):
             continue
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]

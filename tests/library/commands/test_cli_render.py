@@ -18,7 +18,7 @@ from PIL import Image
 import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.rendering import api as rendering
-from fastgs_blender.rendering import colour
+from fastgs_blender.rendering import colour, passes
 
 ROOT = Path(__file__).resolve().parents[3]
 FRAMES = 10
@@ -131,7 +131,7 @@ def read_exr(path) -> dict[str, np.ndarray]:
 
 def test_exr_holds_every_pass(run, work, model):
     assert run("--frames", "3", "--format", "exr")[0] == 0
-    image = fg.render(model, camera(), 3 / FRAMES, passes=tuple(rendering.PASSES), backend="reference")
+    image = fg.render(model, camera(), 3 / FRAMES, passes=tuple(passes.PASSES), backend="reference")
     channels = read_exr(work / "out" / "0003.exr")
     np.testing.assert_array_equal(channels["A"], image["alpha"])
     wanted = colour.scene_linear(image["rgb"], image["alpha"], "srgb")

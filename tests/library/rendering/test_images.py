@@ -10,9 +10,10 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.rendering import colour, images
+from fastgs_blender.rendering import colour, images, passes
 
 
 @pytest.fixture
@@ -74,8 +75,16 @@ def test_exr_of_a_linear_model_is_what_was_rendered(picture, tmp_path):
     np.testing.assert_array_equal(np.stack([channels[c] for c in "RGB"], -1), image["rgb"])
 
 
-def test_passes_of_several_channels_become_layers(picture, tmp_path):
+def test_a_new_entry_of_the_table_is_a_pass_everywhere(picture, tmp_path, monkeypatch, rng):
     image, _ = picture
+    monkeypatch.setitem(passes.PASSES, "velocity", passes.Pass("velocity", lambda blended: 2 * blended.rgb, ("rgb",), 3,
+                                                               exr=("Velocity.X", "Velocity.Y", "Velocity.Z")))
+    camera = fg.Camera(9, 7, 8, 8, 4, 3, np.eye(4))
+    model = random_model(rng, 30, "static")
+    model.position[:, 2] += 3
+    for backend in ("cpu", "reference"):
+        drawn = fg.render(model, camera, passes=("velocity", "rgb"), backend=backend)
+        assert drawn["rgb"].any() and np.array_equal(drawn["velocity"], 2 * drawn["rgb"])
     images.write_exr(tmp_path / "a.exr", {"velocity": image["rgb"]}, "srgb")
     channels = read_exr(tmp_path / "a.exr")
     assert set(channels) == {"Velocity.X", "Velocity.Y", "Velocity.Z"}

@@ -245,3 +245,39 @@ def test_bad_input_gets_a_sentence(rng, call, words):
     with pytest.raises(fg.FastGSError, match=words) as error:
         call(random_model(rng, 3), random_camera(rng))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_numbers_beyond_float32_leave_no_hole_in_a_picture(rng, backend):
+    """An object 1e300 times as large is left out with a warning; the others are drawn as they are without it."""
+    model, camera = random_model(rng, 40, "static"), fg.Camera(32, 24, 30, 30, 16, 12, random_pose(rng, 2.5))
+    wanted = fg.render(model, camera, 0.3, PASSES, backend)
+    for scale in (1e300, 1e40):
+        with pytest.warns(fg.LossWarning, match="not drawn"):
+            got = fg.render([(model, np.eye(4), 0.3), (model, np.diag([scale] * 3 + [1]), 0.3)], camera, passes=PASSES, backend=backend)
+        assert all(np.array_equal(got[name], wanted[name]) for name in PASSES)
+    far = replace(model, position=model.position * np.float32(1e36))  # its own numbers are as large
+    for name, image in fg.render([(model, np.eye(4), 0.3), (far, np.diag([100, 100, 100, 1]), 0.3)], camera, passes=PASSES,
+                                 backend=backend).items():
+        assert not np.isnan(image).any() and np.isfinite(image[wanted["alpha"] > 0]).all(), name
+    bright = replace(model, features=np.full_like(model.features, 3e38))
+    assert np.isfinite(fg.render(bright, camera, 0.3, backend=backend)["rgb"]).all()
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("activation", ["sigmoid", "clamp", "none"])
+def test_a_decoder_of_huge_weights_gives_finite_colours(rng, backend, activation):
+    decoder = fg.Features(rng.normal(0, 3e38, (6, 12)).clip(-3e38, 3e38), rng.normal(0, 3e38, (3, 6)).clip(-3e38, 3e38), activation)
+    model = replace(random_model(rng, 40, "static", appearance="none"), appearance=decoder)
+    with pytest.warns(fg.LossWarning, match="decoder"):
+        out = fg.render(model, fg.Camera(32, 24, 30, 30, 16, 12, random_pose(rng, 2.5)), 0.3, backend=backend)
+    assert np.isfinite(out["rgb"]).all() and out["alpha"].max() > 0.1
+
+
+def test_an_instance_that_cannot_be_computed_with_says_so(rng):
+    from fastgs_blender.rendering.instances import Instance
+
+    model = random_model(rng, 3, "static")
+    for placement, t in ((np.full((4, 4), np.nan), 0.0), (np.eye(3), 0.0), (np.eye(4), np.inf)):
+        with pytest.raises(fg.FastGSError):
+            Instance(model, placement, t)
