@@ -17,13 +17,25 @@ from ..util.outputs import replacing
 from . import native
 from .base import Format, usable
 from .inria import Inria
+from .splat import Splat
 from .splatv import Splatv
 from .stg import SpacetimeGaussians
 from .unsupported import explain
 
-FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), Inria(), Splatv())
-"""Asked in this order, both to read and, among those that share an extension, to write."""
-WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv())
+FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), Inria(), Splatv(), Splat())
+"""Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
+WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), *FORMATS[3:])
+"""Asked in this order to write, among those that share an extension."""
+
+
+def readable() -> tuple[str, ...]:
+    """What a file dialog offers: extensions with the dot, and whole names of files, each once."""
+    return tuple(dict.fromkeys(name for known in FORMATS for name in known.reads))
+
+
+def writable() -> tuple[str, ...]:
+    """The extensions that save() knows, with the dot, each once."""
+    return tuple(dict.fromkeys(extension for known in WRITERS for extension in known.extensions))
 
 
 def identify(path: str | os.PathLike) -> Format:
@@ -110,8 +122,7 @@ def _identify(path: Path) -> Format:
 def _writer(model: GaussianModel, path: Path) -> Format:
     choices = [known for known in WRITERS if path.suffix.lower() in known.extensions]
     if not choices:
-        known = sorted({extension for f in WRITERS for extension in f.extensions})
-        raise FastGSError(f"the extension {path.suffix!r} is unknown; use one of {', '.join(known)}.")
+        raise FastGSError(f"the extension {path.suffix!r} is unknown; use one of {', '.join(sorted(writable()))}.")
     return next(known for known in choices if known.suits(model))
 
 

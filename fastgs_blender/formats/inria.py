@@ -38,7 +38,7 @@ class Inria(Format):
     """See the module."""
 
     name = "INRIA PLY"
-    extensions = (".ply",)
+    extensions = reads = (".ply",)
 
     def sniff(self, head, path):
         if not head.startswith(b"ply"):

@@ -36,7 +36,7 @@ class Native(Format):
     """See the module."""
 
     name = "FAST-GS safetensors"
-    extensions = (".safetensors",)
+    extensions = reads = (".safetensors",)
 
     def sniff(self, head, path):
         return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER

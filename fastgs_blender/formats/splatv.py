@@ -35,7 +35,7 @@ class Splatv(Format):
     """See the module."""
 
     name = "splaTV"
-    extensions = (".splatv",)
+    extensions = reads = (".splatv",)
 
     def sniff(self, head, path):
         return head.startswith(MAGIC)

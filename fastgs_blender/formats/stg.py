@@ -41,7 +41,7 @@ class SpacetimeGaussians(Format):
     """See the module."""
 
     name = "Spacetime Gaussians PLY"
-    extensions = (".ply",)
+    extensions = reads = (".ply",)
 
     def sniff(self, head, path):
         return head.startswith(b"ply") and not ply.read_header(path).names.isdisjoint(("trbf_center", "trbf_scale", "omega_0"))

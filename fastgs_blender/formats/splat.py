@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`.splat` of antimatter15's viewer: records of 32 bytes without a header, static Gaussians of one colour each.
+
+A record, little-endian: position 3 x f32, standard deviations 3 x f32, red green blue opacity u8 (255 is 1),
+quaternion w x y z u8 ((b - 128) / 128).  The largest and most opaque Gaussians come first.
+"""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..model.appearance import RGB, SH_C0
+from ..model.gaussians import GaussianModel
+from ..model.slicing import sigmoid, unit_quaternions
+from ..util.errors import FastGSError
+from .static import StaticFormat, logits, opacity_bytes, read_whole, to_byte
+
+RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)])
+SAMPLES = 64
+"""Records that are looked at to know a file without a header."""
+
+
+class Splat(StaticFormat):
+    """See the module."""
+
+    name = ".splat"
+    extensions = reads = (".splat",)
+    degree = 0
+
+    def sniff(self, head, path):
+        size = path.stat().st_size
+        named = path.suffix.lower() == ".splat"
+        if size < RECORD.itemsize or (size % RECORD.itemsize and not named):
+            return False
+        data = read_whole(path, SAMPLES * RECORD.itemsize)
+        records = np.frombuffer(data[:len(data) // RECORD.itemsize * RECORD.itemsize], RECORD)
+        with np.errstate(over="ignore", invalid="ignore"):
+            good = (np.abs(records["position"]) < 1e7).all(1) & (records["scale"] >= 0).all(1) & (records["scale"] < 1e7).all(1)
+            norm = np.linalg.norm(_rotation(records), axis=1)
+        good &= (np.abs(norm - 1) < 0.1) | (named & (norm > 0.1))
+        return bool(good.mean() > 0.9 if named else good.all())
+
+    def load(self, path):
+        size = path.stat().st_size
+        if size % RECORD.itemsize:
+            raise FastGSError(f"the file is cut short: {size} bytes are no whole number of records of {RECORD.itemsize} bytes; "
+                              "copy or export it again.")
+        records = np.frombuffer(read_whole(path), RECORD)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return GaussianModel(
+                position=records["position"], scale=np.log(records["scale"]), rotation=_rotation(records),
+                opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())
+
+    def fit(self, model):
+        if not len(model):
+            raise FastGSError("the model has no Gaussians, and a .splat file of none would be empty.")
+        model, lost = super().fit(model)
+        colour = 0.5 + SH_C0 * model.features.astype(np.float64)
+        if len(model) and (colour.min() < 0 or colour.max() > 1):
+            lost.append("colours below 0 or above 1 are cut")
+        lost.append("colours, opacities and rotations are rounded to 8 bits")
+        return replace(model, features=np.clip(colour, 0, 1), appearance=RGB()), lost
+
+    def write(self, model, targets):
+        records = np.empty(len(model), RECORD)
+        records["position"] = model.position
+        records["scale"] = np.exp(model.scale.astype(np.float64))
+        records["colour"][:, :3] = to_byte(model.features.astype(np.float64) * 255)
+        records["colour"][:, 3] = opacity_bytes(model)
+        records["rotation"] = to_byte(unit_quaternions(model.rotation.astype(np.float64)) * 128 + 128)
+        importance = model.scale.sum(1, dtype=np.float64) + np.log(np.maximum(sigmoid(model.opacity), 1e-30))
+        targets[-1].write_bytes(records[np.argsort(-importance, kind="stable")].tobytes())
+
+
+def _rotation(records: np.ndarray) -> np.ndarray:
+    return (records["rotation"].astype(np.float32) - 128) / np.float32(128)
