@@ -9,8 +9,12 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntPropert
 from bpy_extras.io_utils import ImportHelper
 
 from ..engine import compiling
-from ..scene.splats.importing import EXTENSIONS, Options, import_files
+from ..fastgs_blender.formats import FORMATS, readable
+from ..scene.splats.importing import Options, import_files
 from ..scene.splats.proxy import LIMIT
+
+PATTERNS = tuple(f"*{name}" if name.startswith(".") else name for name in readable())
+"""What the file dialog shows."""
 
 
 class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
@@ -20,7 +24,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     bl_label = "Import 4D Gaussians"
     bl_options = {'REGISTER', 'UNDO', 'PRESET'}
 
-    filter_glob: StringProperty(default=";".join(f"*{x}" for x in EXTENSIONS), options={'HIDDEN'})
+    filter_glob: StringProperty(default=";".join(PATTERNS), options={'HIDDEN'})
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
@@ -54,6 +58,12 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         col = layout.column(heading="Scene")
         col.prop(self, "set_scene_range", text="Frame Range")
         col.prop(self, "use_engine", text="Render Engine")
+        header, body = layout.panel("FASTGS_import_formats", default_closed=True)
+        header.label(text="Formats")
+        if body is not None:
+            col = body.column(align=True)
+            for known in FORMATS:
+                col.label(text=f"{known.name} ({', '.join(known.reads)})", translate=False)
 
     def paths(self) -> list[str]:
         """The chosen files."""
@@ -64,7 +74,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     def execute(self, context):
         paths = self.paths()
         if not paths:
-            self.report({'ERROR'}, "No file was chosen; choose a .safetensors, .ply or .splatv file.")
+            self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
             return {'CANCELLED'}
         done = import_files(context, paths, Options(
             self.proxy_points, self.orientation == 'AUTO', self.relative_path, self.set_scene_range, self.use_engine))
@@ -79,7 +89,7 @@ class FASTGS_FH_import(bpy.types.FileHandler):
     bl_idname = "FASTGS_FH_import"
     bl_label = "4D Gaussians"
     bl_import_operator = "import_scene.fastgs"
-    bl_file_extensions = ";".join(EXTENSIONS)
+    bl_file_extensions = ";".join(name for name in readable() if name.startswith("."))
 
     @classmethod
     def poll_drop(cls, context):

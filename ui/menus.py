@@ -2,10 +2,12 @@
 """Our entries in Blender's menus."""
 import bpy
 
+from ..fastgs_blender.formats import readable
+
 
 def draw_import(self, context):
     """File > Import."""
-    self.layout.operator("import_scene.fastgs", text="4D Gaussians (.safetensors/.ply/.splatv)")
+    self.layout.operator("import_scene.fastgs", text=f"4D Gaussians ({'/'.join(n for n in readable() if n.startswith('.'))})")
     self.layout.operator("fastgs.import_example", text="4D Gaussians: Example")
     self.layout.operator("fastgs.import_capture", text="Capture Cameras")
     self.layout.operator("fastgs.import_camera_path", text="Camera Path (.json/.ssproj/COLMAP)")

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..model.appearance import RGB, SH_C0
 from ..model.gaussians import GaussianModel
-from ..model.slicing import sigmoid, unit_quaternions
+from ..model.slicing import sigmoid
+from ..util import rotations
 from ..util.errors import FastGSError
 from .static import StaticFormat, logits, opacity_bytes, read_whole, to_byte
 
@@ -68,7 +69,7 @@ class Splat(StaticFormat):
         records["scale"] = np.exp(model.scale.astype(np.float64))
         records["colour"][:, :3] = to_byte(model.features.astype(np.float64) * 255)
         records["colour"][:, 3] = opacity_bytes(model)
-        records["rotation"] = to_byte(unit_quaternions(model.rotation.astype(np.float64)) * 128 + 128)
+        records["rotation"] = to_byte(rotations.unit(model.rotation.astype(np.float64)) * 128 + 128)
         importance = model.scale.sum(1, dtype=np.float64) + np.log(np.maximum(sigmoid(model.opacity), 1e-30))
         targets[-1].write_bytes(records[np.argsort(-importance, kind="stable")].tobytes())
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
-from ..model.slicing import sigmoid, unit_quaternions
+from ..model.slicing import sigmoid
 from ..model.temporal import Always
+from ..util import rotations
 from ..util.errors import FastGSError
 from ..util.reading import open_file
 from .base import LIMIT, OPAQUE, Format
@@ -116,7 +117,7 @@ def opacity_bytes(model: GaussianModel) -> np.ndarray:
 
 def largest_and_rest(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The index [N] of each quaternion's largest component, and the other three [N, 3] in order, with that one positive."""
-    q = unit_quaternions(rotation.astype(np.float64))
+    q = rotations.unit(rotation.astype(np.float64))
     largest = np.abs(q).argmax(1)
     rows = np.arange(len(q))
     q = q * np.where(q[rows, largest] < 0, -1.0, 1.0)[:, None]

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.appearance import SH, sh_basis
 from ..model.gaussians import GaussianModel
+from ..util import rotations
 
 DIRECTIONS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 """Right, left, down, up, forward and backward in RDF."""
@@ -67,31 +68,12 @@ def _sh_turn(values: tuple[float, ...], degree: int) -> np.ndarray:
     return matrix
 
 
-def quaternion_of(turn: np.ndarray) -> np.ndarray:
-    """The unit quaternion (w, x, y, z) of a rotation matrix [3, 3]."""
-    values, vectors = np.linalg.eigh(np.array([  # Bar-Itzhack: the eigenvector of the largest eigenvalue
-        [turn[0, 0] + turn[1, 1] + turn[2, 2], turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]],
-        [turn[2, 1] - turn[1, 2], turn[0, 0] - turn[1, 1] - turn[2, 2], turn[1, 0] + turn[0, 1], turn[0, 2] + turn[2, 0]],
-        [turn[0, 2] - turn[2, 0], turn[1, 0] + turn[0, 1], turn[1, 1] - turn[0, 0] - turn[2, 2], turn[2, 1] + turn[1, 2]],
-        [turn[1, 0] - turn[0, 1], turn[0, 2] + turn[2, 0], turn[2, 1] + turn[1, 2], turn[2, 2] - turn[0, 0] - turn[1, 1]]]))
-    best = vectors[:, int(np.argmax(values))]
-    return best if best[0] >= 0 else -best
-
-
-def multiplied(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The products p q of quaternions [..., 4], w first."""
-    pw, px, py, pz = np.moveaxis(p, -1, 0)
-    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
-    return np.stack([pw * qw - px * qx - py * qy - pz * qz, pw * qx + px * qw + py * qz - pz * qy,
-                     pw * qy - px * qz + py * qw + pz * qx, pw * qz + px * qy - py * qx + pz * qw], -1)
-
-
 def _turned_rotation(rotation: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """A Gaussian looks the same along +x and -x: where only signs change its own axes change them too, and w stays."""
     if _only_signs(turn):
         x, y, z = np.diag(turn)
         return rotation * np.array([1, y * z, x * z, x * y], np.float32)
-    return multiplied(quaternion_of(turn * np.linalg.det(turn)), rotation.astype(np.float64))
+    return rotations.multiply(rotations.from_matrices(turn * np.linalg.det(turn)), rotation.astype(np.float64))
 
 
 def _only_signs(matrix: np.ndarray) -> bool:

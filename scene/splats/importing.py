@@ -12,9 +12,6 @@ from ..frame_range import fit_scene
 from . import splat_object
 from .proxy import LIMIT
 
-EXTENSIONS = (".safetensors", ".ply", ".splatv")
-"""Endings of the files that users choose from."""
-
 
 @dataclass(frozen=True)
 class Options:

@@ -149,7 +149,7 @@ def test_where_the_object_goes(scene, make_model, model_file):
 def test_menu_and_drop():
     handler = bpy.types.FASTGS_FH_import
     assert handler.bl_import_operator == "import_scene.fastgs"
-    assert set(handler.bl_file_extensions.split(";")) == {".safetensors", ".ply", ".splatv"}
+    assert set(handler.bl_file_extensions.split(";")) >= {".safetensors", ".ply", ".splatv", ".splat"}
     for menu, entry in ((bpy.types.TOPBAR_MT_file_import, "draw_import"), (bpy.types.VIEW3D_MT_object, "draw_bake")):
         assert [f.__name__ for f in menu.draw._draw_funcs if "fastgs" in f.__module__] == [entry]
 

@@ -180,9 +180,12 @@ def test_scene_summary(module, obj, scene, make_model, model_file):
 
 def test_import_options_draw(module):
     operator = module("operators").FASTGS_OT_import
-    names = []
+    names, labels = [], []
     layout = SimpleNamespace(prop=lambda data, name, text=None: names.append(name))
-    layout.column = lambda heading="": layout
+    layout.column = lambda heading="", align=False: layout
+    layout.panel = lambda name, default_closed: (layout, layout)
+    layout.label = lambda text, translate=True: labels.append(text)
     operator.draw(SimpleNamespace(layout=layout), bpy.context)
     assert set(names) <= set(bpy.ops.import_scene.fastgs.get_rna_type().properties.keys())
     assert {"relative_path", "orientation", "proxy_points", "set_scene_range", "use_engine"} == set(names)
+    assert labels[1:] == [f"{known.name} ({', '.join(known.reads)})" for known in module("fastgs_blender.formats").FORMATS]
