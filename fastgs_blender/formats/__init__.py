@@ -16,15 +16,20 @@ from ..util.errors import FastGSError, LossWarning
 from ..util.outputs import replacing
 from . import native
 from .base import Format, usable
+from .freetime import FreeTimeArrays, FreeTimeCheckpoint
+from .ftgs import FreeTimePly
 from .inria import Inria
+from .mediastorm import MediastormPly
 from .splat import Splat
+from .splat4d import Splat4d
 from .splatv import Splatv
 from .stg import SpacetimeGaussians
 from .unsupported import explain
 
-FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), Inria(), Splatv(), Splat())
+DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Splat4d())
+FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), Splat())
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
-WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), *FORMATS[3:])
+WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv(), Splat())
 """Asked in this order to write, among those that share an extension."""
 
 

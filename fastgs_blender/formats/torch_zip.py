@@ -109,6 +109,16 @@ class TorchFile:
         return Tensor(self, storage, offset if elements else 0, shape, stride)
 
 
+def content_or_none(head: bytes, path: Path):
+    """What PyTorch saved in a file; None for any other file and for a damaged one.  head: the file's first bytes."""
+    if not head.startswith(b"PK\x03\x04"):
+        return None
+    try:
+        return TorchFile(path).content
+    except FastGSError:
+        return None
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The zip file; its many ways to fail become one."""

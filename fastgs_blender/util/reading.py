@@ -74,7 +74,7 @@ def read_bytes(path, limit: int) -> bytes:
         size = os.fstat(file.fileno()).st_size
         if size > limit:
             raise FastGSError(f"{path}: it has {size} bytes, which is more than such a file may have ({limit}); choose another file.")
-        return file.read(limit)
+        return file.read(size)  # not of the limit: a buffer of that size would be made first
 
 
 def read_text(path, limit: int = LARGEST_JSON) -> str:

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checkpoints of FreeTimeGS trainers: `ckpt_<step>.pt` and `canonical_4d.npz` (FreeTimeGsVanilla), `.npz` (FreeTimeGS++).
+
+The arrays: means [N, 3], scales (ln) [N, 3], quats (w x y z) [N, 4], opacities (logit) [N], sh0 [N, 1, 3], shN [N, K, 3], times [N, 1],
+durations (ln of the standard deviation) [N, 1], velocities [N, 3] per unit of normalised time (first frame 0, last frame 1).
+FreeTimeGS++ says sh_0, sh_n, velocity_model, and adds marginal_gates: its opacity factor is g + (1 - g) bell, g = sigmoid(20 gate).
+A gate that is shut (g near 0) is the plain bell, an open one (g near 1) does not fade; in between there is nothing here for it.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..model.appearance import SH
+from ..model.gaussians import GaussianModel
+from ..model.slicing import sigmoid
+from ..util.errors import FastGSError
+from ..util.numpy_files import packed_arrays
+from . import torch_zip
+from .base import Format
+from .ftgs import FRAMES, GSPLAT, clip_of
+from .straight import straight
+from .zipped import members
+
+NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opacities": ("opacities",), "sh0": ("sh0", "sh_0"),
+         "shN": ("shN", "sh_n"), "times": ("times",), "durations": ("durations",), "velocities": ("velocities", "velocity_model")}
+SHAPES = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "sh0": (3,), "times": (), "durations": (), "velocities": (3,)}
+"""Of one Gaussian; the files differ in axes of length 1."""
+DEGREES = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
+SHUT = 1e-5
+"""A gate closer than this to 0 or 1 changes no opacity by more."""
+
+
+class FreeTimeCheckpoint(Format):
+    """A checkpoint that PyTorch saved."""
+
+    name = "FreeTimeGS checkpoint"
+    reads = (".pt",)
+
+    def sniff(self, head, path):
+        return _known(_splats(torch_zip.content_or_none(head, path)))
+
+    def load(self, path):
+        content = torch_zip.TorchFile(path).content
+        spec = content.get("model_spec") if isinstance(content.get("model_spec"), dict) else {}
+        said = {key: value for key, value in (content | spec).items() if isinstance(key, str)}
+        strange = [key for key in ("color_correction", "use_marginal_gating", "use_color_velocity") if said.get(key)]
+        strange += [key for key, usual in (("time_units", "normalized"), ("duration_activation", "exp")) if said.get(key, usual) != usual]
+        if strange:
+            raise FastGSError(f"it was trained with an extension that is not supported ({', '.join(strange)}); train it without.")
+        return model_of(_splats(content), path, said.get("n_frames"), said.get("use_velocity", True) is not False)
+
+
+class FreeTimeArrays(Format):
+    """The same arrays in an .npz file."""
+
+    name = "FreeTimeGS arrays"
+    reads = (".npz",)
+
+    def sniff(self, head, path):
+        names = {name.removesuffix(".npy") for name in members(head, path) if name.endswith(".npy")}
+        return _known(names)
+
+    def load(self, path):
+        arrays = packed_arrays(path)
+        if any(name.startswith("velocity_model.") for name in arrays):
+            raise FastGSError("its velocities come from a network of FreeTimeGS++ that is not supported; train with explicit velocities.")
+        frames = arrays["n_frames"].read() if "n_frames" in arrays and not arrays["n_frames"].shape else None
+        return model_of(arrays, path, None if frames is None else frames.item(), True)
+
+
+def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
+    """The model of arrays that are known by shape and have read(); frames: of the clip, or None."""
+    found = {key: next((table[name] for name in names if name in table), None) for key, names in NAMES.items()}
+    missing = [key for key in (*SHAPES, "shN") if found[key] is None]
+    if missing:
+        raise FastGSError(f"its arrays {', '.join(missing)} are missing; save the checkpoint again.")
+    n = found["means"].shape[0] if found["means"].shape else 0
+    rest = found["shN"].shape
+    degree = DEGREES.get(rest[1] if len(rest) == 3 and rest[0] == n and rest[2] == 3 else -1)
+    wrong = [key for key, shape in SHAPES.items() if tuple(a for a in found[key].shape[1:] if a != 1) != shape
+             or found[key].shape[:1] != (n,)]
+    if wrong or degree is None:
+        raise FastGSError(f"its array {wrong[0] if wrong else 'shN'} has the shape {found[wrong[0] if wrong else 'shN'].shape}, which does "
+                          f"not fit its {n} Gaussians; save the checkpoint again.")
+    arrays = {key: _floats(found[key]).reshape(n, *shape) for key, shape in SHAPES.items()}
+    ln_sigma = arrays["durations"]
+    if "marginal_gates" in table:
+        ln_sigma = _gated(table["marginal_gates"], ln_sigma)
+    lives = straight(arrays["means"], arrays["velocities"] if moves else None, arrays["times"], ln_sigma)
+    features = np.concatenate([arrays["sh0"], _floats(found["shN"]).reshape(n, -1)], 1)
+    frames = frames if isinstance(frames, int) and 1 <= frames <= 10_000_000 else FRAMES
+    return GaussianModel(**lives, rotation=arrays["quats"], scale=arrays["scales"], opacity=arrays["opacities"], features=features,
+                         appearance=SH(degree), raster=GSPLAT, clip=clip_of(frames))
+
+
+def _gated(gates, ln_sigma: np.ndarray) -> np.ndarray:
+    """ln sigma with the gates' effect; raises FastGSError where it cannot be said so."""
+    if int(np.prod(gates.shape)) != len(ln_sigma):
+        raise FastGSError("its array marginal_gates does not fit its Gaussians; save it again.")
+    gate = sigmoid(20 * _floats(gates).reshape(-1))
+    between = np.count_nonzero((gate > SHUT) & (gate < 1 - SHUT))
+    if between:
+        raise FastGSError(f"{between} of its {len(gate)} Gaussians fade only in part (marginal gates of FreeTimeGS++), "
+                          "which is not supported; train it with the gates shut.")
+    return np.where(gate > 0.5, np.inf, ln_sigma)
+
+
+def _floats(array) -> np.ndarray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return array.read().astype(np.float32)
+
+
+def _splats(content) -> dict:
+    splats = content.get("splats") if isinstance(content, dict) else None
+    if not isinstance(splats, dict):
+        return {}
+    return {key: value for key, value in splats.items() if isinstance(value, torch_zip.Tensor)}
+
+
+def _known(names: Iterable[str]) -> bool:
+    """Whether the names are those of FreeTimeGS, and not of a static model of gsplat."""
+    return {"means", "quats", "times", "durations"} <= set(names)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`.ftgs.ply`: FreeTimeGS models as one PLY (FreeTimeGsVanilla, FTGS player; version 1).
+
+Columns: those of INRIA's PLY, then time, log_duration (ln of the temporal standard deviation), velocity_0..2 (per unit of time).
+Time is normalised: the first frame is 0, the last one 1, so a clip of n frames has n - 1 steps and t here is the file's own time.
+Comments: ftgs_version, time_units, sh_degree, use_velocity, min_duration, opacity_floor, n_frames.  The floor (1e-4) lies far under
+what a rasteriser draws; where it does not, that is said.
+"""
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+
+from ..model.appearance import SH
+from ..model.gaussians import Clip, GaussianModel, Raster
+from ..util.errors import FastGSError, LossWarning
+from . import ply
+from .base import Format
+from .inria import DEGREES, POSITION, ROTATION, SCALE, colour_columns
+from .straight import straight
+
+TIME = ("time", "log_duration")
+VELOCITY = ("velocity_0", "velocity_1", "velocity_2")
+MIN_DURATION, FLOOR, FRAMES = 0.02, 1e-4, 300
+"""What holds where the header does not say another."""
+GSPLAT = Raster(alpha_max=0.999, near=0.01)
+"""The constants of gsplat up to 1.5, with which FreeTimeGS is trained."""
+
+
+class FreeTimePly(Format):
+    """See the module."""
+
+    name = "FreeTimeGS PLY"
+    reads = (".ply",)
+
+    def sniff(self, head, path):
+        return head.startswith(b"ply") and ply.read_header(path).names.issuperset(TIME)
+
+    def load(self, path):
+        header = ply.read_header(path)
+        said = _settings(header.comments)
+        moves = said["use_velocity"] != 0
+        degree, groups = static_columns(header)
+        _need(header, (*TIME, *(VELOCITY if moves else ())))
+        columns = ply.read_vertices(path, header, groups | {"time": TIME, "velocity": VELOCITY if moves else ()})
+        time, velocity, opacity = columns.pop("time"), columns.pop("velocity"), columns.pop("opacity")[:, 0]
+        if said["opacity_floor"] >= GSPLAT.alpha_cut:
+            warnings.warn(LossWarning(f"{path}: the opacity that its Gaussians keep for ever ({said['opacity_floor']:g}) is left out."),
+                          stacklevel=3)
+        lives = straight(columns.pop("position"), velocity if moves else None, time[:, 0],
+                         np.maximum(time[:, 1], math.log(said["min_duration"])))
+        return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
+
+
+def static_columns(header: ply.Header) -> tuple[int, dict[str, tuple[str, ...] | list[str]]]:
+    """The degree of spherical harmonics and the columns that every static Gaussian has, for read_vertices(); checked."""
+    rest = sum(name.startswith("f_rest_") for name in header.names)
+    if rest not in DEGREES:
+        raise FastGSError(f"its {rest} columns f_rest_* fit no degree of spherical harmonics (0, 9, 24, 45 or 72 do).")
+    groups = {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",),
+              "features": colour_columns(DEGREES[rest])}
+    _need(header, [name for names in groups.values() for name in names])
+    return DEGREES[rest], groups
+
+
+def clip_of(frames: int, fps: float = 30.0) -> Clip:
+    """The clip of so many frames, of which the first lies at t = 0 and the last at t = 1."""
+    return Clip(max(1, frames - 1), fps)
+
+
+def _need(header: ply.Header, names) -> None:
+    missing = [name for name in names if name not in header.names]
+    if missing:
+        raise FastGSError(f"its columns {', '.join(missing[:12])} are missing; export it again.")
+
+
+def _settings(comments: tuple[str, ...]) -> dict[str, float]:
+    """The header's numbers; raises FastGSError for another version, unit, or what is no such number."""
+    said = dict(comment.split(None, 1) for comment in comments if len(comment.split(None, 1)) == 2)
+    if said.get("ftgs_version", "1") != "1":
+        raise FastGSError(f"it is version {said['ftgs_version'][:20]} of the format, and this program reads version 1.")
+    if said.get("time_units", "normalized") != "normalized":
+        raise FastGSError(f"its unit of time is {said['time_units'][:20]!r}, and only 'normalized' is defined; export it again.")
+    checks = {"use_velocity": (1, lambda v: v in (0, 1)), "min_duration": (MIN_DURATION, lambda v: 0 < v < math.inf),
+              "opacity_floor": (FLOOR, lambda v: 0 <= v < 1), "n_frames": (FRAMES, lambda v: v == int(v) and 1 <= v <= 10_000_000)}
+    numbers = {}
+    for key, (default, good) in checks.items():
+        try:
+            value = float(said.get(key, default))
+            if not math.isfinite(value) or not good(value):
+                raise ValueError
+        except ValueError as error:
+            raise FastGSError(f"its comment {key} cannot be {said[key][:20]!r}; export it again.") from error
+        numbers[key] = value
+    return numbers | {"n_frames": int(numbers["n_frames"])}

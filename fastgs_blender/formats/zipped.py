@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in a zip file: several formats are one, and are known by the names of their members."""
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+from ..util.errors import FastGSError
+from ..util.reading import open_file, reading
+
+MAGIC = b"PK\x03\x04"
+
+
+def members(head: bytes, path: Path) -> frozenset[str]:
+    """The names in a zip file; empty for any other file and for a broken one.  head: the file's first bytes."""
+    if not head.startswith(MAGIC):
+        return frozenset()
+    try:
+        with reading(path), open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+            return frozenset(archive.namelist())
+    except FastGSError:
+        return frozenset()
