@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import os
 
+from ..model.motion import trained_motions
 from ..util.errors import FastGSError
 from .shared import note, print_json, use_threads
 
 FLAGS = {
-    "motion": (str, "KIND", "cosine, fourier, fourier+linear, polynomial, keyframes, paper or static (default: cosine)"),
+    "motion": (str, "KIND", f"{', '.join(trained_motions())} or static (default: cosine)"),
     "order": (int, "L", "order of the motion: frequencies, cosines, degree or keyframes (default: the usual one)"),
     "iterations": (int, "N", "steps (default: by the preset)"),
     "batch": (int, "N", "views per step and process"),

@@ -11,12 +11,10 @@ from dataclasses import MISSING, asdict, fields
 
 from ..model.appearance import RGB, SH, Features
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
-from ..model.motion import BASES, Basis, Keyframes, Polynomial, Static, basis_from_dict, basis_to_dict
+from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.temporal import Always, Radial, temporal_by_name
 from ..util.errors import FastGSError
 
-MAX_DEGREE = 32
-"""Of polynomials: higher powers leave the range of numbers."""
 MAX_PROVENANCE = 1 << 16
 """Characters of JSON; foreign formats do without a longer one."""
 
@@ -128,12 +126,7 @@ def _basis(values) -> Basis:
     if not isinstance(name, str) or name not in BASES:
         raise FastGSError(f"the basis of time {_short(name)} is unknown; this version knows {', '.join(BASES)}.")
     examples = {f.name: f.default for f in fields(BASES[name])}
-    basis = basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
-    if isinstance(basis, Polynomial) and basis.degree > MAX_DEGREE:
-        raise FastGSError(f"its polynomial of degree {basis.degree} cannot be computed; {MAX_DEGREE} is the highest.")
-    if isinstance(basis, Keyframes) and any(b - a < 1e-9 for a, b in zip(basis.times, basis.times[1:], strict=False)):
-        raise FastGSError("its keyframes lie closer together than time can be told apart.")
-    return basis
+    return basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
 
 
 def _appearance(values) -> RGB | SH | Features:

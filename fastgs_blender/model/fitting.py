@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..util.errors import FastGSError
-from .motion import Basis, Cosine, Fourier, Keyframes, Static
+from .motion import BASES, Basis, Family, Static
 
 SAFE = 0.4
 """Coefficients per sample at most.  The Nyquist limit is 1; near it a basis swings between the samples."""
-
-MOTION_BASES = ("auto", "cosine", "fourier", "paper", "keyframes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,36 +39,24 @@ class Fit:
         return coefficients.reshape(shape), (self.design @ coefficients).reshape(values.shape)
 
 
-def motion_families(name: str, t: np.ndarray) -> list[Callable[[int], Basis]]:
-    """Bases of positions by order: one family, or for "auto" all that compete.
-
-    Times run from t[0] to t[-1].  Half-period cosines over exactly that span are mirrored beyond it, so the half frame after
-    the last is as tame as the one before it.  A Fourier series with a linear term is exact for steady travel and whole
-    turns, whether or not the last sample repeats the first.
-    """
-    rate = 1 / float(t[-1] - t[0])
-    offset = 0.0 - rate * float(t[0])
-    families = {
-        "cosine": [lambda n: Cosine(n, rate, offset)],
-        "fourier": [lambda n: Fourier(n - 1, 1.0, 0.0, linear=True), lambda n: Fourier(n - 1, rate, offset, linear=True)],
-        "paper": [Fourier],
-        "keyframes": [lambda n: Keyframes(tuple(np.linspace(t[0], t[-1], n + 1)), "catmull-rom")],
-    }
+def motion_families(name: str, t: np.ndarray) -> list[Family]:
+    """Bases of positions by order, for motion known at times t [S] that increase; "auto": those of all bases that compete."""
+    families = {}
+    for kind in BASES.values():
+        families |= kind.fits(float(t[0]), float(t[-1]))
     if name == "auto":
-        return families["cosine"] + families["fourier"]
+        return [family for kind in BASES.values() if kind.competes for family in families[kind.name]]
     if name not in families:
-        raise FastGSError(f"the basis {name!r} cannot be fitted; there are {', '.join(MOTION_BASES)}.")
+        raise FastGSError(f"the basis {name!r} cannot be fitted; there are {', '.join(['auto', *families])}.")
     return families[name]
 
 
-def rotation_families(t: np.ndarray) -> list[Callable[[int], Basis]]:
-    """Bases of quaternions by order.  A quaternion turns by half the angle: the Fourier series has twice the period."""
-    rate = 1 / float(t[-1] - t[0])
-    offset = 0.0 - rate * float(t[0])
-    return [lambda n: Cosine(n, rate, offset), lambda n: Fourier(n, 0.5), lambda n: Fourier(n, 0.5 * rate, 0.5 * offset)]
+def rotation_families(t: np.ndarray) -> list[Family]:
+    """Bases of quaternions by order, for rotations known at times t [S] that increase."""
+    return [family for kind in BASES.values() for family in kind.rotation_fits(float(t[0]), float(t[-1]))]
 
 
-def choose(families: list[Callable[[int], Basis]], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0) -> Basis:
+def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0) -> Basis:
     """The basis with the fewest coefficients whose error is at most 1, else the one with the least error.
 
     t [S] the times that are known; families of bases by order, at a tie the first wins; error(fit) relative to the tolerance.

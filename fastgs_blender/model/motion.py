@@ -1,58 +1,44 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bases of time: how a few coefficients per Gaussian become a value at any time.
+"""The bases of time: functions of t whose weighted sum moves a Gaussian.
 
-Every basis answers the same two questions: the weights w_k of its coefficients at a time, and their
-derivatives.  A quantity with constant term c and coefficients c_k is then  c + sum_k w_k(t) c_k.
-A new basis is one small frozen dataclass here, listed in BASES; files, slicing and kernels need nothing else.
+A new basis is one frozen dataclass here, listed in BASES.  It must state `terms`, `weights` and `rates`; its fields are what a file
+records of it.  Whatever else depends on the basis asks it, and `Basis` (basis.py) has an answer to begin with: rendering, gradients,
+learning rates, the penalty of motion, training's choice of motions, fits, joining and files need nothing else.
 """
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from numbers import Integral, Real
 from typing import ClassVar
 
 import numpy as np
 
 from ..util.errors import FastGSError
+from .basis import MAX_TERMS, Basis, Family
+from .keyframes import Keyframes
+
+MAX_DEGREE = 32
+"""The highest degree of polynomials: higher powers leave float32."""
+MARGIN = 0.1
+"""Share of a Fourier series' period that stays free on either side of the clip, so that motion need not return (Gaussian-Flow)."""
 
 
-@dataclass(frozen=True)
-class Basis:
-    """One basis of time.
+def _whole_number(value, low: int, high: int, what: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not low <= value <= high:
+        raise FastGSError(f"{what} must be a whole number from {low} to {high}, not {value!r}.")
 
-    `centred` says what time means to it: False, the model's t, one set of weights for all Gaussians;
-    True, t - mu_tau of each Gaussian, and then the weights are the powers 1..K of it.
-    """
 
-    name: ClassVar[str] = ""
-    centred: ClassVar[bool] = False
+def _finite(*values) -> None:
+    if not all(isinstance(v, Real) and not isinstance(v, bool) and np.isfinite(v) for v in values):
+        raise FastGSError(f"the scale and offset of a basis of time must be finite numbers, not {', '.join(map(repr, values))}.")
 
-    @property
-    def terms(self) -> int:
-        """K, the number of coefficients per axis, the constant term not counted."""
-        raise NotImplementedError
 
-    @property
-    def max_frequency(self) -> float:
-        """The highest frequency the basis holds, in cycles per unit of t (0: no such limit)."""
-        return 0.0
-
-    def weights(self, t) -> np.ndarray:
-        """Weights [..., K] float64 at times t [...]."""
-        raise NotImplementedError
-
-    def rates(self, t) -> np.ndarray:
-        """Derivatives of the weights by t, [..., K] float64."""
-        raise NotImplementedError
-
-    def evaluate(self, coefficients, t, mu_tau):
-        """Sum of the weighted coefficients and its derivative by t.
-
-        coefficients [N, K, D], t a number, mu_tau [N]; returns two arrays [N, D] float64.
-        """
-        c = np.asarray(coefficients, np.float64)
-        time = t - np.asarray(mu_tau, np.float64) if self.centred else float(t)
-        form = "nk,nkd->nd" if self.centred else "k,nkd->nd"
-        return np.einsum(form, self.weights(time), c), np.einsum(form, self.rates(time), c)
+def _one_length(spans) -> float:
+    """The length that all segments have; raises FastGSError."""
+    length = spans[0][1]
+    if any(abs(other - length) > 1e-9 * length for _, other in spans):
+        raise FastGSError("the segments cannot be joined: a series needs segments of one length.")
+    return length
 
 
 @dataclass(frozen=True)
@@ -67,6 +53,15 @@ class Static(Basis):
 
     rates = weights
 
+    def curvature(self):
+        return np.zeros((0, 0))
+
+    def whole(self, spans):
+        return self
+
+    def retimed(self, whole, begin, length, constant, coefficients):
+        return constant, coefficients
+
 
 @dataclass(frozen=True)
 class Fourier(Basis):
@@ -77,10 +72,17 @@ class Fourier(Basis):
     """
 
     name: ClassVar[str] = "fourier"
+    competes: ClassVar[bool] = True
     order: int = 5
     scale: float = 1.0
     offset: float = 0.0
     linear: bool = False
+
+    def __post_init__(self):
+        _whole_number(self.order, 0, MAX_TERMS // 2 - 1, "the order of a Fourier series")
+        _finite(self.scale, self.offset)
+        if not isinstance(self.linear, (bool, np.bool_)):
+            raise FastGSError(f"whether a Fourier series has a linear term is true or false, not {self.linear!r}.")
 
     @property
     def terms(self):
@@ -108,15 +110,66 @@ class Fourier(Basis):
         t, omega, sin, cos = self._parts(t)
         return self._join(omega * self.scale * cos, -omega * self.scale * sin, np.ones_like(t))
 
+    @classmethod
+    def trained(cls, last):
+        return {"fourier": (lambda n: cls(n, (1 - 2 * MARGIN) / last, MARGIN), 5),
+                "fourier+linear": (lambda n: cls(n, 1.0, 0.0, linear=True), 5), "paper": (cls, 5)}
+
+    def frequency_index(self):
+        pairs = np.repeat(np.arange(1.0, self.order + 1), 2)
+        return np.append(pairs, 1.0) if self.linear else pairs
+
+    def curvature(self):
+        weights = np.repeat((self.scale * np.arange(1.0, self.order + 1)) ** 2, 2)
+        return np.diag(np.append(weights, 0.0) if self.linear else weights)
+
+    @classmethod
+    def fits(cls, first, last):
+        """With a linear term it is exact for steady travel and whole turns, whether or not the last sample repeats the first."""
+        rate, offset = _onto(first, last)
+        return {"fourier": [lambda n: cls(n - 1, 1.0, 0.0, linear=True), lambda n: cls(n - 1, rate, offset, linear=True)],
+                "paper": [cls]}
+
+    @classmethod
+    def rotation_fits(cls, first, last):
+        """A quaternion turns by half the angle: the series has twice the period."""
+        rate, offset = _onto(first, last)
+        return [lambda n: cls(n, 0.5), lambda n: cls(n, 0.5 * rate, 0.5 * offset)]
+
+    def whole(self, spans):
+        return replace(self, scale=self.scale / _one_length(spans), offset=0.0)
+
+    def retimed(self, whole, begin, length, constant, coefficients):
+        c = coefficients
+        angle = 2 * np.pi * np.arange(1, self.order + 1) * (self.offset - self.scale * begin / length)
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        a, b = c[:, 0:2 * self.order:2], c[:, 1:2 * self.order:2]
+        pairs = np.stack([a * cos - b * sin, a * sin + b * cos], 2).reshape(len(c), 2 * self.order, c.shape[2])
+        if self.linear:
+            line = c[:, -1:]
+            return constant - line[:, 0] * begin / length, np.concatenate([pairs, line / length], 1)
+        return constant, pairs
+
+
+def _onto(first: float, last: float) -> tuple[float, float]:
+    """Scale and offset that map first..last onto 0..1."""
+    rate = 1 / (last - first)
+    return rate, 0.0 - rate * first
+
 
 @dataclass(frozen=True)
 class Cosine(Basis):
     """Half-period cosines cos(pi k p), k = 1..order, p = scale * t + offset.  Nothing forces the motion to return."""
 
     name: ClassVar[str] = "cosine"
+    competes: ClassVar[bool] = True
     order: int = 10
     scale: float = 1.0
     offset: float = 0.0
+
+    def __post_init__(self):
+        _whole_number(self.order, 0, MAX_TERMS, "the order of half-period cosines")
+        _finite(self.scale, self.offset)
 
     @property
     def terms(self):
@@ -137,6 +190,36 @@ class Cosine(Basis):
         omega, angle = self._angle(t)
         return -omega * self.scale * np.sin(angle)
 
+    @classmethod
+    def trained(cls, last):
+        return {"cosine": (lambda n: cls(n, 1 / last, 0.0), 10)}
+
+    def frequency_index(self):
+        return np.arange(1.0, self.order + 1)
+
+    def curvature(self):
+        """The k-th term swings k / 2 times."""
+        return np.diag((self.scale * np.arange(1.0, self.order + 1) / 2) ** 2)
+
+    @classmethod
+    def fits(cls, first, last):
+        """Over exactly first..last it is mirrored beyond, so that the half frame after the last is as tame as the one before it."""
+        return {"cosine": cls.rotation_fits(first, last)}
+
+    @classmethod
+    def rotation_fits(cls, first, last):
+        rate, offset = _onto(first, last)
+        return [lambda n: cls(n, rate, offset)]
+
+    def whole(self, spans):
+        return Fourier(self.order, 0.5 * self.scale / _one_length(spans))
+
+    def retimed(self, whole, begin, length, constant, coefficients):
+        c = coefficients
+        angle = np.pi * np.arange(1, self.order + 1) * (self.offset - self.scale * begin / length)
+        sine, cosine = -c * np.sin(angle)[:, None], c * np.cos(angle)[:, None]
+        return constant, np.stack([sine, cosine], 2).reshape(len(c), 2 * self.order, c.shape[2])
+
 
 @dataclass(frozen=True)
 class Polynomial(Basis):
@@ -145,6 +228,9 @@ class Polynomial(Basis):
     name: ClassVar[str] = "polynomial"
     centred: ClassVar[bool] = True
     degree: int = 3
+
+    def __post_init__(self):
+        _whole_number(self.degree, 0, MAX_DEGREE, "the degree of a polynomial of time")
 
     @property
     def terms(self):
@@ -157,73 +243,31 @@ class Polynomial(Basis):
         k = np.arange(1, self.degree + 1)
         return k * np.asarray(t, np.float64)[..., None] ** (k - 1)
 
+    @classmethod
+    def trained(cls, last):
+        return {"polynomial": (cls, 3)}
 
-@dataclass(frozen=True)
-class Keyframes(Basis):
-    """A table: coefficient k is the offset from the constant term at times[k]; held outside the table.
+    def frequency_index(self):
+        return np.ones(self.degree)
 
-    interpolation 'linear', or 'catmull-rom': cubic Hermite whose tangents are the chords between the neighbours
-    (one-sided at both ends), so that uneven times are handled and straight motion stays straight.
-    """
+    def curvature(self):
+        """Of a power k of t - mu_tau, where |t - mu_tau| <= 1."""
+        k = np.arange(1.0, self.degree + 1)
+        return np.diag(k * (k - 1) / (2 * np.pi) ** 2)
 
-    name: ClassVar[str] = "keyframes"
-    times: tuple[float, ...] = (0.0, 1.0)
-    interpolation: str = "linear"
+    def whole(self, spans):
+        return self
 
-    def __post_init__(self):
-        object.__setattr__(self, "times", tuple(float(t) for t in self.times))
-        if self.interpolation not in ("linear", "catmull-rom"):
-            raise FastGSError(f"keyframes know the interpolations linear and catmull-rom, not {self.interpolation!r}.")
-        if not self.times or not np.all(np.diff(self.times) > 0) or not np.all(np.isfinite(self.times)):
-            raise FastGSError("keyframe times must be at least one, finite and increasing.")
-
-    @property
-    def terms(self):
-        return len(self.times)
-
-    @property
-    def max_frequency(self):
-        return 0.5 / float(np.min(np.diff(self.times))) if len(self.times) > 1 else 0.0
-
-    def _blend(self, t, rate):
-        x, n = np.array(self.times), len(self.times)
-        t = np.asarray(t, np.float64)
-        flat = t.reshape(-1)
-        w = np.zeros((flat.size, n))
-        if n == 1:
-            w[:] = 0.0 if rate else 1.0
-            return w.reshape(t.shape + (n,))
-        inside = np.clip(flat, x[0], x[-1])
-        i = np.clip(np.searchsorted(x, inside, side="right") - 1, 0, n - 2)
-        h, row = x[i + 1] - x[i], np.arange(flat.size)
-        u = (inside - x[i]) / h
-        if self.interpolation == "linear":
-            w[row, i], w[row, i + 1] = (-1 / h, 1 / h) if rate else (1 - u, u)
-        else:
-            if rate:
-                p = (6 * u**2 - 6 * u) / h
-                p0, p1, m0, m1 = p, -p, 3 * u**2 - 4 * u + 1, 3 * u**2 - 2 * u
-            else:
-                p0, p1 = 2 * u**3 - 3 * u**2 + 1, -2 * u**3 + 3 * u**2
-                m0, m1 = h * (u**3 - 2 * u**2 + u), h * (u**3 - u**2)
-            w[row, i], w[row, i + 1] = p0, p1
-            for key, tangent in ((i, m0), (i + 1, m1)):  # the tangent at a key is the chord between its neighbours
-                before, after = np.maximum(key - 1, 0), np.minimum(key + 1, n - 1)
-                chord = tangent / (x[after] - x[before])
-                w[row, after] += chord
-                w[row, before] -= chord
-        if rate:
-            w[flat != inside] = 0.0
-        return w.reshape(t.shape + (n,))
-
-    def weights(self, t):
-        return self._blend(t, rate=False)
-
-    def rates(self, t):
-        return self._blend(t, rate=True)
+    def retimed(self, whole, begin, length, constant, coefficients):
+        return constant, coefficients / length ** np.arange(1, self.degree + 1)[:, None]
 
 
-BASES = {cls.name: cls for cls in (Static, Fourier, Cosine, Polynomial, Keyframes)}
+BASES = {cls.name: cls for cls in (Static, Cosine, Fourier, Polynomial, Keyframes)}
+
+
+def trained_motions(last: float = 1.0) -> dict[str, tuple[Family, int]]:
+    """The motions that training offers, in all bases: see Basis.trained."""
+    return {name: offer for kind in BASES.values() for name, offer in kind.trained(last).items()}
 
 
 def basis_to_dict(basis: Basis) -> dict:
@@ -246,8 +290,6 @@ def basis_from_dict(values: dict) -> Basis:
                 raise TypeError
             if isinstance(value, float) and not np.isfinite(value):
                 raise ValueError
-        if not 0 <= basis.terms <= 100_000:
-            raise ValueError
     except (TypeError, ValueError) as error:
         raise FastGSError(f"the parameters of the basis of time {name!r} do not fit it: {values}.") from error
     return basis

@@ -6,8 +6,6 @@ resumed run and every process of a distributed one decide the same.
 """
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 
 from ...model.appearance import Features
@@ -218,11 +216,7 @@ def shift(arrays, centre, template):
     """
     delta = (centre - arrays["mu_tau"]).astype(np.float64)
     for basis, constant, name in ((template.basis, "position", "motion"), (template.rotation_basis, "rotation", "rotation_motion")):
-        if basis.centred and basis.terms:
-            old = np.concatenate([arrays[constant][:, None], arrays[name]], 1).astype(np.float64)
-            new = np.stack([sum(comb(k, j) * delta[:, None] ** (k - j) * old[:, k] for k in range(j, basis.terms + 1))
-                            for j in range(basis.terms + 1)], 1)
-            arrays[constant][...], arrays[name][...] = new[:, 0], new[:, 1:]
+        arrays[constant][...], arrays[name][...] = basis.recentred(arrays[constant], arrays[name], delta)
     arrays["mu_tau"][...] = centre
     if isinstance(template.appearance, Features):
         arrays["features"][:, 6:9] = 0

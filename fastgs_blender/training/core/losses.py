@@ -7,7 +7,7 @@ import torch
 
 from ...kernels.cpu import loss as kernels
 from ...kernels.cpu import penalty
-from ...model.motion import Basis, Cosine, Fourier, Keyframes, Polynomial
+from ...model.motion import Basis
 from ...util.threads import ranges, run
 
 READINGS = ("mean", "group")
@@ -45,33 +45,6 @@ def _array(values) -> np.ndarray:
     return values.detach().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
 
 
-def curvature(basis: Basis) -> np.ndarray:
-    """Matrix [R, K]: what the paper's i^2 makes of a basis' coefficients.
-
-    For a Fourier series i^2 |w| is, up to (2 pi)^2, the greatest acceleration that a term brings.  So this is what stands here for
-    every basis: the greatest |d^2 / dt^2| of each term over (2 pi)^2.  Fourier: i^2 (with a phase that runs at another scale,
-    (scale i)^2); cosine: (scale k / 2)^2, as its k-th term swings k / 2 times; a linear term or a degree of 1: 0, for straight
-    motion is never penalised; a power k of t - mu_tau: k (k - 1) / (2 pi)^2, as |t - mu_tau| <= 1.  Keyframes have no terms with
-    an acceleration of their own: rows are the second differences at the inner keys, divided by the keys' distances, and
-    weighted so that they add up to the mean over time.
-    """
-    if isinstance(basis, Fourier):
-        weights = np.repeat((basis.scale * np.arange(1.0, basis.order + 1)) ** 2, 2)
-        return np.diag(np.append(weights, 0.0) if basis.linear else weights)
-    if isinstance(basis, Cosine):
-        return np.diag((basis.scale * np.arange(1.0, basis.order + 1) / 2) ** 2)
-    if isinstance(basis, Polynomial):
-        k = np.arange(1.0, basis.degree + 1)
-        return np.diag(k * (k - 1) / (2 * np.pi) ** 2)
-    if isinstance(basis, Keyframes) and basis.terms > 2:
-        gap = np.diff(basis.times)
-        rows = np.zeros((basis.terms - 2, basis.terms))
-        inner = np.arange(basis.terms - 2)
-        rows[inner, inner], rows[inner, inner + 1], rows[inner, inner + 2] = 1 / gap[:-1], -1 / gap[:-1] - 1 / gap[1:], 1 / gap[1:]
-        return rows / ((2 * np.pi) ** 2 * (basis.times[-1] - basis.times[0]))
-    return np.zeros((0, basis.terms))
-
-
 class MotionPenalty:
     """The paper's L_M-reg = sum over terms i and axes of i^2 ||w||, in units of the scene.
 
@@ -79,13 +52,13 @@ class MotionPenalty:
     reading  what the norm is: 'mean', of each Gaussian's number, |w|, with the mean over the Gaussians; 'group', of the column of
              all Gaussians' numbers, its root mean square (the norm over sqrt(N), so that lambda does not depend on N).  The mean
              pulls every coefficient to zero with the same force, whatever its size; the group pulls in proportion to its share.
-    Below SMOOTH extents both are rounded off.  For other bases than Fourier see curvature().
+    Below SMOOTH extents both are rounded off.  For other bases than Fourier see Basis.curvature().
     """
 
     def __init__(self, basis: Basis, extent: float, reading: str = "mean"):
         assert reading in READINGS
         self.extent, self.reading = float(extent), reading
-        matrix = curvature(basis)
+        matrix = basis.curvature()
         self.matrix = None if matrix.shape[0] == matrix.shape[1] and np.array_equal(matrix, np.diag(np.diag(matrix))) else matrix
         self.weights = np.repeat(np.diag(matrix) if self.matrix is None else np.ones(len(matrix)), 3)
 

@@ -9,15 +9,11 @@ import numpy as np
 from ...model import fitting
 from ...model.appearance import RGB, SH, Features
 from ...model.gaussians import Clip, GaussianModel, Raster
-from ...model.motion import Basis, Cosine, Fourier, Keyframes, Polynomial, Static
+from ...model.motion import Basis, Polynomial, Static, trained_motions
 from ...model.temporal import Always, Radial
 from ...util.errors import FastGSError
 from .hold import HELD
 
-ORDERS = {"cosine": 10, "fourier": 5, "fourier+linear": 5, "paper": 5, "polynomial": 3, "keyframes": 11}
-"""The usual order of each motion; about the same number of coefficients, but for STG's cubic."""
-MARGIN = 0.1
-"""What the Fourier series' period has to spare on either side of the clip, so that motion need not return (Gaussian-Flow)."""
 DECODER = ("w1", "w2")
 PLACE = slice(6, 9)
 """The decoder's inputs that say where the camera is."""
@@ -32,23 +28,16 @@ def motion_basis(motion: str, order: int, clip: Clip) -> Basis:
     if motion == "static" or clip.frame_count < 2:
         return Static()
     last = (clip.frame_count - 1) / clip.frame_count
-    makers = {
-        "cosine": lambda n: Cosine(n, 1 / last, 0.0),
-        "fourier": lambda n: Fourier(n, (1 - 2 * MARGIN) / last, MARGIN),
-        "fourier+linear": lambda n: Fourier(n, 1.0, 0.0, linear=True),
-        "paper": Fourier,
-        "polynomial": Polynomial,
-        "keyframes": lambda n: Keyframes(tuple(np.linspace(0, last, max(n, 2))), "catmull-rom"),
-    }
-    if motion not in makers:
-        raise FastGSError(f"the motion {motion!r} is unknown; there are static, {', '.join(makers)}.")
+    offered = trained_motions(last)
+    if motion not in offered:
+        raise FastGSError(f"the motion {motion!r} is unknown; there are static, {', '.join(offered)}.")
+    make, usual = offered[motion]
     if order:
-        return makers[motion](order)
+        return make(order)
     most = max(int(fitting.SAFE * clip.frame_count), 1)
-    order = ORDERS[motion]
-    while motion != "paper" and order > 1 and makers[motion](order).terms > most:
-        order -= 1
-    return makers[motion](order)
+    while motion != "paper" and usual > 1 and make(usual).terms > most:
+        usual -= 1
+    return make(usual)
 
 
 def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...model.motion import Basis, Fourier, Keyframes, Polynomial
+from ...model.motion import Basis
 from .model import PLACE
 
 VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
@@ -34,20 +34,10 @@ def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dic
         decoder[PLACE] = 0
     return {
         "position": settings.position_rate * extent * decay, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
-        "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / frequency_index(basis), 3),
+        "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
         "rotation_motion": settings.turn_rate, "mu_tau": settings.centre_rate, "temporal": settings.duration_rate,
         "w1": decoder, "w2": settings.decoder_rate,
     }
-
-
-def frequency_index(basis: Basis) -> np.ndarray:
-    """k of each coefficient [K], from 1: a step of the rate then changes the velocity by as much for all of them."""
-    if isinstance(basis, Fourier):
-        pairs = np.repeat(np.arange(1.0, basis.order + 1), 2)
-        return np.append(pairs, 1.0) if basis.linear else pairs
-    if isinstance(basis, (Keyframes, Polynomial)):
-        return np.ones(basis.terms)
-    return np.arange(1.0, basis.terms + 1)
 
 
 def reduction(settings, iteration: int) -> int:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import MISSING, asdict, dataclass, fields
 
+from ...model.motion import trained_motions
 from ...util.errors import FastGSError
 
 CHOICES = {
-    "motion": ("cosine", "fourier", "fourier+linear", "polynomial", "keyframes", "paper", "static"),
     "appearance": ("features", "rgb", "sh1", "sh2", "sh3"),
     "activation": ("clamp", "sigmoid", "none"),
     "temporal": ("radial", "always"),
@@ -174,7 +174,7 @@ class Settings:
         for field in fields(self):
             value = getattr(self, field.name)
             object.__setattr__(self, field.name, _checked(field, value))
-        for name, known in CHOICES.items():
+        for name, known in {"motion": (*trained_motions(), "static"), **CHOICES}.items():
             if getattr(self, name) not in known:
                 raise FastGSError(f"the training option {name} is one of {', '.join(known)}, not {getattr(self, name)!r}.")
         if self.preset not in PRESETS:

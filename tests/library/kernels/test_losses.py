@@ -139,11 +139,11 @@ def test_curvature_is_the_greatest_acceleration():
     t = np.linspace(0, 1, 2001)
     for basis in (fg.Fourier(4), fg.Fourier(2, linear=True), fg.Cosine(6), fg.Polynomial(4)):
         second = np.gradient(basis.rates(t), t, axis=0)[1:-1]
-        np.testing.assert_allclose(np.diag(losses.curvature(basis)), np.abs(second).max(0) / (2 * np.pi) ** 2, rtol=2e-2, atol=1e-9)
+        np.testing.assert_allclose(np.diag(basis.curvature()), np.abs(second).max(0) / (2 * np.pi) ** 2, rtol=2e-2, atol=1e-9)
     keys = fg.Keyframes(tuple(np.linspace(0, 1, 51)))
-    assert np.abs(losses.curvature(keys) @ np.asarray(keys.times)).max() < 1e-12  # straight motion is free
+    assert np.abs(keys.curvature() @ np.asarray(keys.times)).max() < 1e-12  # straight motion is free
     swing = np.sin(2 * np.pi * np.asarray(keys.times))
-    assert np.abs(losses.curvature(keys) @ swing).sum() == pytest.approx(2 / np.pi, rel=2e-2)  # the mean of |sin|
+    assert np.abs(keys.curvature() @ swing).sum() == pytest.approx(2 / np.pi, rel=2e-2)  # the mean of |sin|
 
 
 def test_rows_that_move_seldom_are_pulled_as_much(rng):

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keyframes: a basis of time whose coefficients are values at given times."""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .basis import MAX_TERMS, Basis
+
+LEAST_GAP = 1e-9
+"""The shortest time between two keyframes."""
+
+
+@dataclass(frozen=True)
+class Keyframes(Basis):
+    """A table: coefficient k is the offset from the constant term at times[k]; held outside the table.
+
+    interpolation 'linear', or 'catmull-rom': cubic Hermite whose tangents are the chords between the neighbours
+    (one-sided at both ends), so that uneven times are handled and straight motion stays straight.
+    """
+
+    name: ClassVar[str] = "keyframes"
+    times: tuple[float, ...] = (0.0, 1.0)
+    interpolation: str = "linear"
+
+    def __post_init__(self):
+        object.__setattr__(self, "times", tuple(float(t) for t in self.times))
+        if self.interpolation not in ("linear", "catmull-rom"):
+            raise FastGSError(f"keyframes are interpolated linear or catmull-rom, not {self.interpolation!r}.")
+        if not 0 < len(self.times) <= MAX_TERMS or not np.isfinite(self.times).all() or not (np.diff(self.times) >= LEAST_GAP).all():
+            raise FastGSError(f"keyframe times must be 1 to {MAX_TERMS} finite numbers that increase by at least {LEAST_GAP:g}.")
+
+    @property
+    def terms(self):
+        return len(self.times)
+
+    @property
+    def max_frequency(self):
+        return 0.5 / float(np.min(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+    def _blend(self, t, rate):
+        x, n = np.array(self.times), len(self.times)
+        t = np.asarray(t, np.float64)
+        flat = t.reshape(-1)
+        w = np.zeros((flat.size, n))
+        if n == 1:
+            w[:] = 0.0 if rate else 1.0
+            return w.reshape(t.shape + (n,))
+        inside = np.clip(flat, x[0], x[-1])
+        i = np.clip(np.searchsorted(x, inside, side="right") - 1, 0, n - 2)
+        h, row = x[i + 1] - x[i], np.arange(flat.size)
+        u = (inside - x[i]) / h
+        if self.interpolation == "linear":
+            w[row, i], w[row, i + 1] = (-1 / h, 1 / h) if rate else (1 - u, u)
+        else:
+            if rate:
+                p = (6 * u**2 - 6 * u) / h
+                p0, p1, m0, m1 = p, -p, 3 * u**2 - 4 * u + 1, 3 * u**2 - 2 * u
+            else:
+                p0, p1 = 2 * u**3 - 3 * u**2 + 1, -2 * u**3 + 3 * u**2
+                m0, m1 = h * (u**3 - 2 * u**2 + u), h * (u**3 - u**2)
+            w[row, i], w[row, i + 1] = p0, p1
+            for key, tangent in ((i, m0), (i + 1, m1)):  # the tangent at a key is the chord between its neighbours
+                before, after = np.maximum(key - 1, 0), np.minimum(key + 1, n - 1)
+                chord = tangent / (x[after] - x[before])
+                w[row, after] += chord
+                w[row, before] -= chord
+        if rate:
+            w[flat != inside] = 0.0
+        return w.reshape(t.shape + (n,))
+
+    def weights(self, t):
+        return self._blend(t, rate=False)
+
+    def rates(self, t):
+        return self._blend(t, rate=True)
+
+    @classmethod
+    def trained(cls, last):
+        return {"keyframes": (lambda n: cls(tuple(np.linspace(0, last, max(n, 2))), "catmull-rom"), 11)}
+
+    def frequency_index(self):
+        return np.ones(self.terms)
+
+    def curvature(self):
+        """A key has no acceleration of its own.  Rows are the second differences at the inner keys, divided by the keys' distances
+        and weighted so that they add up to the mean over time."""
+        if self.terms < 3:
+            return np.zeros((0, self.terms))
+        gap = np.diff(self.times)
+        rows = np.zeros((self.terms - 2, self.terms))
+        inner = np.arange(self.terms - 2)
+        rows[inner, inner], rows[inner, inner + 1], rows[inner, inner + 2] = 1 / gap[:-1], -1 / gap[:-1] - 1 / gap[1:], 1 / gap[1:]
+        return rows / ((2 * np.pi) ** 2 * (self.times[-1] - self.times[0]))
+
+    @classmethod
+    def fits(cls, first, last):
+        return {"keyframes": [lambda n: cls(tuple(np.linspace(first, last, n + 1)), "catmull-rom")]}
+
+    def whole(self, spans):
+        """The tables of all segments side by side."""
+        if self.interpolation != "linear":
+            raise FastGSError("the segments cannot be joined: smooth keyframes of different segments disturb each other; "
+                              "use linear ones.")
+        times = np.unique(np.round(np.concatenate([begin + length * np.array(self.times) for begin, length in spans]), 12))
+        return replace(self, times=tuple(times[np.diff(times, prepend=-np.inf) > 2 * LEAST_GAP].tolist()))
+
+    def retimed(self, whole, begin, length, constant, coefficients):
+        """Beside its own span each table goes on with its nearest value."""
+        return constant, np.einsum("jk,nkd->njd", self.weights((np.array(whole.times) - begin) / length), coefficients)
