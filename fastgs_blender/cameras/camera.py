@@ -8,6 +8,9 @@ import numpy as np
 
 from ..util.errors import FastGSError
 
+LARGEST_SIDE = 65_536
+"""Pixels of the longer side of a picture that a file may claim."""
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:

@@ -6,17 +6,17 @@ A list of {id, img_name, width, height, position, rotation, fx, fy}: position is
 """
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..util.errors import FastGSError
-from .camera import Camera
+from ..util.reading import read_json, reading
+from . import poses
+from .camera import LARGEST_SIDE, Camera
 
 LARGEST_FILE = 256 * 2**20
-LARGEST_SIDE = 65_536
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,15 @@ class View:
 def load_cameras(path) -> list[View]:
     """The cameras of a cameras.json; raises FastGSError where the file cannot be read or an entry is wrong."""
     path = Path(path)
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise FastGSError(f"{path}: this is too large for a camera file; give the cameras.json of a capture.")
-        entries = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FastGSError(f"{path}: the camera file cannot be read ({error.strerror}); check the path.") from error
-    except (ValueError, RecursionError) as error:
-        raise FastGSError(f"{path}: the camera file is not JSON ({error}); give a cameras.json as 3DGS trainers write it.") from error
+    entries = read_json(path, LARGEST_FILE, "it is not JSON, or cut short; give a cameras.json as 3DGS trainers write it")
+    with reading(path):
+        return _views(path, entries)
+
+
+def _views(path, entries) -> list[View]:
+    if isinstance(entries, dict) and isinstance(entries.get("format"), str) and entries["format"].startswith("fast-gs "):
+        raise FastGSError(f"{path}: this describes a {entries['format'][:40]}, and not cameras as 3DGS trainers write them; both kinds of "
+                          "file are called cameras.json.")
     entries = [entries] if isinstance(entries, dict) else entries
     if not isinstance(entries, list) or not entries:
         raise FastGSError(f"{path}: the camera file must hold a list of at least one camera.")
@@ -51,13 +52,14 @@ def _view(path, i, entry) -> View:
     missing = [key for key in ("width", "height", "position", "rotation", "fx", "fy") if key not in entry]
     if missing:
         raise FastGSError(f"{where} lacks {', '.join(missing)}.")
-    width, height = (_numbers(where, entry, key, ()) for key in ("width", "height"))
+    width, height = (poses.number(entry[key], f"{where}: its {key}") for key in ("width", "height"))
     if not all(v == int(v) and 1 <= v <= LARGEST_SIDE for v in (width, height)):
         raise FastGSError(f"{where} must have a width and height of whole pixels from 1 to {LARGEST_SIDE}, not {width:g} x {height:g}.")
-    fx, fy = (_numbers(where, entry, key, ()) for key in ("fx", "fy"))
+    fx, fy = (poses.number(entry[key], f"{where}: its {key}") for key in ("fx", "fy"))
     if not (fx > 0 and fy > 0):
         raise FastGSError(f"{where} must have positive focal lengths fx and fy, not {fx:g} and {fy:g}.")
-    rotation, position = _numbers(where, entry, "rotation", (3, 3)), _numbers(where, entry, "position", (3,))
+    rotation = poses.numbers(entry["rotation"], (3, 3), f"{where}: its rotation")
+    position = poses.near(poses.numbers(entry["position"], (3,), f"{where}: its position"), where)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise FastGSError(f"{where} has a rotation that is not a rotation matrix (orthonormal, determinant +1).")
     world_to_camera = np.eye(4)
@@ -65,25 +67,16 @@ def _view(path, i, entry) -> View:
     world_to_camera[:3, 3] = -rotation.T @ position
     camera = Camera(
         int(width), int(height), fx, fy,
-        _numbers(where, entry, "cx", ()) if "cx" in entry else width / 2,
-        _numbers(where, entry, "cy", ()) if "cy" in entry else height / 2,
+        poses.number(entry["cx"], f"{where}: its cx") if "cx" in entry else width / 2,
+        poses.number(entry["cy"], f"{where}: its cy") if "cy" in entry else height / 2,
         world_to_camera)
-    return View(str(entry.get("img_name", entry.get("id", i))), camera)
+    return View(_name(entry, i), camera)
 
 
-def _numbers(where, entry, key, shape):
-    """entry[key] as finite float64 of that shape; a number for ()."""
-    value = entry[key]
-    try:
-        if isinstance(value, (bool, str)):
-            raise TypeError
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.full(shape, np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        wanted = {(): "a finite number", (3,): "3 finite numbers", (3, 3): "3 x 3 finite numbers"}[shape]
-        raise FastGSError(f"{where} must have {wanted} as its {key}.")
-    return float(array) if shape == () else array
+def _name(entry, i) -> str:
+    """img_name, else id, where it is a text or a number, else the entry's number."""
+    found = next((entry[key] for key in ("img_name", "id") if isinstance(entry.get(key), (str, int))), i)
+    return str(found)
 
 
 def choose(views: list[View], name: str, path) -> View:

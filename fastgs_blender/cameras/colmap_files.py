@@ -5,6 +5,7 @@ Every count is checked against the file's length before it is believed.  (colmap
 """
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 
 from ..model.points import Points, usable
 from ..util.errors import FastGSError
+from ..util.reading import open_file, read_bytes, reading
 from . import poses
 from .lens import Intrinsics, Lens
 
@@ -27,6 +29,10 @@ MODELS = {
 }
 """COLMAP's camera models: its number, our lens, its parameters in order."""
 NUMBERS = {number: model for model, (number, *_) in MODELS.items()}
+
+
+LARGEST_FILE = 16 * 2**30
+DAMAGED = "COLMAP's file is cut short or damaged, so copy it or export the model again"
 
 
 class ColmapCamera(NamedTuple):
@@ -52,7 +58,11 @@ def has_model(folder: Path) -> bool:
 
 def read_images(folder: Path) -> list[ColmapImage]:
     """The registered pictures of a model, by name; binary files where there are both.  Raises FastGSError."""
-    kind = "bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else "txt"
+    with reading(folder, DAMAGED):
+        return _images(folder, "bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else "txt")
+
+
+def _images(folder: Path, kind: str) -> list[ColmapImage]:
     file = folder / f"cameras.{kind}"
     records = (_cameras_bin if kind == "bin" else _cameras_txt)(file)
     cameras = {number: _camera(f"{file}: camera {number}", *rest) for number, *rest in records}
@@ -76,8 +86,9 @@ def read_points(folder: Path) -> Points | None:
     for kind, reader in (("bin", _points_bin), ("txt", _points_txt)):
         file = folder / f"points3D.{kind}"
         if file.is_file():
-            rows = np.array(list(reader(file)), np.float64).reshape(-1, 6)
-            return usable(rows[:, :3], rows[:, 3:] / 255) if len(rows) else None
+            with reading(file, DAMAGED):
+                rows = np.array(list(reader(file)), np.float64).reshape(-1, 6)
+                return usable(rows[:, :3], rows[:, 3:] / 255) if len(rows) else None
     return None
 
 
@@ -102,7 +113,7 @@ class _Reader:
     """A binary file read in order, never beyond its end."""
 
     def __init__(self, path: Path):
-        self.path, self.data, self.at = path, path.read_bytes(), 0
+        self.path, self.data, self.at = path, read_bytes(path, LARGEST_FILE), 0
 
     def take(self, layout: str) -> tuple:
         size = struct.calcsize(layout)
@@ -166,7 +177,7 @@ def _points_bin(path) -> Iterator[tuple]:
 
 
 def _lines(path) -> Iterator[str]:
-    with open(path, encoding="utf-8", errors="surrogateescape") as stream:
+    with open_file(path) as file, io.TextIOWrapper(file, "utf-8-sig", "surrogateescape") as stream:
         for line in stream:
             yield line.strip()
 

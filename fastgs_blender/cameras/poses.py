@@ -2,31 +2,20 @@
 """Numbers and poses from files, checked: every function raises FastGSError with `where` (file and place) in front."""
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from collections.abc import Iterable
+from reprlib import repr as shortened
 
 import numpy as np
 
 from ..util import rotations
 from ..util.errors import FastGSError
-from .cameras_json import LARGEST_SIDE
+from .camera import LARGEST_SIDE
 from .lens import Intrinsics
 
-LARGEST_JSON = 512 * 2**20
+FARTHEST = 1e12
+"""Largest coordinate of a camera's place: beyond it sums and products of poses lose all digits."""
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes x right, y up, z backwards to OpenCV's."""
-
-
-def read_json(path: Path):
-    """The JSON in a file."""
-    try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise FastGSError(f"{path}: it is too large for the description of a capture ({path.stat().st_size} bytes).")
-        return json.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise FastGSError(f"{path}: it cannot be read ({error.strerror}); check the file and its permissions.") from error
-    except (ValueError, RecursionError) as error:
-        raise FastGSError(f"{path}: it is not JSON, or is cut short ({error}); copy or export it again.") from error
 
 
 def table(value, where: str) -> dict:
@@ -41,6 +30,19 @@ def listed(value, where: str, least: int = 1) -> list:
     if not isinstance(value, list) or len(value) < least:
         raise FastGSError(f"{where} must be a list of at least {least}.")
     return value
+
+
+def name_of(value, where: str) -> str:
+    """A name: a JSON text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise FastGSError(f"{where} must be a text that is not empty, not {shortened(value)}.")
+    return value
+
+
+def repeated(names: Iterable[str]) -> str | None:
+    """The first name that stands twice, None where all differ."""
+    seen: set[str] = set()
+    return next((name for name in names if name in seen or seen.add(name)), None)
 
 
 def numbers(value, shape: tuple[int, ...], where: str) -> np.ndarray:
@@ -91,6 +93,7 @@ def rigid(value, where: str, tolerance: float = 1e-3) -> np.ndarray:
         raise FastGSError(f"{where} must be a rotation (orthonormal, determinant +1) with a translation.")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise FastGSError(f"{where} must end with the row 0 0 0 1.")
+    near(matrix[:3, 3], where)
     u, _, v = np.linalg.svd(rotation)
     matrix[:3, :3] = u @ v
     return matrix
@@ -118,4 +121,12 @@ def from_quaternion(quaternion, translation, where: str) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, :3] = rotations.to_matrices(q / length)
     pose[:3, 3] = t
+    near(t, where)
     return pose
+
+
+def near(place: np.ndarray, where: str) -> np.ndarray:
+    """The place [3] of a camera, or a translation, if it is within FARTHEST."""
+    if np.abs(place).max() > FARTHEST:
+        raise FastGSError(f"{where}: the camera is farther than {FARTHEST:g} from the origin of its world; check its translation.")
+    return place

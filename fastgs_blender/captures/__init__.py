@@ -6,6 +6,7 @@ folder or a file that exists.  recognises() looks at names and first bytes only 
 """
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ..util.errors import FastGSError
+from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
 
 LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
@@ -43,11 +45,9 @@ def identify(path, layout: str | None = None) -> ModuleType:
 def recognised(path: Path) -> ModuleType | None:
     """The first layout that recognises a path that exists; None where none does."""
     for module in layout_modules():
-        try:
+        with contextlib.suppress(OSError, FastGSError):  # a file in it cannot be read, or is a pipe
             if module.recognises(path):
                 return module
-        except OSError:
-            continue
     return None
 
 
@@ -60,12 +60,8 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
     """
     path = _existing(path)
     options = Options(scale, frames, None if held_out is None else tuple(held_out))
-    try:
+    with reading(path, "its description is damaged, so copy or export it again"):
         return identify(path, layout).load(path, options)
-    except (OSError, MemoryError) as error:
-        reason = getattr(error, "strerror", None) or str(error) or "too little memory"
-        raise FastGSError(f"{getattr(error, 'filename', None) or path}: it cannot be read ({reason}); check the file and its permissions."
-                          ) from error
 
 
 def _existing(path) -> Path:

@@ -9,27 +9,34 @@ import numpy as np
 from ..formats import ply
 from ..model.points import Points, usable
 from ..util.errors import FastGSError
+from ..util.reading import reading
 
 GREY = 0.5
 
 
 def load_points(path: Path) -> Points:
     """The points of a PLY file; colours as bytes or as 0..1, grey where there are none.  Raises FastGSError."""
-    try:
-        header = ply.read_header(path)
-        names = header.names
-        if not {"x", "y", "z"} <= names:
-            raise FastGSError("it has no vertices with x, y and z.")
-        groups = {"xyz": ("x", "y", "z")}
-        rgb = next((three for three in (("red", "green", "blue"), ("r", "g", "b")) if set(three) <= names), None)
-        if rgb:
-            groups["rgb"] = rgb
-        time = next((name for name in ("t", "time") if name in names), None)
-        if time:
-            groups["t"] = (time,)
-        columns = ply.read_vertices(path, header, groups)
-    except (FastGSError, OSError, MemoryError) as error:
-        raise FastGSError(f"{path}: the points cannot be read: {error}") from error
+    advice = "the points are damaged or of another kind, so copy or export them again"
+    with reading(path, advice):
+        try:
+            return _points(path)
+        except FastGSError as error:  # about the file's contents, so far without its name
+            raise FastGSError(f"{path}: the points cannot be read: {error}") from error
+
+
+def _points(path: Path) -> Points:
+    header = ply.read_header(path)
+    names = header.names
+    if not {"x", "y", "z"} <= names:
+        raise FastGSError("it has no vertices with x, y and z.")
+    groups = {"xyz": ("x", "y", "z")}
+    rgb = next((three for three in (("red", "green", "blue"), ("r", "g", "b")) if set(three) <= names), None)
+    if rgb:
+        groups["rgb"] = rgb
+    time = next((name for name in ("t", "time") if name in names), None)
+    if time:
+        groups["t"] = (time,)
+    columns = ply.read_vertices(path, header, groups)
     colours = columns.get("rgb")
     if colours is None:
         colours = np.full_like(columns["xyz"], GREY)

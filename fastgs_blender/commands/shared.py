@@ -27,7 +27,7 @@ def use_threads(count: int | None):
 
 def image_size(text: str) -> tuple[int, int]:
     """(width, height) of "1920x1080"; raises FastGSError for anything else."""
-    from ..cameras.cameras_json import LARGEST_SIDE
+    from ..cameras.camera import LARGEST_SIDE
 
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= LARGEST_SIDE and 0 < int(height) <= LARGEST_SIDE):

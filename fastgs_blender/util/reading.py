@@ -44,7 +44,7 @@ def reading(path, advice: str = DAMAGED) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
+    text = " ".join(str(getattr(error, "strerror", None) or error).split())  # FFmpeg's errors have a strerror
     name = type(error).__name__
     return name if not text else f"{name}: {text[:200]}" if isinstance(error, LookupError) else text[:200]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ...util.errors import FastGSError
-from .. import poses
+from ...util.reading import open_file, read_json, reading
 from . import colmap, fastgs, inria, nerfstudio, ngp, supersplat
 from .base import CameraPath, Picture
 
@@ -27,7 +27,7 @@ def load_path(file, picture: Picture | None = None) -> CameraPath:
     Raises FastGSError where it cannot be read or is none.
     """
     path, picture = Path(os.fsdecode(file)), picture or Picture()
-    try:
+    with reading(path):
         folder = colmap.folder_of(path) if path.suffix.lower() != ".json" else None
         if folder is not None:
             return colmap.load(folder, None, picture)
@@ -35,14 +35,17 @@ def load_path(file, picture: Picture | None = None) -> CameraPath:
             raise FastGSError(f"{path}: there is no such file; check the name.")
         if path.is_dir():
             raise FastGSError(f"{path}: there is no COLMAP model (cameras and images, .txt or .bin) in this folder.")
-        values = supersplat.read_project(path) if zipfile.is_zipfile(path) else poses.read_json(path)
+        values = supersplat.read_project(path) if _is_zip(path) else read_json(path)
         for module in FORMATS:
             if module is not colmap and module.recognises(values):
                 return module.load(path, values, picture)
-    except (OSError, ValueError) as error:
-        raise FastGSError(f"{path}: it cannot be read ({getattr(error, 'strerror', None) or error}).") from error
     labels = ", ".join(module.label for module in FORMATS)
     raise FastGSError(f"{path}: this is no camera path known here; there are {labels}.")
+
+
+def _is_zip(path: Path) -> bool:
+    with open_file(path) as file:
+        return zipfile.is_zipfile(file)
 
 
 def format_named(name: str) -> ModuleType:

@@ -13,10 +13,12 @@ import numpy as np
 from ...util.errors import FastGSError, LossWarning
 from ...util.outputs import replacing
 from .. import poses
-from ..camera import Camera
-from ..cameras_json import LARGEST_SIDE
+from ..camera import LARGEST_SIDE, Camera
 
 MOST_FRAMES = 1_000_000
+"""Frames of a path whose file holds each of them."""
+MOST_INTERPOLATED = 43_200
+"""Frames that are made from a file's keyframes: half an hour at 24 frames per second.  A file of a few bytes could ask for any number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,19 @@ def focal_of(degrees: float, side: float, where: str) -> float:
 def degrees_of(focal: float, side: float) -> float:
     """Angle of view in degrees over `side` pixels."""
     return float(np.degrees(2 * np.arctan(side / 2 / focal)))
+
+
+def check_length(file, frames: float) -> None:
+    """Raises FastGSError for more frames than are made from keyframes."""
+    if not frames <= MOST_INTERPOLATED:
+        raise FastGSError(f"{file}: its keyframes make a path of {frames:.6g} frames, which is too long: at most {MOST_INTERPOLATED} "
+                          "are made from keyframes; shorten the path, or lower its frame rate.")
+
+
+def check_frames(file, entries: Sequence) -> None:
+    """Raises FastGSError for a file with more frames than a path may have."""
+    if len(entries) > MOST_FRAMES:
+        raise FastGSError(f"{file}: it has {len(entries)} frames, and a camera path has at most {MOST_FRAMES}.")
 
 
 def warn_of_losses(path: CameraPath, kind: str, *, one_size: bool = True) -> None:

@@ -8,11 +8,13 @@ Optional "keys" are frames with a "frame" more: their number from 0.
 """
 from __future__ import annotations
 
+from reprlib import repr as shortened
+
 from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
-from .base import CameraPath, refuse_orthographic, write_json
+from .base import CameraPath, check_frames, refuse_orthographic, write_json
 
 name, label = "fastgs", "FAST-GS camera path"
 FORMAT, VERSION = "fast-gs camera path", 1
@@ -28,8 +30,9 @@ def load(file, values, picture) -> CameraPath:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
     axes = values.get("axes", "RDF")
     if axes not in AXES:
-        raise FastGSError(f"{file}: its axes must be one of {', '.join(AXES)}, not {axes!r}.")
+        raise FastGSError(f"{file}: its axes must be one of {', '.join(AXES)}, not {shortened(axes)}.")
     frames = poses.listed(values.get("frames"), f"{file}: its frames")
+    check_frames(file, frames)
     keys = poses.listed(values.get("keys", []), f"{file}: its keys", 0)
     return CameraPath(
         [_camera(entry, f"{file}: frame {i}") for i, entry in enumerate(frames)],

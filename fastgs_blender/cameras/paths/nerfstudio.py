@@ -7,12 +7,24 @@ cameras/camera_paths.py).  The world is the trained scene's, z up.
 """
 from __future__ import annotations
 
+from reprlib import repr as shortened
+
 import numpy as np
 
 from ...util.errors import FastGSError
 from .. import poses
-from ..cameras_json import LARGEST_SIDE
-from .base import CameraPath, degrees_of, focal_of, opengl_to_world, refuse_orthographic, symmetric, warn_of_losses, write_json
+from ..camera import LARGEST_SIDE
+from .base import (
+    CameraPath,
+    check_frames,
+    degrees_of,
+    focal_of,
+    opengl_to_world,
+    refuse_orthographic,
+    symmetric,
+    warn_of_losses,
+    write_json,
+)
 
 name, label = "nerfstudio", "Nerfstudio camera path"
 MOST_KEYS = 60
@@ -25,9 +37,10 @@ def recognises(values) -> bool:
 def load(file, values, picture) -> CameraPath:
     kind = values.get("camera_type", "perspective")
     if str(kind).lower() != "perspective":
-        raise FastGSError(f"{file}: its cameras are of the type {kind}, and only perspective ones can be used here.")
+        raise FastGSError(f"{file}: its cameras are of the type {shortened(kind)}, and only perspective ones can be used here.")
     width, height = (poses.whole(values.get(key, default), f"{file}: its {key}", 1, LARGEST_SIDE)
                      for key, default in (("render_width", picture.width), ("render_height", picture.height)))
+    check_frames(file, values["camera_path"])
     cameras = []
     for i, entry in enumerate(poses.listed(values["camera_path"], f"{file}: its camera_path")):
         where = f"{file}: frame {i}"

@@ -17,9 +17,10 @@ from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
 from .base import (
-    MOST_FRAMES,
     CameraPath,
     camera_to_world,
+    check_frames,
+    check_length,
     degrees_of,
     focal_of,
     refuse_orthographic,
@@ -50,13 +51,13 @@ def recognises(values) -> bool:
 
 
 def load(file, values, picture) -> CameraPath:
+    check_frames(file, values["path"])
     keys = np.array([_key(entry, f"{file}: keyframe {i}") for i, entry in enumerate(values["path"])])
     order = poses.whole(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
     loop = bool(values.get("loop", False))
     ends = _ends(file, values, len(keys), order, loop, picture.fps)
     last = ends[-1] if len(ends) else 0.0
-    if last * picture.fps >= MOST_FRAMES:
-        raise FastGSError(f"{file}: it lasts {last:g} seconds, which is too long for a camera path.")
+    check_length(file, last * picture.fps + 1)
     frames = np.arange(int(last * picture.fps + 1e-6) + 1) / picture.fps
     cameras = [_camera(_blend(keys, ends, order, loop, at), picture, f"{file}: frame {i}") for i, at in enumerate(frames)]
     starts = [0.0, *ends][:len(keys)]
@@ -91,7 +92,7 @@ def _key(entry, where) -> np.ndarray:
 def _ends(file, values, count, order, loop, fps) -> np.ndarray:
     """Seconds at which the segments of the path end."""
     segments = count if loop else count - 1
-    stamps = np.array([poses.number(entry.get("timestamp", 0), f"{file}: keyframe {i}: its timestamp")
+    stamps = np.array([poses.number(entry.get("timestamp", 0), f"{file}: keyframe {i}: its timestamp", -1e15, 1e15)
                        for i, entry in enumerate(values["path"])])
     rising = bool((np.diff(stamps, prepend=0.0) > 0).all())
     by_hand = order != 1 and np.allclose(stamps, np.arange(1, count + 1) / count)

@@ -13,13 +13,27 @@ from __future__ import annotations
 import json
 import warnings
 import zipfile
+from reprlib import repr as shortened
 
 import numpy as np
 
 from ...util.errors import FastGSError, LossWarning
+from ...util.reading import open_file, reading
 from .. import poses
 from ..camera import Camera
-from .base import MOST_FRAMES, CameraPath, camera_to_world, degrees_of, focal_of, refuse_orthographic, symmetric, warn_of_losses, write_json
+from .base import (
+    MOST_INTERPOLATED,
+    CameraPath,
+    camera_to_world,
+    check_frames,
+    check_length,
+    degrees_of,
+    focal_of,
+    refuse_orthographic,
+    symmetric,
+    warn_of_losses,
+    write_json,
+)
 
 name, label = "supersplat", "SuperSplat / PlayCanvas settings.json"
 TURN = np.diag([-1.0, -1.0, 1.0])
@@ -36,13 +50,11 @@ def recognises(values) -> bool:
 
 def read_project(file) -> dict:
     """document.json of a project."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:
-                raise FastGSError(f"{file}: its document.json is too large to be a project's.")
-            return json.loads(archive.read("document.json").decode("utf-8-sig"))
-    except (zipfile.BadZipFile, KeyError, ValueError, RecursionError, NotImplementedError, RuntimeError) as error:
-        raise FastGSError(f"{file}: this is no SuperSplat project, or it is damaged; save it again in SuperSplat.") from error
+    advice = "this is no SuperSplat project, or it is damaged; save it again in SuperSplat"
+    with reading(file, advice), open_file(file) as stream, zipfile.ZipFile(stream) as archive:
+        if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:
+            raise FastGSError(f"{file}: its document.json is larger than {LARGEST_DOCUMENT} bytes, so it is no project's.")
+        return json.loads(archive.read("document.json").decode("utf-8-sig"))
 
 
 def load(file, values, picture) -> CameraPath:
@@ -50,9 +62,9 @@ def load(file, values, picture) -> CameraPath:
     if len(times) > 1 and (np.diff(times) <= 0).any():
         raise FastGSError(f"{file}: the frames of its keyframes must increase.")
     fps = rate if rate >= LEAST_RATE else picture.fps
+    check_frames(file, times)
+    check_length(file, max(length, times[-1]) * fps / rate + 1)
     count = max(round(length * fps / rate), int(times[-1] * fps / rate + 1e-6) + 1)
-    if count > MOST_FRAMES:
-        raise FastGSError(f"{file}: it has {count} frames, which is too long for a camera path.")
     spline = _spline(times, points, period, smoothness, step)
     keys = [(at * fps / rate, _camera(point, picture, f"{file}: keyframe {i}")) for i, (at, point) in enumerate(zip(times, points))]
     return CameraPath([_camera(spline(f * rate / fps), picture, f"{file}: frame {f}") for f in range(count)], fps, keys=keys)
@@ -89,11 +101,11 @@ def _settings(file, values):
     track = next((t for t in tracks if isinstance(t.get("keyframes"), dict) and t["keyframes"].get("times")), None)
     if track is None:
         raise FastGSError(f"{file}: there is no camera animation in these settings; export them from SuperSplat with an animation.")
-    where = f"{file}: the animation {track.get('name', '')!r}"
+    where = f"{file}: the animation {shortened(track.get('name', ''))}"
     rate = poses.number(track.get("frameRate") or 30, f"{where}: its frameRate", 1e-3, 1e6)
-    times = np.array(track["keyframes"]["times"], object)
+    times = poses.listed(track["keyframes"]["times"], f"{where}: its times")
     count = len(times)
-    times = poses.numbers(times.tolist(), (count,), f"{where}: its times") * (1 if track.get("frameRate") else rate)
+    times = np.clip(poses.numbers(times, (count,), f"{where}: its times"), -1e9, 1e9) * (1 if track.get("frameRate") else rate)
     found = poses.table(track["keyframes"].get("values"), f"{where}: its values")
     position, target = (poses.numbers(found.get(key), (3 * count,), f"{where}: its {key}").reshape(-1, 3) for key in ("position", "target"))
     camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
@@ -121,7 +133,7 @@ def _project(file, values):
                      *poses.numbers(entry.get("target"), (3,), f"{where}: its target"),
                      poses.number(entry.get("fov", camera.get("fov", 60)), f"{where}: its fov")])
     rows = np.array(sorted(rows, key=lambda row: row[0]))
-    length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, MOST_FRAMES)
+    length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, MOST_INTERPOLATED)
     kept = rows[rows[:, 0] < length]
     if not len(kept):
         raise FastGSError(f"{file}: all its keyframes lie beyond the end of its timeline.")

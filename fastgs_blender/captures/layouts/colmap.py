@@ -20,7 +20,7 @@ from ...cameras.colmap_files import ColmapImage, has_model, read_images, read_po
 from ...util.errors import FastGSError
 from ..capture import Capture, Options, Points
 from ..pixels.sequences import frame_range, numbered_pictures, video_frames
-from ..rigs import Entry, RigCamera, from_entries, from_rig, gap_sentences
+from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig, gap_sentences
 from ..sources import PICTURES, VIDEOS, Source
 
 name = "COLMAP"
@@ -74,6 +74,7 @@ def _folder_of(path: Path, images: Sequence[ColmapImage]) -> Path:
 def _workspaces(path, frames: dict[int, Path], options) -> Capture:
     """A model for each frame; a view is a picture's name without its ending."""
     start, count = min(frames), max(frames) - min(frames) + 1
+    check_count(path, count)
     chosen = set(range(count)[options.frames] if options.frames is not None else range(count))
     entries, faults, points = [], [], []
     for number, folder in frames.items():

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from reprlib import repr as shortened
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ...cameras.lens import Lens
 from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
+from ...util.reading import open_file, read_json
 from ..capture import MASKS, Capture, Options
 from ..pixels.sequences import numbered_pictures, video_frames
 from ..points import load_points
@@ -38,9 +40,9 @@ def recognises(path: Path) -> bool:
     if file.suffix.lower() != ".json" or not file.is_file():
         return False
     try:
-        value = poses.read_json(file)
-    except FastGSError:  # ours all the same if it says so, so that load() tells what is wrong
-        with file.open("rb") as stream:
+        value = read_json(file)
+    except FastGSError:  # damaged, but if its beginning names the format, load() is to tell what is wrong
+        with open_file(file) as stream:
             return FORMAT.encode() in stream.read(4096)
     return isinstance(value, dict) and value.get("format") == FORMAT
 
@@ -49,7 +51,7 @@ def load(path: Path, options: Options) -> Capture:
     """The capture that cameras.json describes."""
     file = path / FILE if path.is_dir() else path
     folder, where = file.parent, f"{file}: "
-    values = poses.table(poses.read_json(file), where + "it")
+    values = poses.table(read_json(file), where + "it")
     if values.get("format") != FORMAT:
         raise FastGSError(f'{file}: it does not say "format": "{FORMAT}", so it is another program\'s.')
     version = poses.whole(values.get("version", VERSION), where + "its version", 1, 10**6)
@@ -65,10 +67,10 @@ def load(path: Path, options: Options) -> Capture:
     cameras = [_camera(folder, poses.table(entry, f"{where}camera {i}"), f"{where}camera {i}", count, start, colour, faults)
                for i, entry in enumerate(entries)]
     names = [camera.name for camera in cameras]
-    twice = next((n for n in names if names.count(n) > 1), None)
+    twice = poses.repeated(names)
     if twice is not None:
         raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
-    held_out = [str(v) for v in poses.listed(values.get("held_out", []), where + "its held_out", 0)]
+    held_out = [poses.name_of(v, where + "its held_out") for v in poses.listed(values.get("held_out", []), where + "its held_out", 0)]
     if set(held_out) - set(names):
         raise FastGSError(f"{file}: it holds out {min(set(held_out) - set(names))!r}, which is none of its cameras.")
     points = folder / "points.ply"
@@ -81,11 +83,11 @@ def load(path: Path, options: Options) -> Capture:
 def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
     called = entry.get("name")
     if not isinstance(called, str) or not called or called in {".", "..", "masks"} or any(c in called for c in '/\\:*?"<>|\0'):
-        raise FastGSError(f"{where} needs a name that can be a folder's, not {called!r}.")
+        raise FastGSError(f"{where} needs a name that can be a folder's, not {shortened(called)}.")
     where = f"{where} ({called})"
     lens_given = poses.table(entry.get("distortion") or {"model": "pinhole"}, f"{where}: its distortion")
     try:
-        lens = Lens.named(str(lens_given.get("model")), {k: v for k, v in lens_given.items() if k != "model"})
+        lens = Lens.named(poses.name_of(lens_given.get("model"), "the lens model"), {k: v for k, v in lens_given.items() if k != "model"})
     except FastGSError as error:
         raise FastGSError(f"{where}: {error}") from error
     given = poses.intrinsics(where, *(_needed(entry, key, where + ": ") for key in ("fx", "fy", "cx", "cy", "width", "height")))
@@ -124,7 +126,7 @@ def _needed(values: dict, key: str, where: str):
 def _choice(values, key, known, where):
     value = values.get(key, known[0])
     if value not in known:
-        raise FastGSError(f"{where}its {key} must be one of {', '.join(known)}, not {value!r}.")
+        raise FastGSError(f"{where}its {key} must be one of {', '.join(known)}, not {shortened(value)}.")
     return value
 
 

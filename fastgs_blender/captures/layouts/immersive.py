@@ -12,6 +12,7 @@ Pictures become pinholes of half the focal length and half the size; camera_0001
 from __future__ import annotations
 
 from pathlib import Path
+from reprlib import repr as shortened
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ...cameras import poses
 from ...cameras.lens import Lens
 from ...util import rotations
 from ...util.errors import FastGSError
+from ...util.reading import read_json
 from ..capture import Capture, Options
 from ..pixels.sequences import video_frames
 from ..rigs import RigCamera, from_rig
@@ -43,9 +45,9 @@ def load(path: Path, options: Options) -> Capture:
     """The capture that models.json describes."""
     folder = path if path.is_dir() else path.parent
     file, videos = folder / MODELS, _videos(folder)
-    entries = [poses.table(entry, f"{file}: camera {i}") for i, entry in enumerate(poses.listed(poses.read_json(file), f"{file}: it"))]
-    names = [_field(entry, "name", f"{file}: camera {i}") for i, entry in enumerate(entries)]
-    twice = next((called for called in names if names.count(called) > 1), None)
+    entries = [poses.table(entry, f"{file}: camera {i}") for i, entry in enumerate(poses.listed(read_json(file), f"{file}: it"))]
+    names = [poses.name_of(entry.get("name"), f"{file}: camera {i}: its name") for i, entry in enumerate(entries)]
+    twice = poses.repeated(names)
     if twice is not None:
         raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
     gains = dict([GAINS[folder.resolve().name]]) if folder.resolve().name in GAINS else {}
@@ -58,7 +60,7 @@ def load(path: Path, options: Options) -> Capture:
             cameras.append(RigCamera(called, pictures, pose))
             rates += [fps] if fps else []
     if not cameras:
-        raise FastGSError(f"{file}: none of its cameras ({', '.join(map(str, names[:8]))}) has a video in {folder}; copy the videos there.")
+        raise FastGSError(f"{file}: none of its cameras ({', '.join(names[:8])}) has a video in {folder}; copy the videos there.")
     notes = []
     for text, lost in (("without calibration in models.json", sorted(set(videos) - set(names))),
                        ("without a video", [called for called in names if called not in videos])):
@@ -70,8 +72,8 @@ def load(path: Path, options: Options) -> Capture:
 
 def _lens(entry, where) -> Lens:
     kind = _field(entry, "projection_type", where)
-    if kind not in LENSES:
-        raise FastGSError(f"{where}: its projection_type {kind!r} is not known; there are {', '.join(LENSES)}.")
+    if not isinstance(kind, str) or kind not in LENSES:
+        raise FastGSError(f"{where}: its projection_type {shortened(kind)} is not known; there are {', '.join(LENSES)}.")
     radial = _field(entry, "radial_distortion", where)
     count = len(radial) if isinstance(radial, list) and len(radial) in {2, 3} else 3
     return Lens(LENSES[kind], tuple(poses.numbers(radial, (count,), f"{where}: its radial_distortion")))
@@ -88,7 +90,7 @@ def _pose(entry, where) -> np.ndarray:
     centre = poses.numbers(_field(entry, "position", where), (3,), f"{where}: its position")
     axis = poses.numbers(_field(entry, "orientation", where), (3,), f"{where}: its orientation")
     pose = poses.from_quaternion(rotations.exp(axis / 2), np.zeros(3), where)
-    pose[:3, 3] = -pose[:3, :3] @ centre
+    pose[:3, 3] = -pose[:3, :3] @ poses.near(centre, where)
     return pose
 
 
@@ -99,4 +101,4 @@ def _field(entry: dict, key: str, where: str):
 
 
 def _videos(folder: Path) -> dict[str, Path]:
-    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in VIDEOS and p.stem.startswith("camera_")}
+    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in VIDEOS and p.stem.startswith("camera_") and p.is_file()}

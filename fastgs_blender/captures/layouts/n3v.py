@@ -21,7 +21,7 @@ from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..pixels.sequences import numbered_pictures, video_frames
+from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
 from ..points import load_points
 from ..rigs import RigCamera, from_rig
 from ..sources import VIDEOS, Source
@@ -88,9 +88,7 @@ def _camera(called, place, row, where, faults):
 def _pictures(folder: Path) -> list[Source | None]:
     """The pictures of a camera's folder, or of images/ in it, from the lowest number on."""
     numbered = numbered_pictures(folder / "images" if (folder / "images").is_dir() else folder)
-    if not numbered:
-        return []
-    return [Source(numbered[n]) if n in numbered else None for n in range(min(numbered), max(numbered) + 1)]
+    return numbered_sources(numbered, folder)
 
 
 def _found(path: Path) -> dict[str, Path]:

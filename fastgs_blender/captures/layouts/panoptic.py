@@ -11,6 +11,7 @@ OpenCV axes, world-to-camera, metres, y down; the test cameras are held out (git
 from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
+from reprlib import repr as shortened
 
 import numpy as np
 
@@ -18,7 +19,9 @@ from ...cameras import poses
 from ...model.points import usable
 from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
+from ...util.reading import read_json
 from ..capture import Capture, Options, Points
+from ..pixels.pictures import opened
 from ..rigs import Entry, from_entries
 from ..sources import Source
 
@@ -54,7 +57,7 @@ def load(path: Path, options: Options) -> Capture:
 
 def _entries(folder: Path, called: str) -> tuple[list[Entry], int]:
     file = folder / called
-    values = poses.table(poses.read_json(file), f"{file}: it")
+    values = poses.table(read_json(file), f"{file}: it")
     lacking = [key for key in ("w", "h", "k", "w2c", "fn", "cam_id") if key not in values]
     if lacking:
         raise FastGSError(f"{file}: it lacks {', '.join(lacking)}.")
@@ -71,7 +74,9 @@ def _entries(folder: Path, called: str) -> tuple[list[Entry], int]:
             raise FastGSError(f"{file}: frame {t} has {', '.join(f'{len(row)} {key}' for key, row in rows.items())}; it must be one each.")
         seen = set()
         for k, w2c, fn, camera in zip(*(rows[key] for key in ("k", "w2c", "fn", "cam_id"))):
-            where = f"{file}: frame {t}, camera {camera}"
+            where = f"{file}: frame {t}, camera {shortened(camera)}"
+            if not isinstance(camera, (int, str)):
+                raise FastGSError(f"{where}: its cam_id must be a number or a text.")
             if str(camera) in seen:
                 raise FastGSError(f"{where} is there twice.")
             seen.add(str(camera))
@@ -85,8 +90,8 @@ def _entry(folder, where, view, t, k, w2c, fn, size, gain) -> Entry:
         raise FastGSError(f"{where}: its k must be a matrix of focal lengths and a principal point, without skew.")
     given = poses.intrinsics(where, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *size)
     picture = PurePosixPath(fn) if isinstance(fn, str) else None
-    if picture is None or picture.is_absolute() or ".." in picture.parts or "\\" in fn or ":" in fn or not picture.name:
-        raise FastGSError(f"{where}: its fn must name a picture in ims/, not {fn!r}.")
+    if picture is None or picture.is_absolute() or ".." in picture.parts or "\\" in fn or ":" in fn or not picture.name or "\0" in fn:
+        raise FastGSError(f"{where}: its fn must name a picture in ims/, not {shortened(fn)}.")
     mask = folder / "seg" / picture.with_suffix(".png")
     return Entry(view, t, Source(folder / "ims" / picture, intrinsics=given), poses.rigid(w2c, f"{where}: its w2c"),
                  Source(mask, gain=gain) if gain and mask.is_file() else None)
@@ -97,12 +102,10 @@ def _mask_gain(folder: Path) -> float:
     first = next(iter(sorted(folder.glob("*/*.png"))), None) if folder.is_dir() else None
     if first is None:
         return 0.0
-    from PIL import Image
-
     try:
-        with Image.open(first) as picture:
+        with opened(first) as picture:
             return 255.0 if np.asarray(picture).max() <= 1 else 1.0
-    except (OSError, ValueError, SyntaxError):  # check() tells about the file
+    except FastGSError:  # check() tells about the file
         return 1.0
 
 

@@ -14,16 +14,19 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from reprlib import repr as shortened
 from xml.etree import ElementTree as ET
+from xml.parsers import expat
 
 import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
+from ...util.reading import open_file, read_bytes, reading
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..pixels.sequences import numbered_pictures, video_frames
+from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
 from ..rigs import RigCamera, from_rig
 from ..sources import VIDEOS, Source
 
@@ -31,6 +34,7 @@ name = "Qualisys"
 SUBPIXELS = 64
 MILLIMETRES = 1e-3
 LARGEST_FILE = 16 * 2**20
+MOST_CAMERAS = 1000
 ENDINGS = (".txt", ".xml", ".qca")
 
 
@@ -70,7 +74,7 @@ def load(path: Path, options: Options) -> Capture:
 def _is_calibration(file: Path) -> bool:
     if file.suffix.lower() not in ENDINGS or not file.is_file():
         return False
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         head = stream.read(4096)
     return b"<calibration" in head and b"<camera" in head
 
@@ -82,22 +86,30 @@ def _calibrations(folder: Path) -> list[Path]:
 
 
 def _cameras(file: Path) -> list[ET.Element]:
-    try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise FastGSError(f"{file}: it is too large for a calibration ({file.stat().st_size} bytes).")
-        text = file.read_bytes()
-        if b"<!" in text.replace(b"<!--", b""):  # entities could make a small file a huge one, and no calibration has any
-            raise FastGSError(f"{file}: it declares types or entities, which no Qualisys calibration does.")
+    text = read_bytes(file, LARGEST_FILE)
+    with reading(file, "it is not XML, or is cut short; export the calibration again"):
+        _check_plain(file, text)
         cameras = ET.fromstring(text).findall("cameras/camera")  # noqa: S314 -- nothing is declared in it
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise FastGSError(f"{file}: it is not XML, or is cut short ({error}); export the calibration again.") from error
     serials = [camera.get("serial", "") for camera in cameras]
     if not cameras or not all(serials):
         raise FastGSError(f"{file}: there are no cameras with a serial in it; export the calibration again.")
-    twice = next((serial for serial in serials if serials.count(serial) > 1), None)
+    if len(cameras) > MOST_CAMERAS:
+        raise FastGSError(f"{file}: it has {len(cameras)} cameras, and at most {MOST_CAMERAS} are read.")
+    twice = poses.repeated(serials)
     if twice is not None:
         raise FastGSError(f"{file}: camera {twice} is there twice.")
     return cameras
+
+
+def _check_plain(file: Path, text: bytes) -> None:
+    """Raises FastGSError for declarations: entities could make a small file a huge one, and no calibration has any."""
+
+    def refuse(*_):
+        raise FastGSError(f"{file}: it declares types or entities, which no Qualisys calibration does.")
+
+    parser = expat.ParserCreate()  # the encoding is known to it alone
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.Parse(text, True)
 
 
 def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
@@ -107,7 +119,7 @@ def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
         inside = sorted(folder.iterdir())
         for serial in serials - set(found):
             word = re.compile(rf"(?<![0-9a-z]){re.escape(serial)}(?![0-9a-z])", re.IGNORECASE)
-            fits = [p for p in inside if word.search(p.stem) and (p.suffix.lower() in VIDEOS or _holds_pictures(p))]
+            fits = [p for p in inside if word.search(p.stem) and ((p.suffix.lower() in VIDEOS and p.is_file()) or _holds_pictures(p))]
             fits = [p for p in fits if p.stem == serial] or fits
             if len(fits) > 1:
                 raise FastGSError(f"{folder}: {fits[0].name} and {fits[1].name} are both called like camera {serial}; leave one of them.")
@@ -123,8 +135,7 @@ def _holds_pictures(place: Path) -> bool:
 def _pictures(place: Path, faults, **settings):
     if place.is_file():
         return video_frames(place, faults, **settings)
-    numbered = numbered_pictures(place)
-    return [Source(numbered[n], **settings) if n in numbered else None for n in range(min(numbered), max(numbered) + 1)], None
+    return numbered_sources(numbered_pictures(place), place, **settings), None
 
 
 def _part(camera, called, where) -> ET.Element:
@@ -141,7 +152,7 @@ def _value(part, key, where, default=None) -> float:
     try:
         return poses.number(float(text), f"{where}: its {key}")
     except ValueError as error:
-        raise FastGSError(f"{where}: its {key} must be a number, not {text!r}.") from error
+        raise FastGSError(f"{where}: its {key} must be a number, not {shortened(text)}.") from error
 
 
 def _pose(camera, where) -> np.ndarray:
@@ -157,13 +168,18 @@ def _lens(camera, where) -> Lens:
     part = _part(camera, "intrinsic", where)
     radial = [_value(part, f"radialDistortion{i}", where, "0") for i in (1, 2, 3)]
     tangential = [_value(part, f"tangentalDistortion{i}", where, "0") for i in (1, 2)]
-    return Lens("opencv", tuple(radial), tuple(tangential), _value(part, "skew", where, "0") / _value(part, "focalLengthU", where))
+    return Lens("opencv", tuple(radial), tuple(tangential), _value(part, "skew", where, "0") / _focal(part, "focalLengthU", where))
+
+
+def _focal(part, key, where) -> float:
+    return poses.number(_value(part, key, where), f"{where}: its {key}", 1e-9, 1e12)
 
 
 def _intrinsics(camera, place: Path, where) -> Intrinsics:
     """Intrinsics in pixels of the camera's pictures, which may be binned."""
     part, fov = _part(camera, "intrinsic", where), _part(camera, "fov_video", where)
-    left, top, right, bottom = (_value(fov, side, where) for side in ("left", "top", "right", "bottom"))
+    left, top, right, bottom = (poses.number(_value(fov, side, where), f"{where}: its {side}", -1e9, 1e9)
+                                for side in ("left", "top", "right", "bottom"))
     width, height = right - left + 1, bottom - top + 1
     try:
         w, h = picture_size(Source(place, 0) if place.is_file() else Source(next(iter(numbered_pictures(place).values()))))
@@ -174,9 +190,12 @@ def _intrinsics(camera, place: Path, where) -> Intrinsics:
                           "give pictures of the whole calibrated part of the sensor, turned as the sensor is.")
     full = _part(camera, "fov_video_max", where) if camera.find("fov_video_max") is not None else fov
     sensor = (_value(part, "sensorMaxU", where) - _value(part, "sensorMinU", where, "0")) / SUBPIXELS
-    binning = max(1, round(sensor / (_value(full, "right", where) - _value(full, "left", where) + 1)))
+    whole = _value(full, "right", where) - _value(full, "left", where) + 1
+    if not 1 <= whole <= 1e9 or not abs(sensor) <= 1e9:
+        raise FastGSError(f"{where}: the largest part that it can film must be at least one pixel wide, not {whole:g}.")
+    binning = max(1, round(sensor / whole))
     unit = SUBPIXELS * binning
     sx, sy = (1.0 if abs(shown - calibrated) <= 1 else shown / calibrated for shown, calibrated in ((w, width), (h, height)))
     return poses.intrinsics(
-        where, _value(part, "focalLengthU", where) / unit * sx, _value(part, "focalLengthV", where) / unit * sy,
+        where, _focal(part, "focalLengthU", where) / unit * sx, _focal(part, "focalLengthV", where) / unit * sy,
         (_value(part, "centerPointU", where) / unit - left) * sx, (_value(part, "centerPointV", where) / unit - top) * sy, w, h)

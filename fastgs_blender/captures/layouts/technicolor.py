@@ -15,15 +15,17 @@ from pathlib import Path
 from ...cameras import poses
 from ...cameras.lens import Lens
 from ...util.errors import FastGSError
+from ...util.reading import read_bytes
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..rigs import Entry, from_entries, gap_sentences
+from ..rigs import Entry, check_count, from_entries, gap_sentences
 from ..sources import Source
 
 name = "Technicolor"
 CAMERAS = "cameras_parameters.txt"
 PICTURE = re.compile(r"(.+)_undist_(\d+)_(\d+)\.png", re.IGNORECASE)
 COLUMNS = 12
+LARGEST_FILE = 2**20
 HELD_OUT = "10"
 PUBLISHED = {"Birthday": 151, "Fabien": 51, "Painter": 100, "Theater": 51, "Train": 151}
 """First of the 50 frames that published figures use."""
@@ -52,9 +54,11 @@ def load(path: Path, options: Options) -> Capture:
         raise FastGSError(f"{path}: there are no pictures called like Birthday_undist_00151_00.png; the undistorted set is the one needed.")
     scene = scenes.pop()
     cameras = sorted({camera for _, camera in found})
-    if int(cameras[-1]) >= len(rows):
-        raise FastGSError(f"{path / CAMERAS}: it has {len(rows)} cameras, but there are pictures of camera {cameras[-1]}.")
+    most = max(map(int, cameras))
+    if most >= len(rows):
+        raise FastGSError(f"{path / CAMERAS}: it has {len(rows)} cameras, but there are pictures of camera {most}.")
     first, last = min(frame for frame, _ in found), max(frame for frame, _ in found)
+    check_count(path, last - first + 1, len(cameras))
     known = {camera: _camera(rows[int(camera)], found, camera, f"{path / CAMERAS}: camera {camera}") for camera in cameras}
     entries, gaps, notes = [], [], []
     for frame in range(first, last + 1):
@@ -84,7 +88,7 @@ def _camera(row, found, camera, where):
 
 
 def _rows(file: Path) -> list[list[float]]:
-    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()[1:]
+    lines = read_bytes(file, LARGEST_FILE).decode("utf-8", "replace").splitlines()[1:]
     rows = []
     for i, line in enumerate(lines):
         words = line.split()

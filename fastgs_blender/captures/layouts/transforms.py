@@ -11,12 +11,14 @@ Intrinsics and distortion stand at the top or with each picture.  mask_path: bla
 from __future__ import annotations
 
 from pathlib import Path
+from reprlib import repr as shortened
 
 import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
+from ...util.reading import read_json
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..points import load_points
@@ -26,11 +28,15 @@ from .transforms_views import Picture, times_of, views_of
 
 name = "transforms.json"
 SPLITS = ("train", "val", "test")
+LONGEST_PATH = 4096
+"""Letters of a picture's name, its folders among them."""
 POINT_FILES = ("sparse_pc.ply", "points3d.ply", "points3D.ply", "fused.ply")
 LENSES = {"PINHOLE": "pinhole", "SIMPLE_PINHOLE": "pinhole", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv", "RADIAL": "opencv",
           "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye", "RADIAL_FISHEYE": "fisheye", "FULL_OPENCV": "full"}
 COEFFICIENTS = {"pinhole": (), "opencv": ("k1", "k2", "k3", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4"),
                 "full": ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "camera_model", "is_fisheye", *COEFFICIENTS["full"])
+"""What stands at the top, or with each picture."""
 
 
 def recognises(path: Path) -> bool:
@@ -50,7 +56,8 @@ def load(path: Path, options: Options) -> Capture:
         pictures += _read(file, split)
     there = [picture for picture in pictures if picture.source is not None]
     if not there:
-        raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {pictures[0].stated!r}); copy them beside it.")
+        raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {shortened(pictures[0].stated)}); copy them "
+                          "beside it.")
     views = views_of(pictures)
     frames, times, fps, notes = times_of(pictures, views)
     gaps = [(views[i], frames[i]) for i, picture in enumerate(pictures) if picture.source is None]
@@ -83,8 +90,8 @@ def _missing(pictures) -> list[str]:
 
 
 def _points(files, folder):
-    stated = [poses.read_json(file).get("ply_file_path") for file in files.values()]
-    for relative in [value for value in stated if isinstance(value, str)] + list(POINT_FILES):
+    stated = [read_json(file).get("ply_file_path") for file in files.values()]
+    for relative in [value for value in stated if isinstance(value, str) and 0 < len(value) <= LONGEST_PATH] + list(POINT_FILES):
         if (folder / relative).is_file():
             return load_points(folder / relative)
     return None
@@ -94,24 +101,26 @@ def _points(files, folder):
 
 
 def _read(file: Path, split: str) -> list[Picture]:
-    values = poses.table(poses.read_json(file), f"{file}: it")
+    values = poses.table(read_json(file), f"{file}: it")
     if "frames" not in values:
         raise FastGSError(f"{file}: it lacks frames, the list of its pictures.")
     splits = {str(name): part for part in SPLITS
               for name in poses.listed(values.get(f"{part}_filenames") or [], f"{file}: its {part}_filenames", 0)}
+    shared = {key: values[key] for key in INTRINSICS if key in values}
     sizes: dict[Path, Intrinsics] = {}
     pictures = []
     for i, frame in enumerate(poses.listed(values["frames"], f"{file}: its frames")):
         where = f"{file}: frame {i}"
         frame = poses.table(frame, where)
         stated = frame.get("file_path")
-        if not isinstance(stated, str) or not stated or "\0" in stated:
+        if not isinstance(stated, str) or not stated or "\0" in stated or len(stated) > LONGEST_PATH:
             raise FastGSError(f"{where} lacks file_path, the name of its picture.")
         picture = _found(file.parent, stated)
         time = frame.get("time")
-        given = values | {key: value for key, value in frame.items() if value is not None}
+        given = shared | {key: frame[key] for key in INTRINSICS if frame.get(key) is not None}
         source = None if picture is None else _source(picture, given, where, sizes)
-        mask = _found(file.parent, frame["mask_path"]) if isinstance(frame.get("mask_path"), str) else None
+        masked = frame.get("mask_path")
+        mask = _found(file.parent, masked) if isinstance(masked, str) and len(masked) <= LONGEST_PATH else None
         pictures.append(Picture(
             splits.get(stated, split), stated, source, None if mask is None else Source(mask),
             _pose(frame.get("transform_matrix"), f"{where}: its transform_matrix"),
@@ -122,6 +131,8 @@ def _read(file: Path, split: str) -> list[Picture]:
 def _found(folder: Path, stated: str) -> Path | None:
     """The picture of that name, with or without its ending."""
     path = folder / stated.replace("\\", "/")
+    if not path.name or path.name == "..":
+        return None
     for candidate in (path, *(path.with_name(path.name + suffix) for suffix in PICTURES)):
         if candidate.is_file() and candidate.suffix.lower() in PICTURES:
             return candidate
@@ -171,7 +182,8 @@ def _focal(given, key, side, where):
 def _lens(given: dict, where: str) -> Lens:
     stated = given.get("camera_model", "OPENCV_FISHEYE" if given.get("is_fisheye") else "OPENCV")
     if not isinstance(stated, str) or stated not in LENSES:
-        raise FastGSError(f"{where} has the camera_model {stated!r}; only {', '.join(LENSES)} are known, so undistort the pictures first.")
+        raise FastGSError(f"{where} has the camera_model {shortened(stated)}; only {', '.join(LENSES)} are known, so undistort the "
+                          "pictures first.")
     model = LENSES[stated]
     names = COEFFICIENTS[model]
     values = {key: poses.number(given[key], f"{where}: its {key}") for key in COEFFICIENTS["full"] if key in given}

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ...util.errors import FastGSError
+from ...util.reading import reading
 from ..capture import Shot
 from . import pictures
 from .probe import facts
@@ -55,11 +56,10 @@ def _decode_video(path, wanted, scale):
 
 def _attempt(shot, work):
     try:
-        return work()
+        with reading(shot.image):
+            return work()
     except FastGSError as error:
         return error
-    except OSError as error:
-        return FastGSError(f"{shot.image}: it cannot be read ({error.strerror or error}).")
 
 
 def _finished(shot: Shot, scale: float, rgb: np.ndarray, alpha: np.ndarray | None) -> np.ndarray:

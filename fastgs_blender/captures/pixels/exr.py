@@ -8,17 +8,29 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cameras.cameras_json import LARGEST_SIDE
 from ...util.errors import FastGSError
+from ...util.reading import open_file, reading
+from .limits import check_size
 
-MOST_PIXELS = 1 << 28
+MOST_NUMBERS_A_BYTE = 1 << 15
+"""A picture of one colour, compressed by DWAB, has some 20 000."""
+MOST_NUMBERS = 1 << 30
+"""Of all layers."""
 
 
 def header(path: Path) -> tuple[int, int, dict[str, str]]:
     """Width and height of the display window, and which of R, G, B, A are which channels of the file; raises FastGSError."""
     with _opened(path, header_only=True) as file:
+        most, claimed = path.stat().st_size * MOST_NUMBERS_A_BYTE, 0
+        for part in file.parts:  # OpenEXR reads all of them
+            if "deep" in str(part.header.get("type")).lower():
+                raise FastGSError(f"{path}: this is a deep picture, with several values a pixel; export a flat one.")
+            across, down = _size(path, part.header["dataWindow"])
+            claimed += across * down * len(part.header["channels"])
         width, height = _size(path, file.header()["displayWindow"])
-        _size(path, file.header()["dataWindow"])
+        if claimed > min(most, MOST_NUMBERS):
+            raise FastGSError(f"{path}: its layers claim {claimed} numbers, which is more than is read, or than its file can hold.")
+        check_size(path, width, height, most)
         return width, height, _choose(path, file.header()["channels"])
 
 
@@ -37,8 +49,7 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 def _size(path, window) -> tuple[int, int]:
     low, high = (np.asarray(v, np.int64) for v in window)
     width, height = (int(v) for v in high - low + 1)
-    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE and width * height <= MOST_PIXELS):
-        raise FastGSError(f"{path}: a picture of {width} x {height} pixels is larger than is read, or its file is damaged.")
+    check_size(path, width, height)
     return width, height
 
 
@@ -75,8 +86,6 @@ def _opened(path, **settings) -> Iterator:
     """An OpenEXR.File; raises FastGSError for whatever OpenEXR raises while it is open."""
     import OpenEXR
 
-    try:
-        with OpenEXR.File(str(path), separate_channels=True, **settings) as file:
-            yield file
-    except (RuntimeError, ValueError, TypeError, KeyError, IndexError, OSError) as error:
-        raise FastGSError(f"{path}: the picture cannot be read ({error}); copy or export it again.") from error
+    open_file(path).close()  # OpenEXR opens it by name: a pipe must not get that far
+    with reading(path, "copy or export the picture again"), OpenEXR.File(str(path), separate_channels=True, **settings) as file:
+        yield file

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cache of decoded frames on disk: where it lies, what its files are called, how one is read and written.
+"""The cache of decoded frames on disk: its folder, the names of its files, reading and writing one.
 
 A file is a header of 24 bytes (8 of MAGIC, then height, width, channels and bytes per number as little-endian uint32) and the numbers.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import re
 import secrets
@@ -19,10 +20,11 @@ import numpy as np
 
 from ...kernels.cpu.cache import base_folder
 from ...util.errors import FastGSError
+from ...util.reading import reading
 from ..capture import Capture, Shot
 
 VERSION = 1
-"""Of what a cached file holds; to be raised when decoding gives other pixels."""
+"""Number of the decoding; to be raised when decoding gives other pixels."""
 MAGIC = b"fgsframe"
 HEADER = 24
 UNUSED = 30 * 86400
@@ -51,10 +53,8 @@ def digest(shot: Shot, scale: float) -> str:
         if source is None:
             parts.append(None)
             continue
-        try:
+        with reading(source.path):
             stat = source.path.stat()
-        except OSError as error:
-            raise FastGSError(f"{source.path}: it cannot be read ({error.strerror}).") from error
         parts += [repr(replace(source, path=source.path.absolute())), stat.st_size, stat.st_mtime_ns]
     camera = shot.camera
     parts.append(scale if camera is None else (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
@@ -68,9 +68,11 @@ def _header(array: np.ndarray) -> bytes:
 
 def read(path: Path, shape: tuple[int, int, int], kind) -> np.ndarray | None:
     """The numbers in a cached file; None where it is absent or is not what it should be."""
-    array = np.empty(shape, kind)
     try:
         with open(path, "rb", buffering=0) as stream:
+            if os.fstat(stream.fileno()).st_size != HEADER + math.prod(shape) * np.dtype(kind).itemsize:
+                return None
+            array = np.empty(shape, kind)
             head = stream.read(HEADER)
             view, got = memoryview(array).cast("B"), 0
             while got < len(view):

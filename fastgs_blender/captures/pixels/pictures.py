@@ -2,6 +2,8 @@
 """Picture files as display-referred colours with straight alpha: PNG and JPEG through pillow, EXR through OpenEXR."""
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +12,14 @@ import numpy as np
 
 from ...rendering import colour
 from ...util.errors import FastGSError
+from ...util.reading import open_file, reading
 from ..sources import Source
 from . import exr
+from .limits import check_size
+
+FORMATS = ("PNG", "JPEG")
+MOST_PIXELS_A_BYTE = 8 * 1032
+"""Deflate, which compresses PNG best, makes at most 1032 bytes of one, and a byte holds at most 8 pixels."""
 
 
 def read(source: Source) -> tuple[np.ndarray, np.ndarray | None]:
@@ -62,12 +70,16 @@ def _pillow(path):
 
 @contextmanager
 def opened(path: Path) -> Iterator:
-    """A pillow Image; raises FastGSError for whatever pillow raises while it is open."""
+    """A pillow Image of a PNG or JPEG file; raises FastGSError for whatever pillow raises while it is open."""
     from PIL import Image
 
-    try:
-        with Image.open(path) as picture:
+    with reading(path, "copy or export the picture again"), open_file(path) as file:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size() knows the limit
+                picture = Image.open(file, formats=FORMATS)
+        except Image.UnidentifiedImageError as error:
+            raise FastGSError(f"{path}: the picture cannot be read (it is no PNG or JPEG); copy or export it again.") from error
+        with picture:
+            check_size(path, *picture.size, os.fstat(file.fileno()).st_size * MOST_PIXELS_A_BYTE)
             yield picture
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        reason = "it is no picture" if isinstance(error, Image.UnidentifiedImageError) else getattr(error, "strerror", None) or error
-        raise FastGSError(f"{path}: the picture cannot be read ({reason}); copy or export it again.") from error

@@ -6,8 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from ...cameras.cameras_json import LARGEST_SIDE
 from ...util.errors import FastGSError
+from ...util.reading import reading
 from ..sources import Source
 from . import exr
 from .pictures import opened
@@ -28,10 +28,8 @@ def facts(source: Source) -> Facts:
     if source.frame is not None:
         found = index(source.path)
         return Facts(found.width, found.height, False, False)
-    try:
+    with reading(source.path):
         stat = source.path.stat()
-    except OSError as error:
-        raise FastGSError(f"{source.path}: the picture cannot be read ({error.strerror}).") from error
     return _facts(source.path, stat.st_size, stat.st_mtime_ns)
 
 
@@ -44,10 +42,7 @@ def picture_size(source: Source) -> tuple[int, int]:
 def _facts(path: Path, size: int, _changed: int) -> Facts:
     if not size:
         raise FastGSError(f"{path}: the picture is empty; copy or export it again.")
-    found = _exr(path) if path.suffix.lower() == ".exr" else _pillow(path)
-    if not (1 <= found.width <= LARGEST_SIDE and 1 <= found.height <= LARGEST_SIDE):
-        raise FastGSError(f"{path}: a picture of {found.width} x {found.height} pixels is more than is read ({LARGEST_SIDE} a side).")
-    return found
+    return _exr(path) if path.suffix.lower() == ".exr" else _pillow(path)
 
 
 def _exr(path: Path) -> Facts:

@@ -8,6 +8,7 @@ Files are read into memory of our own, not mapped: what the system caches of the
 from __future__ import annotations
 
 import errno
+import math
 import os
 import shutil
 import threading
@@ -167,7 +168,7 @@ class FrameStore:
         return length == self._length(shot)
 
     def _length(self, shot):
-        return framefiles.HEADER + int(np.prod(decoding.shape(shot, self.capture.scale))) * np.dtype(_kind(shot)).itemsize
+        return framefiles.HEADER + math.prod(decoding.shape(shot, self.capture.scale)) * np.dtype(_kind(shot)).itemsize
 
     def _keep(self, shot, array):
         try:

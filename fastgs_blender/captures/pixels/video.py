@@ -10,16 +10,27 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from ...util.errors import FastGSError
+from ...util.reading import open_file, reading
+from .limits import check_size
+
+MOST_FRAMES = 1_000_000
+MOST_PIXELS_A_BYTE = 1 << 13
+"""A video of a few black frames has some 3000."""
+MARGIN = 1 << 16
+"""Pixels beyond its size that a decoder may need for whole blocks at the edges: codecs round a side up to 64 or 128."""
+OPTIONS = {"format_whitelist": "mov,matroska,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v", "protocol_whitelist": "file"}
+"""Containers of VIDEOS alone: a playlist, which FFmpeg knows as well, would open other files and addresses."""
 
 
 @dataclass(frozen=True)
 class Index:
-    """What a video holds: frames, their size as shown, frames per second, and their time stamps in order (None: the file has none).
+    """The frames of a video: their number, size as shown, frames per second, and time stamps in order (None: the file has none).
 
     first      seconds of the first frame
     constant   whether all frames are equally far apart
@@ -36,10 +47,8 @@ class Index:
 
 def index(path: Path) -> Index:
     """The index of a video; raises FastGSError where it cannot be read or has no frames."""
-    try:
+    with reading(path):
         stat = path.stat()
-    except OSError as error:
-        raise FastGSError(f"{path}: the video cannot be read ({error.strerror}).") from error
     return _index(path, stat.st_size, stat.st_mtime_ns)
 
 
@@ -47,15 +56,24 @@ def index(path: Path) -> Index:
 def _index(path: Path, _size: int, _changed: int) -> Index:
     with _opened(path) as container:
         stream = container.streams.video[0]
-        stamps = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
+        size = stream.codec_context.width, stream.codec_context.height
+        check_size(path, *size, path.stat().st_size * MOST_PIXELS_A_BYTE)
+        packets = (packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard)
+        stamps = list(islice(packets, MOST_FRAMES + 1))
         base, rate = stream.time_base, stream.average_rate or stream.guessed_rate
-        size = _shown_size(stream)
-    if not stamps:
-        raise FastGSError(f"{path}: the video holds no frames; it is damaged or was cut short.")
+        if not stamps:
+            raise FastGSError(f"{path}: the video holds no frames; it is damaged or was cut short.")
+        if len(stamps) > MOST_FRAMES:
+            raise FastGSError(f"{path}: the video has more than the {MOST_FRAMES} frames that are read; cut it into shorter ones.")
+        return _timed(stamps, base, rate, size)
+
+
+def _timed(stamps: list, base, rate, size) -> Index:
+    """The index of frames with these time stamps, in units of `base` seconds."""
     if base is None or None in stamps or len(set(stamps)) < len(stamps):
         return Index(len(stamps), *size, float(rate or 30), 0.0, True, None)
     stamps.sort()
-    gaps = np.diff(stamps) * float(base)
+    gaps = np.diff(np.array(stamps, np.float64)) * float(base)
     fps = 1 / gaps.mean() if len(gaps) else float(rate or 30)
     if rate and abs(gaps.sum() - len(gaps) / float(rate)) <= 2 * float(base) + 0.001 * gaps.sum():  # stamps are rounded
         fps = float(rate)
@@ -98,13 +116,13 @@ def _runs(wanted, gap=60) -> Iterator[list[int]]:
 
 def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
     """The frames of a run as far as they come in order; after a jump the first one that is missing ends it quietly."""
-    import av
 
     place = {stamp: i for i, stamp in enumerate(known.stamps)} if known.stamps else None
     left = iter(run)
     want, count = next(left), -1
     with _opened(path) as container:
         stream = container.streams.video[0]
+        stream.codec_context.options = {"max_pixels": str(known.width * known.height + MARGIN)}
         stream.thread_type, stream.codec_context.thread_count = "AUTO", 2  # more cost memory: several videos are read at once
         if not from_start:
             container.seek(known.stamps[want], stream=stream, backward=True, any_frame=False)
@@ -120,7 +138,7 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
                 want = next(left, None)
                 if want is None:
                     return
-        except (av.FFmpegError, ValueError) as error:
+        except Exception as error:  # the decoder's: whatever it is, the frame cannot be had this way
             if from_start:
                 raise _undecodable(path, want) from error
     if from_start:
@@ -132,22 +150,17 @@ def _undecodable(path, number) -> FastGSError:
                        f"or leave that part out with a range of frames.")
 
 
-def _shown_size(stream) -> tuple[int, int]:
-    context = stream.codec_context
-    return context.width, context.height
-
-
 @contextmanager
 def _opened(path: Path):
+    """A PyAV container whose first video stream has a decoder; raises FastGSError for whatever PyAV raises while it is open."""
     try:
         import av
     except ImportError as error:
         raise FastGSError(f"{path}: reading a video needs PyAV; install it with: pip install av.") from error
-    try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise FastGSError(f"{path}: there is no video in this file.")
-            yield container
-    except (av.FFmpegError, OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FastGSError(f"{path}: the video cannot be read ({reason}); it is damaged, cut short or of an unknown kind.") from error
+    open_file(path).close()  # FFmpeg opens it by name: a pipe must not get that far
+    with reading(path, "the video is damaged, cut short or of an unknown kind"), av.open(f"file:{path}", options=OPTIONS) as container:
+        if not container.streams.video:
+            raise FastGSError(f"{path}: there is no video in this file.")
+        if container.streams.video[0].codec_context is None:
+            raise FastGSError(f"{path}: no decoder is known for the video in this file; convert it to H.264.")
+        yield container
