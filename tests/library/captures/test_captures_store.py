@@ -243,7 +243,8 @@ def test_everything_wrong_is_told_at_once(capture):
     (folder / "masks" / "cam0").mkdir(parents=True)
     Image.fromarray(np.zeros((9, 9), np.uint8)).save(folder / "masks" / "cam0" / "0001.png")
     found = "\n".join(problems(open_capture(folder)))
-    for words in ("cam0 lacks 2 frames: 3-4", "0002.png: the picture is empty", "0005.png: the picture cannot be read (it is no PNG or JPEG)",
+    for words in ("cam0 lacks 2 frames: 3-4", "0002.png: the picture is empty",
+                  "0005.png: the picture cannot be read (it is no PNG or JPEG)",
                   "cam2 has pictures of 20 x 20 pixels where its calibration is for 40 x 30 (frames 6)", "masks of 9 x 9",
                   "cam0 has masks for some of its frames only"):
         assert words in found
