@@ -96,9 +96,9 @@ def playback(fg, n: int, frames: int) -> dict:
     """Play a capture in a view, as fast as it goes."""
     import gpu
 
-    atlas, textures, view, eye, frame, worker, shaders, sorting = (module(f"engine.{name}") for name in (
-        "viewport.atlas", "viewport.textures", "viewport.view", "viewport.eye", "frame", "viewport.worker", "viewport.shaders",
-        "viewport.sorting"))
+    atlas, textures, view, eye, worker, shaders, sorting = (module(f"engine.viewport.{name}") for name in (
+        "atlas", "textures", "view", "eye", "worker", "shaders", "sorting"))
+    snapshot = module("scene.snapshot")
     retime = module("scene.time").Retime(start_frame=0.0)
     path = Path(tempfile.mkdtemp()) / "capture.safetensors"
     fg.save(capture(fg, n), path)
@@ -106,7 +106,7 @@ def playback(fg, n: int, frames: int) -> dict:
     window = np.array([[focal, 0, 0, 0], [0, focal * SIZE[0] / SIZE[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
     thread, textures_of_all = worker.Worker(), atlas.Atlas()
     shown = view.View(textures_of_all, thread)
-    look = view.Look(np.eye(3))
+    display = view.Display(np.eye(3))
     watches = [Stopwatch(batch) for _, batch in (shaders.splats(True, False), shaders.resolve(True, False))]
     pairs = [shaders.splats(True, False)[0], shaders.resolve(True, False)[0]]
     shaders.splats = lambda *kind: (pairs[0], watches[0])
@@ -115,7 +115,7 @@ def playback(fg, n: int, frames: int) -> dict:
     own, processor, sent, order = [], [], [], []
     with offscreen.bind():
         for number in range(frames + 2):
-            contents = frame.Contents([frame.Shown("capture", str(path), np.eye(4), retime)], float(number), 30.0)
+            moment = snapshot.Snapshot([snapshot.FileInstance("capture", str(path), np.eye(4), retime)], float(number), 30.0)
             turn = 0.01 * number
             pose = np.array([[np.cos(turn), 0, np.sin(turn), 0], [0, 1, 0, 0], [-np.sin(turn), 0, np.cos(turn), -4], [0, 0, 0, 1]])
             bytes_before = textures.Sent.bytes
@@ -123,7 +123,7 @@ def playback(fg, n: int, frames: int) -> dict:
                 watch.seconds = watch.processor = 0.0
             start, start_processor = time.perf_counter(), time.thread_time()
             camera, _ = eye.eye(*SIZE, pose, window)
-            shown.draw(contents, camera, look, playing=True, wait=number == 0)
+            shown.draw(moment, camera, display, playing=True, wait=number == 0)
             own.append(time.perf_counter() - start - sum(w.seconds for w in watches))
             processor.append(time.thread_time() - start_processor - sum(w.processor for w in watches))
             sent.append(textures.Sent.bytes - bytes_before)
@@ -132,7 +132,7 @@ def playback(fg, n: int, frames: int) -> dict:
                 time.sleep(0.001)
         for _ in range(9):
             start = time.perf_counter()
-            sorting.sort(contents, camera, 1.0, textures_of_all)
+            sorting.sort(moment, camera, 1.0, textures_of_all)
             order.append(time.perf_counter() - start)
     thread.stop()
     path.unlink()

@@ -2,8 +2,8 @@
 """FASTGS, the render engine.  Blender makes an instance for each frame and frees it: whatever lasts lives in modules."""
 import bpy
 
-from ..scene import objects, passes
-from . import final
+from ..scene import objects
+from . import final, passes
 from .viewport import spaces
 
 

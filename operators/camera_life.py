@@ -8,8 +8,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Matrix, Vector
 
 from .. import fastgs_blender as fg
-from ..scene import objects
-from ..scene import snapshot as frame
+from ..scene import objects, snapshot
 from ..scene.cameras import keys as camera_keys
 from ..scene.splats.splat_object import sentence
 from ..scene.time import clip_frame
@@ -147,7 +146,7 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
         scene = context.scene
         model = objects.load_model(objects.abspath(obj))
         fps = scene.render.fps / scene.render.fps_base
-        retime, world = frame.retime_of(obj), np.array(obj.matrix_world)
+        retime, world = snapshot.retime_of(obj), np.array(obj.matrix_world)
 
         def seen(at, subset):
             shown = clip_frame(at, fps, retime, model.clip)

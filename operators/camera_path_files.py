@@ -26,7 +26,7 @@ NAMES = {item[0]: module.name for item, module in zip(FORMAT_ITEMS, FORMATS)}
 
 def picture_of(scene) -> Picture:
     """What the scene gives to files that state no size or frame rate."""
-    frame = cameras.frame_of(scene.render)
+    frame = cameras.render_area(scene.render)
     return Picture(frame.width, frame.height, scene.render.fps / scene.render.fps_base)
 
 
@@ -126,7 +126,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         return obj
 
     def _tell_aspect(self, scene, camera):
-        frame, render = cameras.frame_of(scene.render), scene.render
+        frame, render = cameras.render_area(scene.render), scene.render
         here = frame.width * render.pixel_aspect_x / (frame.height * render.pixel_aspect_y)
         there = camera.width / camera.fx * camera.fy / camera.height
         if abs(here / there - 1) > 1e-3:
@@ -191,7 +191,7 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
     def _shots(self, context, splat, axes, frames):
         scene, obj = context.scene, _source(context)
         now, sub = scene.frame_current, scene.frame_subframe
-        frame, shots = cameras.frame_of(scene.render), []
+        frame, shots = cameras.render_area(scene.render), []
         try:
             for number in frames:
                 scene.frame_set(number)

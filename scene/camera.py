@@ -13,16 +13,24 @@ OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Frame:
-    """The picture's size, and the part of it to render (x, y, width, height), y counted from the top."""
+class RenderArea:
+    """The picture's size in pixels, and the part of it to render as window (x, y, width, height), y counted from the top."""
 
     width: int
     height: int
     window: tuple[int, int, int, int]
 
+    @classmethod
+    def whole(cls, width: int, height: int) -> RenderArea:
+        """All of a picture."""
+        return cls(width, height, (0, 0, width, height))
 
-def frame_of(render) -> Frame:
-    """Size and border of RenderSettings, truncated to pixels exactly as Blender does it (C integers, single precision)."""
+
+def render_area(render) -> RenderArea:
+    """Size and border of RenderSettings, truncated to pixels exactly as Blender does it (C integers, single precision).
+
+    Raises FastGSError where nothing is left.
+    """
     width = render.resolution_x * render.resolution_percentage // 100
     height = render.resolution_y * render.resolution_percentage // 100
     window = (0, 0, width, height)
@@ -32,10 +40,10 @@ def frame_of(render) -> Frame:
         window = (x0, height - y1, x1 - x0, y1 - y0)
     if min(window[2:]) < 1:
         raise fg.FastGSError("the render region is smaller than one pixel; enlarge it or the resolution.")
-    return Frame(width, height, window)
+    return RenderArea(width, height, window)
 
 
-def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | None = None,
+def camera_of(obj, area: RenderArea, depsgraph, model_matrix=None, shift_x: float | None = None,
               aspect: tuple[float, float] | None = None) -> fg.Camera:
     """The library's camera for an evaluated camera object.
 
@@ -49,7 +57,7 @@ def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | 
         raise fg.FastGSError(f'the camera "{obj.name}" is of the type {kind}, which FAST-GS does not render; '
                              "set it to Perspective or Orthographic.")
     render = depsgraph.scene.render
-    width, height = frame.width, frame.height
+    width, height = area.width, area.height
     aspect_x, aspect_y = aspect or (render.pixel_aspect_x, render.pixel_aspect_y)
     p = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=aspect_x, scale_y=aspect_y), np.float64)
     orthographic = data.type == 'ORTHO'
@@ -61,7 +69,7 @@ def camera_of(obj, frame: Frame, depsgraph, model_matrix=None, shift_x: float | 
     pose = _unscaled(obj, np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64))
     return fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=cx, cy=cy,
                      world_to_camera=OPENCV @ np.linalg.inv(pose), orthographic=orthographic,
-                     near=data.clip_start, window=frame.window)
+                     near=data.clip_start, window=area.window)
 
 
 def _unscaled(obj, pose: np.ndarray) -> np.ndarray:

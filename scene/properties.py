@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
+"""Defines what the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -11,7 +11,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from . import passes, redraw
+from ..fastgs_blender.rendering.passes import PASSES
+from . import updates
 from .training.options import FASTGS_PG_training
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
@@ -30,14 +31,14 @@ class FASTGS_PG_crop(bpy.types.PropertyGroup):
 
     object: PointerProperty(
         name="Box", description="An empty or a mesh: its extent is the box", type=bpy.types.Object, override=_OWN,
-        poll=lambda self, obj: obj != self.id_data and obj.type in {'EMPTY', 'MESH'}, update=redraw.viewports)
+        poll=lambda self, obj: obj != self.id_data and obj.type in {'EMPTY', 'MESH'}, update=updates.viewports)
     mode: EnumProperty(
         name="Mode", description="What happens to the Gaussians whose centres are in the box",
         items=(
             ('KEEP', "Keep", "Only what is in this or another box to keep is shown", 0),
             ('REMOVE', "Remove", "What is in the box is not shown", 1),
-        ), default='KEEP', override=_OWN, update=redraw.viewports)
-    use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=redraw.viewports)
+        ), default='KEEP', override=_OWN, update=updates.viewports)
+    use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=updates.viewports)
 
 
 class FASTGS_PG_object(bpy.types.PropertyGroup):
@@ -83,32 +84,34 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         default='EXPECTED')
     show_splats: BoolProperty(
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
-        "Rendered shading, with the scene's meshes", default=True, update=redraw.viewports)
+        "Rendered shading, with the scene's meshes", default=True, update=updates.viewports)
     viewport_density: FloatProperty(
         name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the animation plays, "
-        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=redraw.viewports)
+        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=updates.viewports)
     viewport_pixels: EnumProperty(
         name="Pixel Size", description="Draw splats in viewports at a lower resolution",
         items=(
             ('1', "1x", "One pixel for each of the viewport's", 0),
             ('2', "2x", "A quarter of the viewport's pixels", 1),
             ('4', "4x", "A sixteenth of the viewport's pixels", 2),
-        ), default='1', update=redraw.viewports)
+        ), default='1', update=updates.viewports)
     show_pictures: BoolProperty(
         name="Pictures on Cameras", description="Show what cameras have filmed, their background images, on their frusta in viewports; "
-        "during playback the pictures stand still", default=False, update=redraw.viewports)
+        "during playback the pictures stand still", default=False, update=updates.viewports)
     picture_size: FloatProperty(
         name="Picture Size", description="Size of the pictures on frusta; 1 is where the frustum ends that Blender draws",
-        min=0.01, soft_max=10.0, default=1.0, update=redraw.viewports)
+        min=0.01, soft_max=10.0, default=1.0, update=updates.viewports)
     training: PointerProperty(type=FASTGS_PG_training, name="Training", description="What the Train panel is set to")
 
 
-class FASTGS_PG_view_layer(bpy.types.PropertyGroup):
-    """Passes of one view layer that Blender has no switch for."""
-
-    use_pass_alpha: BoolProperty(
-        name="Splat Alpha", description="Deliver the opacity of the splats, which the world does not fill up", default=False,
-        update=passes.switched)
+FASTGS_PG_view_layer = type("FASTGS_PG_view_layer", (bpy.types.PropertyGroup,), {
+    "__doc__": """Switches of the passes that Blender has no switch for, from the library's table.""",
+    "__module__": __name__,
+    "__annotations__": {
+        entry.switch.removeprefix("fastgs."): BoolProperty(
+            name=entry.blender, description=entry.description, default=False, update=updates.passes)
+        for entry in PASSES.values() if not entry.builtin},
+})
 
 
 class FASTGS_PG_camera(bpy.types.PropertyGroup):

@@ -1,60 +1,88 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a frame shows: from an evaluated scene to the library's list of placed models."""
+"""Takes a snapshot of the splat objects that an evaluated scene shows, and loads it as the library's model instances."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.crops import Crop
-from ..fastgs_blender.rendering.instances import Instance, ObjectSettings
+from ..fastgs_blender.rendering.instances import LIMIT, Instance, ObjectSettings
 from . import crops, objects
 from .time import Retime, clip_frame
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """One appearance of a splat object: by itself, or as an instance."""
+class FileInstance:
+    """A splat object where it stands, or an instance of one, whose model is still a file.
+
+    name       of the object, for messages
+    path       of its file, absolute
+    placement  [4, 4] float64 from the model's space to the world
+    retime     how the object plays its clip
+    settings   how the object shows its model
+    """
 
     name: str
     path: str
     placement: np.ndarray
     retime: Retime
-    crops: tuple[Crop, ...] = ()
+    settings: ObjectSettings = field(default_factory=ObjectSettings)
+
+    @property
+    def state(self) -> tuple:
+        """All of it as values that can be compared."""
+        return self.path, self.placement.tobytes(), self.retime, self.settings
 
 
 @dataclass(frozen=True, eq=False)
-class Contents:
-    """A scene's splats at one moment, copied out of the depsgraph: nothing here refers to Blender's data."""
+class Snapshot:
+    """A scene's splats at one moment, copied out of the depsgraph: nothing here refers to Blender's data.
 
-    shown: list[Shown]
+    frame, fps  the scene's frame (fractions are sub-frames) and frame rate
+    """
+
+    instances: list[FileInstance]
     frame: float
     fps: float
 
-    def parts(self, load=objects.load_model) -> tuple[list[Instance], dict[str, str]]:
-        """What to render, and {object's name: why its file cannot be loaded}; reads files where it must."""
-        parts, failed = [], {}
-        for item in self.shown:
+    @property
+    def state(self) -> tuple:
+        """All of it as values that can be compared."""
+        return self.frame, self.fps, tuple(item.state for item in self.instances)
+
+    def load(self, load_model=objects.load_model) -> tuple[list[Instance], list[tuple[str, str]]]:
+        """(the instances to render, [(object's name, why it is left out), ...]).  Reads the files that are not in memory.
+
+        An object that shows nothing at this time is in neither list.
+        """
+        loaded, left_out = [], []
+        for item in self.instances:
             try:
-                model = load(item.path)
+                instance = self._load(item, load_model)
             except fg.FastGSError as error:
-                failed[item.name] = str(error)
-                continue
-            frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
-            if frame is not None:
-                parts.append(Instance(model, item.placement, model.clip.t_of_frame(frame), ObjectSettings(item.crops)))
-        return parts, failed
+                left_out.append((item.name, str(error)))
+            else:
+                loaded += [] if instance is None else [instance]
+        return loaded, left_out
+
+    def _load(self, item: FileInstance, load_model) -> Instance | None:
+        if not (np.abs(item.placement) <= LIMIT).all():  # neither are NaN
+            raise fg.FastGSError(f"its transform holds numbers beyond {LIMIT:g} or that are no numbers; "
+                                 "clear its location, rotation and scale, or those of its parents.")
+        model = load_model(item.path)
+        frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
+        return None if frame is None else Instance(model, item.placement, model.clip.t_of_frame(frame), item.settings)
 
 
-def contents(depsgraph, visible=lambda obj: True) -> Contents:
-    """What the depsgraph's view layer shows of splats on its frame and sub-frame.
+def take(depsgraph, visible=lambda obj: True) -> Snapshot:
+    """The splats that the depsgraph's view layer shows on its frame and sub-frame.
 
-    visible(obj) may leave out more: it is asked about each object that shows splats, and about what instances come from.
+    visible(obj) may leave out more: it is asked about each object that shows splats, and about each object that makes instances.
     """
     scene = depsgraph.scene
     render = scene.render
-    shown, seen = [], set()
+    found, seen = [], set()
     for instance in depsgraph.object_instances:
         obj = instance.object
         if not (instance.show_self and objects.is_splat(obj) and visible(instance.parent if instance.is_instance else obj)):
@@ -64,13 +92,19 @@ def contents(depsgraph, visible=lambda obj: True) -> Contents:
         key = obj.original.as_pointer(), placement.tobytes()
         if key not in seen:
             seen.add(key)
-            shown.append(Shown(obj.name, objects.abspath(obj), placement, retime_of(obj), crops.crops_of(obj, depsgraph)))
+            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings_of(obj, depsgraph)))
     # as Blender computes the time of its animation, time stretching included
     frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
-    return Contents(shown, frame, render.fps / render.fps_base)
+    return Snapshot(found, frame, render.fps / render.fps_base)
 
 
 def retime_of(obj) -> Retime:
-    """An evaluated object's place in time."""
+    """How an evaluated object plays its clip."""
     settings = obj.fastgs
     return Retime(settings.start_frame, settings.speed, settings.offset, settings.before, settings.after)
+
+
+def settings_of(obj, depsgraph) -> ObjectSettings:
+    """How an evaluated object shows its model: each setting is the property of the same name, but for the boxes' places."""
+    plain = {f.name: getattr(obj.fastgs, f.name) for f in fields(ObjectSettings) if f.name != "crops"}
+    return ObjectSettings(crops=crops.crops_of(obj, depsgraph), **plain)

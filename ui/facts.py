@@ -9,8 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..fastgs_blender.model.gaussians import Clip
-from ..scene import objects, time
-from ..scene import snapshot as frame
+from ..scene import objects, snapshot, time
 
 
 def known(obj: bpy.types.Object) -> bool:
@@ -36,7 +35,7 @@ def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
     """Which of the capture's frames the scene's current frame shows."""
     clip = Clip(obj.fastgs.frame_count, obj.fastgs.fps)
     rate = scene.render.fps / scene.render.fps_base
-    at = time.clip_frame(scene.frame_current_final, rate, frame.retime_of(obj), clip)
+    at = time.clip_frame(scene.frame_current_final, rate, snapshot.retime_of(obj), clip)
     return "Nothing" if at is None else f"Frame {number(at)} (of 0 to {clip.frame_count - 1})"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..fastgs_blender.rendering.passes import PASSES
 from . import facts
 from .object_panels import draw_rows
 
@@ -50,9 +51,9 @@ class FASTGS_PT_passes(_Engine, bpy.types.Panel):
         layout.use_property_decorate = False
         layer = context.view_layer
         col = layout.column(heading="Include")
-        col.prop(layer, "use_pass_combined")
-        col.prop(layer, "use_pass_z", text="Depth")
-        col.prop(layer.fastgs, "use_pass_alpha")
+        for switch, name in {entry.switch: entry.blender for entry in PASSES.values() if entry.switch}.items():
+            group, _, prop = switch.rpartition(".")
+            col.prop(getattr(layer, group) if group else layer, prop, text=name)
 
 
 CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes)

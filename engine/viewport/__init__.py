@@ -2,7 +2,7 @@
 """Splats in Blender's 3D viewports, drawn by the GPU."""
 import bpy
 
-from ...scene import redraw
+from ...scene import updates
 from . import spaces
 
 HANDLERS = (
@@ -20,7 +20,7 @@ def register():
     global _drawing
     for handlers, function in HANDLERS:
         handlers.append(bpy.app.handlers.persistent(function))
-    redraw.listeners.append(spaces.redraw)
+    updates.listeners.append(spaces.redraw)
     _drawing = bpy.types.SpaceView3D.draw_handler_add(spaces.post_view, (), 'WINDOW', 'POST_VIEW')
 
 
@@ -28,7 +28,7 @@ def unregister():
     global _drawing
     bpy.types.SpaceView3D.draw_handler_remove(_drawing, 'WINDOW')
     _drawing = None
-    redraw.listeners.remove(spaces.redraw)
+    updates.listeners.remove(spaces.redraw)
     for handlers, function in HANDLERS:
         handlers.remove(function)
     spaces.stop()

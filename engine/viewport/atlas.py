@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All models that viewports show, in two textures, so that one draw call can sort and blend them as one cloud."""
+"""Holds all models that viewports show in two textures, so that one draw call blends them together, in one order."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fastgs_blender.model.gaussians import GaussianModel
-from . import records
+from . import model_texels
 from .textures import ROWS, WIDTH, rows_of, upload
 
 
@@ -17,11 +17,11 @@ class TooLarge(Exception):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a model's texels begin, and how they are laid out."""
+    """Where a model's texels begin in each texture, and how they are laid out."""
 
     geometry: int
     colour: int
-    plan: records.Plan
+    layout: model_texels.TexelLayout
 
 
 class Atlas:
@@ -66,8 +66,9 @@ class Atlas:
         if self.has(models):
             return
         wanted = list({id(m): m for m in [*models, *(m for m in keep if id(m) in self._places)]}.values())
-        plans = [records.plan(m) for m in wanted]
-        starts = {kind: np.cumsum([0] + [len(m) * getattr(p, kind) for m, p in zip(wanted, plans)]) for kind in ("geometry", "colour")}
+        layouts = [model_texels.layout_of(m) for m in wanted]
+        starts = {kind: np.cumsum([0] + [len(m) * getattr(layout, kind) for m, layout in zip(wanted, layouts)])
+                  for kind in ("geometry", "colour")}
         if max(rows_of(int(s[-1])) for s in starts.values()) > ROWS:
             raise TooLarge
         packed = [self._packed[id(m)][1] if id(m) in self._packed else _texels(m) for m in wanted]
@@ -80,13 +81,13 @@ class Atlas:
             setattr(self, kind, upload(texels.reshape(-1, WIDTH, 4), half=kind == "colour"))
             self.nbytes += len(texels) * (8 if kind == "colour" else 16)
         self.models = wanted
-        self._places = {id(m): Place(int(g), int(c), p)
-                        for m, p, g, c in zip(wanted, plans, starts["geometry"], starts["colour"])}
+        self._places = {id(m): Place(int(g), int(c), layout)
+                        for m, layout, g, c in zip(wanted, layouts, starts["geometry"], starts["colour"])}
 
 
 def _texels(model: GaussianModel) -> dict[str, np.ndarray]:
-    plan = records.plan(model)
-    texels = {kind: np.empty((len(model), getattr(plan, kind), 4), np.float32) for kind in ("geometry", "colour")}
-    records.geometry(model, texels["geometry"])
-    records.colour(model, texels["colour"])
+    layout = model_texels.layout_of(model)
+    texels = {kind: np.empty((len(model), getattr(layout, kind), 4), np.float32) for kind in ("geometry", "colour")}
+    model_texels.write_geometry(model, texels["geometry"])
+    model_texels.write_colour(model, texels["colour"])
     return texels

@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...scene.camera import OPENCV
-from .parameters import Depths
+from .frame_table import Depths
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the GPU cannot draw splats: the CPU's picture, as a texture."""
+"""Draws splats where the GPU cannot: renders them on the CPU and shows the picture as a texture."""
 from __future__ import annotations
 
 import gpu
@@ -8,17 +8,21 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ... import fastgs_blender as fg
-from ...scene.colour import film, scene_linear
+from ...scene.colour import film
+from ...scene.snapshot import Snapshot
+from .. import scene_linear
 from .textures import upload
 
 
-def render(contents, camera: fg.Camera, working: np.ndarray, background) -> np.ndarray:
-    """Scene-linear premultiplied [h, w, 4], the bottom row first."""
-    parts, _ = contents.parts()
-    images = fg.render(parts, camera)
-    encoded = all(part.model.colour_space == "srgb" for part in parts)
-    linear = scene_linear(images["rgb"], images["alpha"], encoded, working)
-    return film(linear, images["alpha"], background)[::-1]
+def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, background) -> np.ndarray:
+    """Premultiplied picture [h, w, 4], the bottom row first.
+
+    working     [3, 3] from linear Rec.709 to the target's primaries
+    background  colour [3] under the splats, or None
+    """
+    instances, _ = snapshot.load()
+    images = scene_linear.render(instances, camera, working)
+    return film(images["rgb"], images["alpha"], background)[::-1]
 
 
 class Image:
@@ -37,7 +41,7 @@ class Image:
         """From the thread: a new picture."""
         self._values, self.fresh = values, True
 
-    def draw(self, look) -> None:
+    def draw(self) -> None:
         """Draw it over the whole of the active framebuffer."""
         if self.fresh:
             self.fresh = False

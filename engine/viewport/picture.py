@@ -3,7 +3,7 @@
 
 Splats are blended once for each *group* that needs its own way from blended numbers to colour: one for all plain sRGB models,
 one for all linear ones, one for each model with a decoder.  In a group's turn the splats of others are black, so that they
-hide what lies behind them.  Groups in one colour space are summed, then decoded; the spaces' light adds up (engine/final.py
+hide what lies behind them.  Groups in one colour space are summed, then decoded; the spaces' light adds up (engine/scene_linear.py
 does the same).  Nearly always there is one group.
 """
 from __future__ import annotations
@@ -17,32 +17,33 @@ import numpy as np
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
-from . import parameters, shaders
+from . import shaders
 from .atlas import Atlas
 from .eye import WHOLE
+from .frame_table import Depths, frame_table
 from .textures import upload, upload_list
 
 ORDER_WIDTH = 4096
-"""Entries in a row of the texture with the order; glsl.py knows it too."""
+"""Entries in a row of the texture with the order; filled into the shaders (glsl.py)."""
 FORMAT = 'RGBA16F'
 
 
 @dataclass(frozen=True)
 class Group:
-    """Parts whose blended numbers become colour in the same way; `part` is the one with a decoder, or None."""
+    """Instances whose blended numbers become colour in the same way; `instance` is the one with a decoder, or None."""
 
     colour_space: str
-    part: ViewedInstance | None = None
+    instance: ViewedInstance | None = None
 
 
-def grouped(parts: list[ViewedInstance]) -> tuple[list[Group], dict[int, int]]:
-    """The groups, and which of them each part belongs to, by their places in the lists."""
+def grouped(instances: list[ViewedInstance]) -> tuple[list[Group], dict[int, int]]:
+    """(the groups, {place of an instance in the list: place of its group})."""
     groups, member, plain = [], {}, {}
-    for number, part in enumerate(parts):
-        space = part.model.colour_space
-        if isinstance(part.model.appearance, Features):
+    for number, instance in enumerate(instances):
+        space = instance.model.colour_space
+        if isinstance(instance.model.appearance, Features):
             member[number] = len(groups)
-            groups.append(Group(space, part))
+            groups.append(Group(space, instance))
         else:
             if space not in plain:
                 plain[space] = len(groups)
@@ -56,7 +57,7 @@ class SceneDepth:
     """The depth of what else is in the window, to hide splats behind: values [h, w], the bottom row first."""
 
     values: np.ndarray
-    depths: parameters.Depths
+    depths: Depths
 
 
 class Order:
@@ -83,11 +84,11 @@ class Picture:
         """Bytes of the targets."""
         return sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
 
-    def draw(self, camera: Camera, parts: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
-        """Blend the parts, which the atlas holds, in the given order."""
-        groups, member = grouped(parts)
+    def draw(self, camera: Camera, instances: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
+        """Blend the instances, whose models the atlas holds, in the given order."""
+        groups, member = grouped(instances)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]
-        table = parameters.table(camera, parts, atlas, order.count, member, depth and depth.depths, shape)
+        table = frame_table(camera, instances, atlas, order.count, member, depth and depth.depths, shape)
         same = (order, atlas.version, table.tobytes())
         if depth is None and same == self._drawn:
             return
@@ -123,15 +124,15 @@ class Picture:
         border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
         frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
         """
-        look = working, background, border, opacity, frame, outside
+        options = working, background, border, opacity, frame, outside
         if not self.groups:  # the background alone
-            self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *look, size=(1, 1))
+            self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *options, size=(1, 1))
             return
         if len(self.groups) == 1:
-            self._resolve(self.groups[0], self._targets[0][0], *look)
+            self._resolve(self.groups[0], self._targets[0][0], *options)
             return
         for number, (space, textures) in enumerate(self._sums().items()):
-            self._resolve(Group(space), textures, *look, first=number == 0, own=True, summed=True)
+            self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
 
     def _sums(self):
         """For each colour space, what its groups look like together, with the weight that they have in the picture."""
@@ -150,7 +151,7 @@ class Picture:
                  first=True, own=False, summed=False, raw=False, size=None):
         values = np.zeros((1, 37, 4), np.float32)
         row = values[0]
-        appearance = group.part and group.part.model.appearance
+        appearance = group.instance and group.instance.model.appearance
         activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
         row[0] = group.colour_space == "srgb" and not raw, activation, summed, raw
         row[1] = (0, 0, 0, 0) if background is None else (*background, 1)
@@ -159,12 +160,12 @@ class Picture:
         row[4] = *(size or self.size), self.camera.orthographic, outside
         row[5] = self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
         if appearance:
-            row[6:9] = group.part.camera_to_model[:3]
+            row[6:9] = group.instance.camera_to_model[:3]
             row[9:27] = appearance.w1.reshape(18, 4)
             row[27:33, :3] = appearance.w2.T
         row[33:36, :3] = working
         row[36] = frame
-        shader, batch = shaders.resolve(group.part is not None, own)
+        shader, batch = shaders.resolve(group.instance is not None, own)
         with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
             inputs = {"t_resolve": upload(values), **textures}
             shader.bind()
@@ -177,10 +178,10 @@ class Picture:
         self._targets, self.groups, self.size, self._drawn, self._no_depth = [], [], None, None, None
 
     def _kind(self, number):
-        return self.groups[number].part is not None, len(self.groups) > 1
+        return self.groups[number].instance is not None, len(self.groups) > 1
 
     def _resize(self, size, groups):
-        kinds = [(g.part is not None, len(groups) > 1) for g in groups]
+        kinds = [(g.instance is not None, len(groups) > 1) for g in groups]
         same = size == self.size and kinds == [self._kind(i) for i in range(len(self.groups))]
         self.groups, self.size = groups, size
         if not same:

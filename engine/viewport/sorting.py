@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the viewport's thread computes: which splats a view shows, and in which order."""
+"""Finds which Gaussians a view shows and sorts them by depth; the viewport's thread does it."""
 from __future__ import annotations
 
 import threading
@@ -12,7 +12,7 @@ from ... import fastgs_blender as fg
 from ...fastgs_blender.rendering import visibility
 from ...fastgs_blender.rendering.instances import Instance
 from ...scene import objects
-from ...scene.snapshot import Contents
+from ...scene.snapshot import Snapshot
 from .. import compiling
 from .atlas import Atlas
 
@@ -25,31 +25,39 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class Sorted:
-    """An answer: the parts as they were, their files' models, and the order [V] float32 in which to draw them."""
+    """A sorted snapshot.
 
-    parts: list[Instance]
+    instances  that were sorted
+    models     of their files, by path
+    left_out   (object's name, why it is not shown), see Snapshot.load
+    order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances
+    """
+
+    instances: list[Instance]
     models: dict[str, fg.GaussianModel]
-    failed: dict[str, str]
+    left_out: list[tuple[str, str]]
     order: np.ndarray
 
 
-def sort(contents: Contents, camera: fg.Camera, limit: float, atlas: Atlas) -> Sorted:
-    """The order of a scene's splats for a camera; reads files that are not in memory yet, and packs them for the atlas."""
+def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> Sorted:
+    """Sort the splats of a snapshot for a camera; reads files that are not in memory yet, and packs their models for the atlas.
+
+    share  of the Gaussians to draw, the most important ones
+    """
     models = {}
 
     def load(path):
         models[path] = objects.load_model(path)
         return models[path]
 
-    parts, failed = contents.parts(load)
-    atlas.pack({id(part.model): part.model for part in parts}.values())
-    clouds = [part.viewed(camera) for part in parts]
-    total = sum(len(part.model) for part in parts)
-    order = visibility.order(clouds, camera, min(limit, MOST / max(total, 1)), rank,
+    instances, left_out = snapshot.load(load)
+    atlas.pack({id(instance.model): instance.model for instance in instances}.values())
+    total = sum(len(instance.model) for instance in instances)
+    order = visibility.order([instance.viewed(camera) for instance in instances], camera, min(share, MOST / max(total, 1)), rank,
                              numba=not compiling.is_running())
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
-    return Sorted(parts, models, failed, order.astype(np.float32))
+    return Sorted(instances, models, left_out, order.astype(np.float32))
 
 
 def rank(model: fg.GaussianModel) -> np.ndarray:

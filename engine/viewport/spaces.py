@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 3D viewports of the open windows: where splats are drawn, and when they are drawn again."""
+"""Draws splats in the 3D viewports of the open windows, and draws them again when something changes."""
 from __future__ import annotations
 
 import logging
@@ -9,15 +9,14 @@ import bpy
 import gpu
 import numpy as np
 
-from ...scene import colour, objects, proxies, world
-from ...scene import snapshot as frame
+from ...scene import colour, objects, proxies, snapshot, world
 from .. import compiling
 from . import frusta, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in
 from .picture import SceneDepth
 from .textures import flat
-from .view import Look, View
+from .view import Display, View
 from .worker import Worker
 
 log = logging.getLogger(__name__)
@@ -27,7 +26,7 @@ TICK = 1 / 60
 atlas = Atlas()
 _worker = Worker()
 _views: dict[tuple[int, bool], View] = {}
-_contents: dict[tuple, frame.Contents] = {}
+_snapshots: dict[tuple, snapshot.Snapshot] = {}
 _any_splats: bool | None = None
 
 
@@ -35,8 +34,8 @@ def view_draw(context, depsgraph) -> None:
     """Rendered shading under our engine: scene-linear, premultiplied; Blender applies the view transform."""
     scene, region = depsgraph.scene, context.region
     background, _ = world.background(scene, depsgraph.view_layer)
-    look = Look(colour.rec709_to_working(), background, _border(context, depsgraph))
-    _draw(context, depsgraph, look, region, rendered=True)
+    display = Display(colour.rec709_to_working(), background, _border(context, depsgraph))
+    _draw(context, depsgraph, display, region, rendered=True)
 
 
 def post_view() -> None:
@@ -50,8 +49,8 @@ def post_view() -> None:
         return
     _put_aside(context.region, True)
     xray = space.shading.type == 'SOLID' and space.shading.show_xray
-    look = Look(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
-    _draw(context, depsgraph, look, context.region, rendered=False, hidden=not xray)
+    display = Display(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **_passepartout(context, depsgraph))
+    _draw(context, depsgraph, display, context.region, rendered=False, hidden=not xray)
 
 
 def _draw_pictures(context, depsgraph):
@@ -78,12 +77,12 @@ def shows_over(space, scene) -> bool:
     return scene.fastgs.show_splats and shading != 'WIREFRAME' and not (shading == 'RENDERED' and scene.render.engine == 'FASTGS')
 
 
-def _draw(context, depsgraph, look, region, rendered, hidden=False):
-    shown = contents(context.space_data, depsgraph)
+def _draw(context, depsgraph, display, region, rendered, hidden=False):
+    shown = snapshot_of(context.space_data, depsgraph)
     _forget_closed()
     view = _views.get((region.as_pointer(), rendered))
     if view is None:
-        if not shown.shown and not rendered:
+        if not shown.instances and not rendered:
             return
         compiling.start_on_first_use()
         view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
@@ -91,11 +90,11 @@ def _draw(context, depsgraph, look, region, rendered, hidden=False):
     divider = int(settings.viewport_pixels)
     camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider, _picture(context, depsgraph))
     depth = None
-    if hidden and shown.shown:
+    if hidden and shown.instances:
         depth = scene_depth(region.width, region.height, depths)
     playing = context.screen is not None and context.screen.is_animation_playing
-    view.draw(shown, camera, look, settings.viewport_density, playing, depth)
-    if view.waiting or view.coarse or view.stale or (shown.shown and not proxies.hidden()):
+    view.draw(shown, camera, display, settings.viewport_density, playing, depth)
+    if view.waiting or view.coarse or view.stale or (shown.instances and not proxies.hidden()):
         _start()
 
 
@@ -114,18 +113,18 @@ def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
     return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)
 
 
-def contents(space, depsgraph) -> frame.Contents:
-    """What a viewport shows, kept until something changes."""
+def snapshot_of(space, depsgraph) -> snapshot.Snapshot:
+    """The splats that a viewport shows, kept until something changes."""
     global _any_splats
     if _any_splats is None:
         _any_splats = any(objects.is_splat(obj) for obj in bpy.data.objects)
     if not _any_splats:  # spare scenes without splats the walk over all their instances
-        return frame.Contents([], 0.0, 1.0)
+        return snapshot.Snapshot([], 0.0, 1.0)
     key = (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
            space.use_local_collections, space.show_object_viewport_mesh)
-    found = _contents.get(key)
+    found = _snapshots.get(key)
     if found is None:
-        found = _contents[key] = frame.contents(depsgraph, lambda obj: _visible(obj, space))
+        found = _snapshots[key] = snapshot.take(depsgraph, lambda obj: _visible(obj, space))
     return found
 
 
@@ -133,7 +132,7 @@ def changed(*_) -> None:
     """Something in the scene is other than it was."""
     global _any_splats
     _any_splats = None
-    _contents.clear()
+    _snapshots.clear()
 
 
 def memory() -> int:

@@ -6,7 +6,7 @@ import gpu
 import numpy as np
 
 WIDTH = 8192
-"""Texels in a row of a data texture; shaders know it too (glsl.py)."""
+"""Texels in a row of a data texture; filled into the shaders (glsl.py)."""
 ROWS = 16384
 """The most rows that every supported GPU takes."""
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One viewport: what it shows, what it has asked the thread for, and the picture that it draws meanwhile.
+"""The state of one viewport: it asks the thread to sort what is to be shown, and draws with the last order until that has arrived.
 
-Nothing here asks Blender for anything but the GPU, so that tests draw without a window.
+Only Blender's GPU module is used here, so that tests draw without a window.
 """
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from ... import fastgs_blender as fg
 from ...scene import objects
-from ...scene.snapshot import Contents
+from ...scene.snapshot import Snapshot
 from . import fallback, sorting
 from .atlas import Atlas, TooLarge
 from .picture import Order, Picture, SceneDepth
@@ -26,8 +26,8 @@ RESTING = 0.25
 
 
 @dataclass(frozen=True)
-class Look:
-    """How a picture is put into its window: see Picture.resolve."""
+class Display:
+    """How a picture is put into its window; the members are the parameters of Picture.resolve()."""
 
     working: np.ndarray
     background: tuple | None = None
@@ -40,8 +40,8 @@ class Look:
 class View:
     """State of one region.
 
-    others    gives the models that other views show
-    trouble   why splats cannot be drawn by the GPU, or are missing: a sentence, or None
+    others    returns the models that all views show
+    trouble   a sentence that says why splats are missing or are not drawn by the GPU; None where all is well
     """
 
     def __init__(self, atlas: Atlas, worker: Worker, others=list):
@@ -82,7 +82,7 @@ class View:
     @property
     def models(self) -> list[fg.GaussianModel]:
         """The models that the view shows."""
-        return [] if self._answer is None else [part.model for part in self._answer.parts]
+        return [] if self._answer is None else [instance.model for instance in self._answer.instances]
 
     def done(self, answer) -> None:
         """From the thread: what was asked for."""
@@ -95,9 +95,9 @@ class View:
         """From the thread: it could not be done."""
         self.trouble = f"the viewport could not be drawn ({type(error).__name__}: {error}); the log holds the details."
 
-    def draw(self, contents: Contents, camera: fg.Camera, look: Look, density: float = 1.0, playing: bool = False,
+    def draw(self, snapshot: Snapshot, camera: fg.Camera, display: Display, density: float = 1.0, playing: bool = False,
              depth: SceneDepth | None = None, wait: bool = False) -> None:
-        """Draw into the active framebuffer what is known by now, and ask for what is missing.
+        """Draw a snapshot into the active framebuffer, with the order that is known by now, and ask the thread for what is missing.
 
         density   share of the splats to draw while the view moves or plays
         depth     of what else is in the window
@@ -108,21 +108,21 @@ class View:
             self._moved = time.monotonic()
         self._seen = seen
         self._density = density if playing or not self.resting else 1.0
-        key = _signature(contents), seen, self._density, self.fallback.needed, objects.reloads()
+        key = snapshot.state, seen, self._density, self.fallback.needed, objects.reloads()
         if wait:
-            self._ask(contents, camera, look, key, wait)
+            self._ask(snapshot, camera, display, key, wait)
         if self.fallback.needed:
-            self.fallback.draw(look)
+            self.fallback.draw()
         elif self._answer is not None:
             try:
-                self._draw(contents, camera, look, depth)
+                self._draw(snapshot, camera, display, depth)
             except TooLarge:
                 self._fall_back("the models do not fit into the GPU's textures")
             except Exception as error:  # what a driver says about a shader comes as a bare Exception
                 log.exception("the viewport's GPU path")
                 self._fall_back(f"the GPU path is not available ({type(error).__name__})")
         if not wait:  # only now, so that the thread does not take Python's lock from what is drawn
-            self._ask(contents, camera, look, key, wait)
+            self._ask(snapshot, camera, display, key, wait)
 
     def free(self) -> None:
         """Free what is on the GPU."""
@@ -131,35 +131,34 @@ class View:
         self.fallback.free()
         self._answer = self._order = self._asked = None
 
-    def _ask(self, contents, camera, look, key, wait):
+    def _ask(self, snapshot, camera, display, key, wait):
         if key == self._asked:
             return
         self._asked = key
         density = self._density
         if self.fallback.needed:
-            work = lambda: fallback.render(contents, camera, look.working, look.background)  # noqa: E731
+            work = lambda: fallback.render(snapshot, camera, display.working, display.background)  # noqa: E731
         else:
-            work = lambda: sorting.sort(contents, camera, density, self.atlas)  # noqa: E731
+            work = lambda: sorting.sort(snapshot, camera, density, self.atlas)  # noqa: E731
         if wait:
             self.done(work())
         else:
             self.worker.ask(self, work)
 
-    def _draw(self, contents, camera, look, depth):
+    def _draw(self, snapshot, camera, display, depth):
         answer = self._answer
-        self.trouble = next((f"{name}: {text}" for name, text in answer.failed.items()), None)
+        self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
-        parts, _ = contents.parts(_known(answer.models))
-        if [id(p.model) for p in parts] != [id(p.model) for p in answer.parts]:
-            parts = answer.parts  # what came or went since is drawn when it has been sorted
-        clouds = [part.viewed(camera) for part in parts]
-        if clouds:
-            self.atlas.hold([part.model for part in clouds], self.others())
-        elif not contents.shown and self.atlas.nbytes and not self.others():
+        instances, _ = snapshot.load(_known(answer.models))
+        if [id(i.model) for i in instances] != [id(i.model) for i in answer.instances]:
+            instances = answer.instances  # what came or went since is drawn when it has been sorted
+        if instances:
+            self.atlas.hold([instance.model for instance in instances], self.others())
+        elif not snapshot.instances and self.atlas.nbytes and not self.others():
             self.atlas.clear()  # the last object is gone or hidden
-        self.picture.draw(camera, clouds, self.atlas, self._order[1], depth)
-        self.picture.resolve(**vars(look))
+        self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth)
+        self.picture.resolve(**vars(display))
 
     def _fall_back(self, why):
         self.trouble = f"{why}: the CPU draws the viewport, slowly."
@@ -169,6 +168,7 @@ class View:
 
 
 def _known(models):
+    """A load_model() for Snapshot.load() that reads no file."""
     def load(path):
         if path not in models:
             raise fg.FastGSError(f"{path}: not read yet.")
@@ -177,11 +177,6 @@ def _known(models):
     return load
 
 
-def _signature(x):
-    if isinstance(x, fg.Camera):
-        return (x.width, x.height, x.fx, x.fy, x.cx, x.cy, x.world_to_camera.tobytes(), x.orthographic, x.near, x.tangent_limits())
-    return x.frame, x.fps, tuple((item.path, item.placement.tobytes(), item.retime, _boxes(item)) for item in x.shown)
-
-
-def _boxes(item):
-    return tuple((crop.matrix.tobytes(), crop.remove) for crop in item.crops)
+def _signature(c: fg.Camera):
+    """A camera as values that can be compared."""
+    return c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes(), c.orthographic, c.near, c.tangent_limits()

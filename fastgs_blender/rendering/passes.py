@@ -45,7 +45,8 @@ class Pass:
               the scene's settings choose
     letters, kind   channels and type of that pass as Blender's API wants them
     switch    the property of Blender's view layer that switches it on: one of Blender's own, or with the prefix "fastgs." one of
-              the extension's
+              the extension's, which is made from this table
+    description   what that switch of the extension's says to users
     """
 
     name: str
@@ -59,6 +60,7 @@ class Pass:
     letters: str = ""
     kind: str = "VALUE"
     switch: str = ""
+    description: str = ""
 
     @property
     def builtin(self) -> bool:
@@ -79,7 +81,8 @@ PASSES = {entry.name: entry for entry in (
     Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exr=("R", "G", "B"),
          blender="Combined", letters="RGBA", kind="COLOR", switch="use_pass_combined"),
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
-    Pass("alpha", lambda b: b.alpha, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha"),
+    Pass("alpha", lambda b: b.alpha, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha",
+         description="Deliver the opacity of the splats, which the world does not fill up"),
     Pass("depth", _expected_depth, ("depth",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
     Pass("median_depth", lambda b: b.median, ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
          switch="use_pass_z"),

@@ -69,7 +69,7 @@ def now(scene, cameras):
 
     def read(obj):
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        return cameras.camera_of(obj.evaluated_get(depsgraph), cameras.frame_of(scene.render), depsgraph)
+        return cameras.camera_of(obj.evaluated_get(depsgraph), cameras.render_area(scene.render), depsgraph)
 
     return read
 

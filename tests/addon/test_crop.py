@@ -116,15 +116,15 @@ def test_a_flat_box_keeps_nothing(obj, seen, scene):
 
 def test_viewports_ask_for_another_order_when_a_box_moves(obj, module):
     """What a viewport asks its thread for says where the boxes are, and the answer holds what they leave."""
-    names = ("scene.snapshot", "engine.viewport.view", "engine.viewport.sorting", "engine.viewport.atlas")
-    frame, view, sorting, atlas = (module(name) for name in names)
+    names = ("scene.snapshot", "engine.viewport.sorting", "engine.viewport.atlas")
+    snapshot, sorting, atlas = (module(name) for name in names)
     camera = module("fastgs_blender").Camera(64, 48, 16, 16, 32, 24, np.diag([1.0, -1, -1, 1]) @ np.array(
         Matrix.Rotation(-np.pi / 2, 4, 'X') @ Matrix.Translation((0, 5, 0))), orthographic=True)
 
     def now():
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        contents = frame.contents(depsgraph)
-        return view._signature(contents), len(sorting.sort(contents, camera, 1.0, atlas.Atlas()).order)
+        now = snapshot.take(depsgraph)
+        return now.state, len(sorting.sort(now, camera, 1.0, atlas.Atlas()).order)
 
     whole, count = now()
     assert count == 10

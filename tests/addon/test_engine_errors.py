@@ -37,6 +37,22 @@ def test_other_objects_still_render(scene, fg, kind, broken_file, make_model, mo
         assert f"Warning: Bad is left out: {path}" in capfd.readouterr().out
 
 
+@pytest.mark.parametrize("broken", [dict(location=(float("nan"), 0, 0)), dict(scale=(float("inf"), 1, 1)), dict(scale=(3e38, 1, 1))])
+def test_an_object_with_a_broken_transform_is_left_out_and_named(
+        broken, make_model, model_file, splat_object, add_camera, render, caplog):
+    splat_object(model_file(make_model()), "Good")
+    add_camera()
+    alone = render()["ViewLayer.Combined"]
+    bad = splat_object(model_file(make_model(seed=1), "bad.safetensors"), "Bad")
+    for name, value in broken.items():
+        setattr(bad, name, value)
+    both = render()["ViewLayer.Combined"]
+    assert np.isfinite(both).all()
+    np.testing.assert_array_equal(both, alone)
+    line, = [record.message for record in caplog.records]
+    assert line.startswith("Bad is left out: its transform holds numbers")
+
+
 def test_nothing_that_can_be_loaded_is_an_error_and_not_a_black_picture(scene, splat_object, add_camera, tmp_path, caplog):
     splat_object("/nowhere/a.ply", "A")
     splat_object("/nowhere/b.ply", "B")

@@ -146,6 +146,26 @@ def test_passes_are_compositor_sockets(scene, make_model, model_file, splat_obje
     assert "Splat Alpha" not in sockets()
 
 
+def test_a_pass_is_one_entry_of_the_librarys_table(
+        scene, module, make_model, model_file, splat_object, add_camera, render, expected, compositor, monkeypatch):
+    """An entry, and the switch that is made from it when the extension is registered, are a pass: rendered, written, a socket."""
+    table, group = module("fastgs_blender.rendering.passes"), module("scene.properties").FASTGS_PG_view_layer
+    assert "use_pass_alpha" in group.__annotations__, "made from the table"
+    monkeypatch.setitem(table.PASSES, "half", table.Pass(
+        "half", lambda blended: blended.alpha / 2, blender="Half", letters="A", switch="fastgs.use_pass_half"))
+    model, layer = make_model(), scene.view_layers[0]
+    splat_object(model_file(model))
+    add_camera()
+    group.use_pass_half = bpy.props.BoolProperty(update=module("scene.updates").passes)
+    try:
+        layer.fastgs.use_pass_half = True
+        by_hand.assert_same_picture(render()["ViewLayer.Half"], expected(model)["alpha"] / 2)
+        assert "Half" in [socket.name for socket in compositor.layers.outputs if socket.enabled]
+    finally:
+        layer.fastgs.use_pass_half = False
+        del group.use_pass_half
+
+
 def test_two_view_layers(scene, make_model, model_file, splat_object, add_camera, render, expected):
     """Each layer shows what it does not exclude; hidden objects show nowhere."""
     files = {name: make_model(seed=seed) for seed, name in enumerate(("left", "right", "hidden"))}

@@ -25,12 +25,12 @@ def view(module, scene, worker):
 
 
 @pytest.fixture
-def contents(module):
-    """contents(*paths, frame=0.0): what a scene shows."""
-    frame, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
+def snapshot(module):
+    """snapshot(*paths, at=0.0): objects that show these files, on a frame."""
+    scene, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
 
     def make(*paths, at=0.0):
-        return frame.Contents([frame.Shown(path, path, np.eye(4), retime) for path in paths], at, 30.0)
+        return scene.Snapshot([scene.FileInstance(path, path, np.eye(4), retime) for path in paths], at, 30.0)
 
     return make
 
@@ -53,18 +53,18 @@ def eye(module):
 
 @pytest.fixture
 def draw(module, view):
-    """draw(contents, camera, **options): the view's picture [h, w, 4]."""
-    look = module("engine.viewport.view").Look(np.eye(3))
-    return lambda contents, camera, **options: draw_offscreen(
-        camera.width, camera.height, lambda framebuffer: view.draw(contents, camera, look, **options))
+    """draw(snapshot, camera, **options): the view's picture [h, w, 4]."""
+    display = module("engine.viewport.view").Display(np.eye(3))
+    return lambda snapshot, camera, **options: draw_offscreen(
+        camera.width, camera.height, lambda framebuffer: view.draw(snapshot, camera, display, **options))
 
 
 @pytest.fixture
 def expected(module):
-    """The final render's picture of what the contents show."""
+    """The final render's picture of a snapshot."""
 
-    def picture(contents, camera):
-        return module("engine.final").pictures(contents.parts()[0], camera, None, None, lambda fraction: None).combined
+    def picture(snapshot, camera):
+        return module("engine.passes").images(snapshot.load()[0], camera, [])["Combined"]
 
     return picture
 
@@ -81,11 +81,11 @@ def settle(view, timeout=30):
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-def test_a_region_shows_what_the_camera_of_its_matrices_renders(fg, make_model, model_file, contents, eye, draw, expected, orthographic):
+def test_a_region_shows_what_the_camera_of_its_matrices_renders(fg, make_model, model_file, snapshot, eye, draw, expected, orthographic):
     path = model_file(make_model(200))
     camera = eye(orthographic=orthographic)
-    got = draw(contents(path), camera, wait=True)
-    assert psnr(got, expected(contents(path), camera)) > 45 and got[..., 3].max() > 0.5
+    got = draw(snapshot(path), camera, wait=True)
+    assert psnr(got, expected(snapshot(path), camera)) > 45 and got[..., 3].max() > 0.5
 
 
 def test_the_window_is_the_matrices(module, eye):
@@ -106,7 +106,7 @@ def test_the_window_is_the_matrices(module, eye):
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene, fg, make_model, model_file, contents, draw, add_camera,
+def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene, fg, make_model, model_file, snapshot, draw, add_camera,
                                                                   orthographic):
     """Zoomed out, off-centre: what lies within the camera's frame is F12's picture, splats outside of it included."""
     import bpy
@@ -114,7 +114,7 @@ def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene,
     kind = {"type": 'ORTHO', "ortho_scale": 1.5} if orthographic else {"lens": 60}
     camera = add_camera(location=(0, -2, 0), **kind)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    wanted = module("scene.camera").camera_of(camera, module("scene.camera").frame_of(scene.render), depsgraph)
+    wanted = module("scene.camera").camera_of(camera, module("scene.camera").render_area(scene.render), depsgraph)
     projection = np.array(camera.calc_matrix_camera(depsgraph, x=64, y=48))
     # a region of 160 x 144 that shows the 64 x 48 pixels of the frame from 40, 24 on, pixel by pixel
     zoom = np.diag([64 / 160, 48 / 144, 1, 1])
@@ -125,85 +125,102 @@ def test_through_a_camera_the_final_picture_is_part_of_the_region(module, scene,
     eye, _ = eyes.eye(160, 144, np.linalg.inv(np.array(camera.matrix_world)), window, frame=frame)
     np.testing.assert_allclose(eye.tangent_limits(), wanted.tangent_limits(), atol=1e-5)
     path = model_file(make_model(200, spread=1.5))
-    want = module("engine.final").pictures(contents(path).parts()[0], wanted, None, None, lambda fraction: None).combined
-    got = draw(contents(path), eye, wait=True)[144 - 72:144 - 24, 40:104]
+    want = module("engine.passes").images(snapshot(path).load()[0], wanted, [])["Combined"]
+    got = draw(snapshot(path), eye, wait=True)[144 - 72:144 - 24, 40:104]
     assert want[..., 3].max() > 0.5 and psnr(got, want) > 45
 
 
-def test_drawing_never_waits_and_catches_up(fg, make_model, model_file, contents, eye, draw, view, expected):
+def test_drawing_never_waits_and_catches_up(fg, make_model, model_file, snapshot, eye, draw, view, expected):
     path = model_file(make_model(200))
-    first = draw(contents(path), eye())
+    first = draw(snapshot(path), eye())
     assert not first.any(), "nothing is known yet"
     settle(view)
     assert view.stale
-    np.testing.assert_array_equal(draw(contents(path), eye()), draw(contents(path), eye()))
+    np.testing.assert_array_equal(draw(snapshot(path), eye()), draw(snapshot(path), eye()))
     assert not view.stale and not view.waiting
-    turned = draw(contents(path), eye(2.5))
+    turned = draw(snapshot(path), eye(2.5))
     assert turned.any(), "the last order serves until the new one is there"
     settle(view)
     assert view.stale
-    assert psnr(draw(contents(path), eye(2.5)), expected(contents(path), eye(2.5))) > 45
+    assert psnr(draw(snapshot(path), eye(2.5)), expected(snapshot(path), eye(2.5))) > 45
 
 
-def test_time_needs_no_new_data(module, fg, make_model, model_file, contents, eye, draw, view, expected):
+def test_time_needs_no_new_data(module, fg, make_model, model_file, snapshot, eye, draw, view, expected):
     sent = module("engine.viewport.textures").Sent
     model = make_model(400, motion=np.random.default_rng(1).normal(0, 0.3, (400, 10, 3)), basis=fg.Fourier(5), clip=fg.Clip(30))
     path = model_file(model)
-    draw(contents(path), eye(), wait=True)
+    draw(snapshot(path), eye(), wait=True)
     for at in (3.25, 17.0):
         before = sent.bytes
-        assert psnr(draw(contents(path, at=at), eye(), wait=True), expected(contents(path, at=at), eye())) > 45
+        assert psnr(draw(snapshot(path, at=at), eye(), wait=True), expected(snapshot(path, at=at), eye())) > 45
         assert 0 < sent.bytes - before < 30_000
 
 
-def test_density_while_moving_and_everything_when_still(module, fg, make_model, model_file, contents, eye, draw, view, monkeypatch):
+def test_density_while_moving_and_everything_when_still(module, fg, make_model, model_file, snapshot, eye, draw, view, monkeypatch):
     monkeypatch.setattr(module("engine.viewport.view"), "RESTING", 0.05)
     path = model_file(make_model(300))
-    draw(contents(path), eye(), wait=True, density=0.25)
+    draw(snapshot(path), eye(), wait=True, density=0.25)
     assert view._order[1].count > 200
-    draw(contents(path), eye(0.3), wait=True, density=0.25)
+    draw(snapshot(path), eye(0.3), wait=True, density=0.25)
     assert view.coarse and view._order[1].count <= 75
     time.sleep(0.06)
-    draw(contents(path), eye(0.3), wait=True, density=0.25)
+    draw(snapshot(path), eye(0.3), wait=True, density=0.25)
     assert not view.coarse and view._order[1].count > 200
-    draw(contents(path), eye(0.3), wait=True, density=0.25, playing=True)
+    draw(snapshot(path), eye(0.3), wait=True, density=0.25, playing=True)
     assert view._order[1].count <= 75
 
 
-def test_objects_come_and_go(make_model, model_file, contents, eye, draw, view, expected):
+def test_objects_come_and_go(make_model, model_file, snapshot, eye, draw, view, expected):
     one, two = model_file(make_model(50), "one.safetensors"), model_file(make_model(60, seed=1), "two.safetensors")
-    for shown in (contents(one), contents(one, two), contents(two), contents(), contents(two, one, two)):
+    for shown in (snapshot(one), snapshot(one, two), snapshot(two), snapshot(), snapshot(two, one, two)):
         got = draw(shown, eye(), wait=True)
-        assert psnr(got, expected(shown, eye())) > 45 if shown.shown else not got.any()
+        assert psnr(got, expected(shown, eye())) > 45 if shown.instances else not got.any()
 
 
-def test_a_reloaded_file_is_drawn_anew(module, make_model, model_file, contents, eye, draw, expected):
+def test_a_reloaded_file_is_drawn_anew(module, make_model, model_file, snapshot, eye, draw, expected):
     path = model_file(make_model(50))
-    first = draw(contents(path), eye(), wait=True)
+    first = draw(snapshot(path), eye(), wait=True)
     model_file(make_model(50, seed=3))
     module("scene.objects").reload(path)
-    second = draw(contents(path), eye(), wait=True)
-    assert psnr(second, expected(contents(path), eye())) > 45 > psnr(second, first)
+    second = draw(snapshot(path), eye(), wait=True)
+    assert psnr(second, expected(snapshot(path), eye())) > 45 > psnr(second, first)
 
 
-def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, contents, eye, draw, view, expected):
+def test_a_missing_file_is_told_and_the_rest_drawn(make_model, model_file, snapshot, eye, draw, view, expected):
     path = model_file(make_model(50))
-    got = draw(contents(path, "/nowhere/x.ply"), eye(), wait=True)
-    draw(contents(path, "/nowhere/x.ply"), eye())
+    got = draw(snapshot(path, "/nowhere/x.ply"), eye(), wait=True)
+    draw(snapshot(path, "/nowhere/x.ply"), eye())
     assert "/nowhere/x.ply" in view.trouble
-    assert psnr(got, expected(contents(path), eye())) > 45
+    assert psnr(got, expected(snapshot(path), eye())) > 45
 
 
-def test_the_cpu_draws_where_shaders_do_not_compile(module, make_model, model_file, contents, eye, draw, view, expected, monkeypatch):
+def test_the_cpu_draws_where_shaders_do_not_compile(module, make_model, model_file, snapshot, eye, draw, view, expected, monkeypatch):
     def broken(*kind):
         raise Exception("Shader Compile Error")  # noqa: TRY002 (what Blender raises)
 
     monkeypatch.setattr(module("engine.viewport.shaders"), "splats", broken)
     path = model_file(make_model(100))
-    draw(contents(path), eye(), wait=True)
+    draw(snapshot(path), eye(), wait=True)
     assert "CPU" in view.trouble
-    draw(contents(path), eye(), wait=True)
-    assert psnr(draw(contents(path), eye(), wait=True), expected(contents(path), eye())) > 45
+    draw(snapshot(path), eye(), wait=True)
+    assert psnr(draw(snapshot(path), eye(), wait=True), expected(snapshot(path), eye())) > 45
+
+
+def test_the_cpu_draws_both_colour_spaces_as_the_final_render_does(module, make_model, model_file, snapshot, eye):
+    one = model_file(make_model(60), "encoded.safetensors")
+    two = model_file(make_model(60, seed=1, colour_space="linear"), "linear.safetensors")
+    shown, camera = snapshot(one, two), eye()
+    want = module("engine.passes").images(shown.load()[0], camera, [], (0.1, 0.2, 0.3))["Combined"]
+    got = module("engine.viewport.fallback").render(shown, camera, module("scene.colour").rec709_to_working(), (0.1, 0.2, 0.3))
+    np.testing.assert_array_equal(got[::-1], want)
+
+
+def test_a_broken_transform_keeps_no_other_object_from_the_gpu(module, make_model, model_file, snapshot, eye, draw, view, expected):
+    path, other = model_file(make_model(50)), model_file(make_model(50, seed=1), "other.safetensors")
+    shown = snapshot(path, other)
+    shown.instances[1].placement[0, 3] = np.nan
+    assert psnr(draw(shown, eye(), wait=True), expected(snapshot(path), eye())) > 45
+    assert not view.fallback.needed and "other" in view.trouble and "transform" in view.trouble
 
 
 def test_the_latest_wish_wins(worker):
@@ -254,21 +271,21 @@ def test_models_that_nobody_shows_leave_the_gpu(module, fg, make_model, scene):
     assert atlas.nbytes == 0 and not atlas.has([one]) and atlas.geometry is None
 
 
-def test_the_gpu_holds_nothing_when_the_last_object_is_gone(make_model, model_file, contents, eye, draw, view):
+def test_the_gpu_holds_nothing_when_the_last_object_is_gone(make_model, model_file, snapshot, eye, draw, view):
     path = model_file(make_model(50))
-    draw(contents(path), eye(), wait=True)
+    draw(snapshot(path), eye(), wait=True)
     assert view.atlas.nbytes > 0
-    assert not draw(contents(), eye(), wait=True).any()
+    assert not draw(snapshot(), eye(), wait=True).any()
     assert view.atlas.nbytes == 0
-    assert draw(contents(path), eye(), wait=True).any()
+    assert draw(snapshot(path), eye(), wait=True).any()
 
 
-def test_replaced_textures_are_freed(module, make_model, model_file, contents, eye, draw, view):
+def test_replaced_textures_are_freed(module, make_model, model_file, snapshot, eye, draw, view):
     """Not even the picture that was drawn from them holds them."""
     import gc
     import sys
 
-    draw(contents(model_file(make_model(50))), eye(), wait=True)
+    draw(snapshot(model_file(make_model(50))), eye(), wait=True)
     texture = view.atlas.geometry
     view.atlas.hold([make_model(20)])
     gc.collect()
@@ -293,10 +310,10 @@ def test_viewport_visibility_is_asked_for_objects_and_instancers(module, scene, 
     empty.instance_type, empty.instance_collection = 'COLLECTION', inside
     scene.collection.objects.link(empty)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    contents = module("scene.snapshot").contents
-    assert [s.name for s in contents(depsgraph).shown] == ["Plain", "Instanced"]
-    assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Plain").shown] == ["Instanced"]
-    assert [s.name for s in contents(depsgraph, lambda obj: obj.name != "Instancer").shown] == ["Plain"]
+    take = module("scene.snapshot").take
+    assert [s.name for s in take(depsgraph).instances] == ["Plain", "Instanced"]
+    assert [s.name for s in take(depsgraph, lambda obj: obj.name != "Plain").instances] == ["Instanced"]
+    assert [s.name for s in take(depsgraph, lambda obj: obj.name != "Instancer").instances] == ["Plain"]
 
 
 def test_nothing_is_left_after_unregister(module, addon, scene):

@@ -87,7 +87,7 @@ def decoder(fg, activation):
 def expected(module, parts, camera):
     """The same from the final render's code: Combined on transparent film."""
     parts = [module("fastgs_blender.rendering.instances").Instance(*part) for part in parts]
-    return module("engine.final").pictures(parts, camera, None, None, lambda fraction: None).combined
+    return module("engine.passes").images(parts, camera, [])["Combined"]
 
 
 def psnr(a, b):
@@ -169,9 +169,9 @@ def test_background_border_and_opacity(fg, moving, camera, drawn):
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_splats_behind_other_things_are_hidden(module, fg, moving, camera, drawn, orthographic):
     """A wall at z = 4 leaves of the cloud what lies before it, as if the rest were not there."""
-    parameters, picture = module("engine.viewport.parameters"), module("engine.viewport.picture")
+    table, picture = module("engine.viewport.frame_table"), module("engine.viewport.picture")
     model, eye, wall = moving(fg.RGB(), temporal=fg.Always()), camera(orthographic), 4.0
-    depths = parameters.Depths(0.0, 0.1) if orthographic else parameters.Depths(1.0, -0.1)
+    depths = table.Depths(0.0, 0.1) if orthographic else table.Depths(1.0, -0.1)
     at = 0.1 * wall if orthographic else 1 - 0.1 / wall
     depth = picture.SceneDepth(np.full((240, 320), at, np.float32), depths)
     z = model.position @ eye.world_to_camera[2, :3] + eye.world_to_camera[2, 3]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model as texels: for each Gaussian a run of texels with what moves and turns it, and another with its colour.
+"""A model as the texels of two textures: for each Gaussian a run of texels with its geometry and motion, and one with its colour.
 
 Geometry (32 bits), in this order:
 
@@ -7,7 +7,7 @@ Geometry (32 bits), in this order:
     one texel for each term of the rotation | for x, then y, then z: the motion's terms in groups of four
 
 Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four coefficients | base | direction | time.
-Glsl.py reads what is written here.
+The shaders (glsl.py) read it.
 """
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ from ...fastgs_blender.model.appearance import SH, SH_C0, Features
 from ...fastgs_blender.model.gaussians import GaussianModel
 
 RGB, HARMONICS, FEATURES = range(3)
+"""What a model's colour texels hold."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class TexelLayout:
     """How a model's texels are laid out.
 
     terms, groups   terms of the motion, and texels that each axis of them takes
     turns           terms of the rotation
     temporal        whether there is a texel of temporal parameters
-    look, degree    RGB, HARMONICS or FEATURES, and the harmonics' degree
+    colours         RGB, HARMONICS or FEATURES
+    degree          of the harmonics
     """
 
     terms: int
     groups: int
     turns: int
     temporal: bool
-    look: int
+    colours: int
     degree: int
 
     @property
@@ -46,22 +48,23 @@ class Plan:
     @property
     def colour(self) -> int:
         """Texels of one Gaussian's colour."""
-        return {RGB: 1, HARMONICS: 3 * -(-((self.degree + 1) ** 2) // 4), FEATURES: 3}[self.look]
+        return {RGB: 1, HARMONICS: 3 * -(-((self.degree + 1) ** 2) // 4), FEATURES: 3}[self.colours]
 
 
-def plan(model: GaussianModel) -> Plan:
+def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
-    look, degree = RGB, 0
+    colours, degree = RGB, 0
     if isinstance(model.appearance, Features):
-        look = FEATURES
+        colours = FEATURES
     elif isinstance(model.appearance, SH) and model.appearance.degree:
-        look, degree = HARMONICS, model.appearance.degree
-    return Plan(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0, look, degree)
+        colours, degree = HARMONICS, model.appearance.degree
+    return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
+                       colours, degree)
 
 
-def geometry(model: GaussianModel, out: np.ndarray) -> None:
-    """Write the geometry texels [N, plan.geometry, 4].  What holds a number that is none gets no opacity."""
-    p = plan(model)
+def write_geometry(model: GaussianModel, out: np.ndarray) -> None:
+    """Write the geometry texels into out [N, layout.geometry, 4].  A Gaussian with NaN or infinity gets no opacity."""
+    p = layout_of(model)
     n = len(model)
     if not n:
         return
@@ -85,17 +88,17 @@ def geometry(model: GaussianModel, out: np.ndarray) -> None:
     out[bad, 0, 3] = -100
 
 
-def colour(model: GaussianModel, out: np.ndarray) -> None:
-    """Write the colour texels [N, plan.colour, 4]."""
-    p = plan(model)
+def write_colour(model: GaussianModel, out: np.ndarray) -> None:
+    """Write the colour texels into out [N, layout.colour, 4]."""
+    p = layout_of(model)
     n = len(model)
     if not n:
         return
     out[:] = 0
     features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
-    if p.look == HARMONICS:
+    if p.colours == HARMONICS:
         out.reshape(n, -1)[:, :features.shape[1]] = features
-    elif p.look == FEATURES:
+    elif p.colours == FEATURES:
         out[:, :, :3] = features.reshape(n, 3, 3)
     elif isinstance(model.appearance, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of what changes from frame to frame, as one small texture: a row for the view and one for each instance.
+
+The shaders (glsl.py) read it; the constants that both need are filled into their text there.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.model.motion import Basis
+from ...fastgs_blender.rendering.instances import ViewedInstance
+from .atlas import Atlas
+from .textures import WIDTH
+
+NONE, WEIGHTS, POWERS = range(3)
+"""How a basis reaches the shader: it has no terms, as weights of its terms at this time, or as powers of t - mu_tau."""
+HEAD = 11
+"""Texels of an instance's row before the weights of its bases."""
+
+
+@dataclass(frozen=True)
+class Depths:
+    """How a window's depth 0..1 follows from the distance z along the view: a + b / z, or a + b z in orthographic views."""
+
+    a: float = 0.0
+    b: float = 0.0
+
+
+def frame_table(camera: Camera, instances: list[ViewedInstance], atlas: Atlas, count: int, groups: dict[int, int],
+                depths: Depths | None, depth_size=(1, 1)) -> np.ndarray:
+    """The table as float32 [1 + instances, width, 4].
+
+    count       how many Gaussians are drawn
+    groups      number of the colour group (picture.py) of each instance, by its place in `instances`
+    depths      of the depth picture that hides splats; None: nothing hides them
+    depth_size  width and height of that picture
+    """
+    rows, first = [_view_row(camera, len(instances), count, depths, depth_size)], 0
+    for number, instance in enumerate(instances):
+        rows.append(_instance_row(instance, atlas, first, groups[number]))
+        first += len(instance.model)
+    out = np.zeros((len(rows), max(len(row) for row in rows), 4), np.float32)
+    for line, row in zip(out, rows):
+        line[:len(row)] = row
+    return out
+
+
+def _view_row(camera, instances, count, depths, depth_size):
+    test = depths or Depths()
+    return [
+        (camera.width, camera.height, camera.fx, camera.fy),
+        (camera.cx, camera.cy, camera.orthographic, instances),
+        camera.tangent_limits(),
+        (test.a, test.b, depths is not None, 0),
+        # whole numbers beyond 2^24 do not fit into a float: split
+        (count // WIDTH, count % WIDTH, *depth_size),
+    ]
+
+
+def _instance_row(instance, atlas, first, group):
+    """The texels of an instance's row; `first` is its first Gaussian's place among those of all instances."""
+    model, place, raster = instance.model, atlas.place(instance.model), instance.model.raster
+    layout = place.layout
+    to_camera, to_model = instance.model_to_camera, instance.camera_to_model
+    moving, move_first, move_weights = _basis(model.basis, instance.t, 4)
+    turning, turn_first, turn_weights = _basis(model.rotation_basis, instance.t, 1)
+    eye = to_model[:3, 2 if instance.camera.orthographic else 3]
+    head = [
+        *to_camera[:3],
+        (*eye, raster.antialiased),
+        (place.geometry // WIDTH, place.geometry % WIDTH, layout.geometry, layout.colours),
+        (place.colour // WIDTH, place.colour % WIDTH, layout.colour, layout.degree),
+        (instance.t, model.temporal_kind.code, moving, layout.groups),
+        (move_first, len(move_weights), turning, layout.turns),
+        (turn_first, len(turn_weights), group, first // WIDTH),
+        (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
+        (first % WIDTH, 0, 0, 0),
+    ]
+    assert len(head) == HEAD
+    return [*head, *move_weights, *((w[0], 0, 0, 0) for w in turn_weights)]
+
+
+def _basis(basis: Basis, t: float, size: int):
+    """(NONE, WEIGHTS or POWERS; the first run of terms whose weights are not 0; weights [m, size] from it to the last such run).
+
+    A run is `size` terms, which one texel of the model holds.
+    """
+    if basis.terms == 0:
+        return NONE, 0, np.zeros((0, size))
+    if basis.centred:
+        return POWERS, 0, np.zeros((0, size))
+    weights = np.zeros(-(-basis.terms // size) * size)
+    weights[:basis.terms] = basis.weights(t)
+    runs = weights.reshape(-1, size)
+    used = np.flatnonzero(runs.any(1))
+    first, last = (used[0], used[-1] + 1) if len(used) else (0, 0)
+    return WEIGHTS, int(first), runs[first:last]

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Update callbacks of properties: what Blender does when one of them changes.
+
+This module does not hold bpy, because Blender 4.2 never lets go of such a function: one whose module holds bpy keeps the bpy
+wheel from closing down, which then crashes at exit.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+
+listeners: list[Callable[[], None]] = []
+"""Called when viewports must be drawn again; the viewports add themselves."""
+
+
+def viewports(group, context):
+    """Draw all 3D viewports again."""
+    for listener in listeners:
+        listener()
+
+
+def passes(group, context):
+    """Of a property on ViewLayer.fastgs: the compositor's sockets follow the passes that are switched on."""
+    # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one
+    for layer in group.id_data.view_layers:
+        layer.update_render_passes()
