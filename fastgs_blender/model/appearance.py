@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a Gaussian looks like: RGB, spherical harmonics, or features that a small decoder turns into colour.
+"""The appearance of Gaussians: RGB, spherical harmonics, or features that a small decoder turns into colour.
 
 A model holds one array `features` [N, F]; its appearance says what the columns mean.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import ClassVar
 
 import numpy as np
@@ -36,7 +37,7 @@ class SH:
     degree: int = 0
 
     def __post_init__(self):
-        if self.degree not in range(5):
+        if isinstance(self.degree, bool) or not isinstance(self.degree, Integral) or not 0 <= self.degree <= 4:
             raise FastGSError(f"spherical harmonics of degree 0 to 4 are supported, not {self.degree!r}.")
 
     @property

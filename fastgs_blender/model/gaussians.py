@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""GaussianModel: the paper's 4D Gaussians as a struct of arrays, and everything a file must record with them."""
+"""GaussianModel: 4D Gaussians as a struct of arrays, and everything else that a file must record of them."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from numbers import Integral, Real
 
 import numpy as np
 
 from ..util.errors import FastGSError
 from .appearance import RGB, SH, Features
+from .basis import MAX_TERMS
 from .motion import Basis, Static
-from .temporal import Always, Radial, Window
+from .temporal import KINDS, Always, Radial, Window, WindowedRadial
 
 AXES = ("RDF", "RFU", "RUB")
 """Where the world's x, y and z point: RDF = right, down, forward (COLMAP, INRIA); RFU = Blender (z up); RUB = OpenGL (y up)."""
@@ -33,8 +35,9 @@ class Raster:
     antialiased: bool = False
 
     def __post_init__(self):
-        good = (np.isfinite([self.blur, self.alpha_max, self.alpha_cut, self.near]).all() and self.blur >= 0
-                and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
+        numbers = (self.blur, self.alpha_max, self.alpha_cut, self.near)
+        good = (all(isinstance(v, Real) and np.isfinite(v) for v in numbers) and isinstance(self.antialiased, (bool, np.bool_))
+                and self.blur >= 0 and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
         if not good:
             raise FastGSError(f"the rasteriser constants are out of range: {self}.")
 
@@ -52,7 +55,8 @@ class Clip:
     start_frame: int = 0
 
     def __post_init__(self):
-        if not (1 <= self.frame_count <= 10_000_000 and np.isfinite(self.fps) and self.fps > 0):
+        whole = all(isinstance(v, Integral) for v in (self.frame_count, self.start_frame)) and abs(self.start_frame) <= 1_000_000_000
+        if not (whole and 1 <= self.frame_count <= 10_000_000 and isinstance(self.fps, Real) and np.isfinite(self.fps) and self.fps > 0):
             raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {self}.")
 
     @property
@@ -93,7 +97,7 @@ class GaussianModel:
     temporal: np.ndarray | None = None
     basis: Basis = field(default_factory=Static)
     rotation_basis: Basis = field(default_factory=Static)
-    temporal_kind: Always | Radial | Window = field(default_factory=Always)
+    temporal_kind: Always | Radial | Window | WindowedRadial = field(default_factory=Always)
     appearance: RGB | SH | Features = field(default_factory=RGB)
     raster: Raster = field(default_factory=Raster)
     clip: Clip = field(default_factory=Clip)
@@ -102,7 +106,8 @@ class GaussianModel:
     provenance: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
-        n = len(self.position)
+        self._check_kinds()
+        n = len(np.atleast_1d(self.position))
         for name, shape in self.shapes(n).items():
             value = getattr(self, name)
             if value is None and (0 in shape or name == "mu_tau"):
@@ -114,6 +119,18 @@ class GaussianModel:
             raise FastGSError(f"the model's axes must be one of {', '.join(AXES)}, not {self.axes!r}.")
         if self.colour_space not in ("srgb", "linear"):
             raise FastGSError(f"the model's colour space must be srgb or linear, not {self.colour_space!r}.")
+
+    def _check_kinds(self):
+        """The kernels take widths and codes from the kinds and read the arrays by them."""
+        for basis in (self.basis, self.rotation_basis):
+            if not isinstance(basis, Basis) or not 0 <= basis.terms <= MAX_TERMS:
+                raise FastGSError(f"the model's basis of time must be a Basis of at most {MAX_TERMS} terms, not {basis!r}.")
+            if (shape := np.shape(basis.weights(0.5))) != (basis.terms,):
+                raise FastGSError(f"the basis of time {basis!r} has {basis.terms} terms but weights of the shape {shape} at one time.")
+        if type(self.temporal_kind) not in KINDS.values():
+            raise FastGSError(f"the model's temporal opacity must be one of {', '.join(KINDS)}, not {self.temporal_kind!r}.")
+        if not isinstance(self.appearance, (RGB, SH, Features)):
+            raise FastGSError(f"the model's appearance must be RGB, SH or Features, not {self.appearance!r}.")
 
     def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
         """The shape of every array for n Gaussians of this model's kinds."""
