@@ -23,13 +23,15 @@ from .mediastorm import MediastormPly
 from .splat import Splat
 from .splat4d import Splat4d
 from .splatv import Splatv
+from .spz import Spz
 from .stg import SpacetimeGaussians
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Splat4d())
-FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), Splat())
+STATIC: tuple[Format, ...] = (Spz(), Splat())
+FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
-WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv(), Splat())
+WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
 """Asked in this order to write, among those that share an extension."""
 
 

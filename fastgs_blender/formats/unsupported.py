@@ -9,8 +9,7 @@ from . import ply
 MAGIC = {
     b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .sog, .npz or plain .zip), not a model; open the .ply or .safetensors "
                    "that belongs to it",
-    b"\x1f\x8b": "it is a gzip file, probably .spz, which is not supported; convert it to INRIA .ply first",
-    b"NGSP": "it is an .spz file, which is not supported; convert it to INRIA .ply first",
+    b"\x1f\x8b": "it is a gzip file, but not .spz; unpack it first",
     b"glTF": "it is a glTF file, not a Gaussian model; in Blender use File > Import > glTF",
     b"\x93NUMPY": "it is a numpy array, not a model",
     b"\x80\x02": "it is a Python pickle, which may run any program and is never opened; export the model as .ply",
