@@ -123,7 +123,7 @@ def _identify(path: Path) -> Format:
     for known in FORMATS:
         if known.sniff(head, path):
             return known
-    raise FastGSError(f"{explain(head, path)}.")
+    raise FastGSError(f"{explain(head, path, [known.name for known in FORMATS])}.")
 
 
 def _writer(model: GaussianModel, path: Path) -> Format:

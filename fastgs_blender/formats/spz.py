@@ -219,7 +219,8 @@ def _decode(version: int, count: int, degree: int, fraction: int, arrays: list[b
         parts = position.reshape(count, 3, 3).astype(np.int32)
         whole = parts[..., 0] | parts[..., 1] << 8 | (parts[..., 2] ^ 0x80) << 16
         position = (whole - (1 << 23)) / np.float64(1 << fraction)
-    features = np.concatenate([(colour.reshape(count, 3) / 255 - 0.5) / COLOUR, (rest.reshape(count, -1) - 128.0) / 128], 1)
+    rest = (rest.reshape(count, 3 * ((degree + 1) ** 2 - 1)) - 128.0) / 128
+    features = np.concatenate([(colour.reshape(count, 3) / 255 - 0.5) / COLOUR, rest], 1)
     return GaussianModel(
         position=position, rotation=_quaternions(rotation, count, version), scale=scale.reshape(count, 3) / 16 - 10,
         opacity=logits()[opacity], features=features, appearance=SH(degree))

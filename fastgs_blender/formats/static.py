@@ -136,12 +136,12 @@ def with_largest(largest: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
 def by_channel(features: np.ndarray) -> np.ndarray:
     """Coefficients above degree 0 [N, B - 1, 3] of features [N, 3 B] as INRIA's f_rest_* order them: [N, 3, B - 1]."""
-    return features[:, 3:].reshape(len(features), -1, 3).transpose(0, 2, 1)
+    return features[:, 3:].reshape(len(features), features.shape[1] // 3 - 1, 3).transpose(0, 2, 1)
 
 
 def from_channels(base: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """features [N, 3 B] of the coefficients of degree 0 [N, 3] and others [N, 3, B - 1] (channel by channel)."""
-    return np.concatenate([base, rest.transpose(0, 2, 1).reshape(len(base), -1)], 1)
+    return np.concatenate([base, rest.transpose(0, 2, 1).reshape(len(base), 3 * rest.shape[2])], 1)
 
 
 def morton_order(position: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 """What to say about files that no format here reads: most are recognisable, and something can be done."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from . import ply
@@ -19,14 +20,15 @@ GAUSSIAN = ("x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2", *(f"scale_{i
 """The columns without which there is no Gaussian."""
 
 
-def explain(head: bytes, path: Path) -> str:
-    """One clause on why the file cannot be read, and what to do.  Raises FastGSError for a broken PLY header."""
+def explain(head: bytes, path: Path, known: Sequence[str]) -> str:
+    """One clause on why the file cannot be read, and what to do; known: the formats that are read.  Raises FastGSError for a
+    broken PLY header."""
     if head.startswith(b"ply"):
         return _explain_ply(ply.read_header(path))
     for magic, text in MAGIC.items():
         if head.startswith(magic):
             return text
-    return "its content is none of the known formats (FAST-GS .safetensors, INRIA .ply, Spacetime Gaussians .ply, .splatv)"
+    return f"its content is none of the known formats ({', '.join(known)})"
 
 
 def _explain_ply(header: ply.Header) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import gzip
 import io
 import json
 import os
@@ -444,6 +445,19 @@ def _zip(data: bytes, draw: random.Random, others) -> bytes:
     return out.getvalue()
 
 
+def _is_gzip(data: bytes) -> bool:
+    return data.startswith(b"\x1f\x8b\x08")
+
+
+def _gzip(data: bytes, draw: random.Random, others) -> bytes:
+    """A gzip file: its content, packed again."""
+    try:
+        content = zlib.decompressobj(31).decompress(data)
+    except zlib.error:
+        return data
+    return gzip.compress(_bytes(content, draw, others), mtime=0)
+
+
 def _is_png(data: bytes) -> bool:
     return data.startswith(b"\x89PNG\r\n\x1a\n")
 
@@ -467,5 +481,5 @@ def _png(data: bytes, draw: random.Random, others) -> bytes:
 
 STRUCTURES = ((_is_text, _lines), (_is_json, _json_mutated), (_is_json, _json_mutated), (_is_safetensors, _safetensors),
               (_is_safetensors, _safetensors), (_is_splatv, _splatv), (_is_ply, _ply), (_is_ply, _ply), (_is_zip, _zip), (_is_zip, _zip),
-              (_is_png, _png))
+              (_is_gzip, _gzip), (_is_gzip, _gzip), (_is_gzip, _gzip), (_is_png, _png))
 """(does it know the content, change it): those that matter most stand twice."""

@@ -166,7 +166,6 @@ def test_round_trip(rng, make_model, tmp_path, degree):
     np.testing.assert_allclose(b.features[:, 12:], rest[:, 9:], atol=1 / 16 + 1e-6)
     assert np.abs((a.rotation * b.rotation).sum(1)).min() > 1 - 5e-6
     assert back.raster == model.raster
-    fg.save(back, tmp_path / "again.spz") if False else None
 
 
 def test_what_was_read_is_written_back_to_the_bit(rng, tmp_path):

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mutated files of the static formats: a model of finite numbers, or one FastGSError."""
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import mutations
+import numpy as np
+import pytest
+from random_models import random_model
+
+import fastgs_blender as fg
+
+
+def usable(path: Path) -> None:
+    """Load the file; whatever comes of it must be usable."""
+    model = fg.load(path)
+    assert all(np.isfinite(array).all() and array.dtype == np.float32 for array in model.arrays.values())
+    s = fg.slice_model(model, 0, cull=False)
+    assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
+
+
+def saved(folder: Path, name: str, **kinds) -> bytes:
+    """What save() writes of a small random model under this name."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fg.LossWarning)
+        fg.save(random_model(np.random.default_rng(3), 7, **kinds), folder / name)
+    return (folder / name).read_bytes()
+
+
+def splat(folder):
+    return {"records": {"m.splat": saved(folder, "m.splat")}}
+
+
+def spz(folder):
+    from test_formats_spz import file, packed
+
+    rng = np.random.default_rng(5)
+    written = {f"v{v}-{d}": {"m.spz": file(v, 6, d, packed(rng, v, 6, d))} for v, d in ((1, 0), (2, 1), (3, 3), (4, 0), (4, 2))}
+    return {"written": {"m.spz": saved(folder, "m.spz", appearance="sh2")}, **written}
+
+
+SEEDS = {"m.splat": splat, "m.spz": spz}
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_mutated_files(name, tmp_path):
+    (tmp_path / "seeds").mkdir()
+    seeds = SEEDS[name](tmp_path / "seeds")
+    told = mutations.campaign(name, lambda folder: usable(folder / name), seeds, tmp_path)
+    assert not told or min(told.values()) > 10
