@@ -175,10 +175,9 @@ def save(path, subject, picture, mask):
     manifest = next(value for name, value in header.items() if name.startswith("cryptomatte/") and name.endswith("/manifest"))
     cover = generated.cover(planes, manifest, subject)
     images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), cover]
-    with replacing([picture, mask]) as parts:
-        for part, image in zip(parts, images):
-            with part.open("wb") as file:
-                Image.fromarray(np.floor(image * 255 + 0.5).astype(np.uint8)).save(file, format="PNG")
+    for target, image in zip((picture, mask), images):
+        with replacing([target]) as (part,), part.open("wb") as file:
+            Image.fromarray(np.floor(image * 255 + 0.5).astype(np.uint8)).save(file, format="PNG")
 
 
 if __name__ == "__main__":

@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from ..util.errors import FastGSError, LossWarning
-from ..util.outputs import replacing
-from . import native
+from ..util.errors import FastGSError, LossWarning, printable
+from ..util.outputs import complete, replacing
+from ..util.reading import open_file, reading
 from .base import Format, usable
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
 from .inria import Inria
 from .mediastorm import MediastormPly
+from .native import Native
 from .splat import Splat
 from .splat4d import Splat4d
 from .splatv import Splatv
@@ -29,9 +32,9 @@ from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Splat4d())
 STATIC: tuple[Format, ...] = (Spz(), Splat())
-FORMATS: tuple[Format, ...] = (native.Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
+FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
-WRITERS: tuple[Format, ...] = (native.Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
+WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
 """Asked in this order to write, among those that share an extension."""
 
 
@@ -47,25 +50,21 @@ def writable() -> tuple[str, ...]:
 
 def identify(path: str | os.PathLike) -> Format:
     """The format of a file, by its content.  Raises FastGSError where it is none of ours."""
-    path = _existing(path)
-    try:
+    path = Path(os.fsdecode(path))
+    with _reading(path):
         return _identify(path)
-    except (FastGSError, OSError) as error:
-        raise _named("cannot read", path, error) from error
 
 
 def load(path: str | os.PathLike) -> GaussianModel:
     """The model in a file, whatever its name; every number in it is finite.
 
-    Gaussians that cannot be computed with are left out, with a LossWarning.  Arrays of our own format are mapped from
-    the file, which is neither changed nor copied.  Raises FastGSError.
+    The arrays are read into memory of their own: whatever becomes of the file afterwards, the model stays.  Gaussians that cannot
+    be computed with are left out, with a LossWarning.  Raises FastGSError.
     """
-    path = _existing(path)
-    try:
+    path = Path(os.fsdecode(path))
+    with _reading(path):
         known = _identify(path)
         model = usable(known.load(path), path)
-    except (FastGSError, OSError, MemoryError) as error:
-        raise _named("cannot read", path, error) from error
     if not model.provenance:
         model.provenance = {"source": path.name, "format": known.name}
     return model
@@ -84,7 +83,7 @@ def save(model: GaussianModel, path: str | os.PathLike) -> None:
         writer = _writer(model, path)
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
-            with replacing(writer.files(fitted, path), lambda target: _release(target, model)) as targets:
+            with replacing(writer.files(fitted, path)) as targets:
                 writer.write(fitted, targets)
     except (FastGSError, OSError, MemoryError) as error:
         raise _named("cannot write", path, error) from error
@@ -101,22 +100,20 @@ def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:
         raise _named("cannot write", path, error) from error
 
 
-def _existing(path) -> Path:
-    path = Path(os.fsdecode(path))
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Whatever fails in the block becomes one FastGSError that begins with "cannot read" and the file's name."""
     try:
-        if path.is_dir():
-            raise FastGSError(f"cannot read {path}: it is a folder; choose a file in it.")
-        if not path.exists():
-            raise FastGSError(f"cannot read {path}: there is no such file; check the name and the folder.")
-        if not path.is_file():
-            raise FastGSError(f"cannot read {path}: it is not an ordinary file.")
-    except (OSError, ValueError) as error:  # names that are too long or hold a zero
-        raise _named("cannot read", path, error) from error
-    return path
+        with reading(path):
+            complete(path)
+            yield
+    except FastGSError as error:
+        reason = str(error).removeprefix(printable(f"{path}: "))
+        raise FastGSError(f"cannot read {path}: {reason}") from error.__cause__ or error
 
 
 def _identify(path: Path) -> Format:
-    with open(path, "rb") as stream:
+    with open_file(path) as stream:
         head = stream.read(64)
     if not head:
         raise FastGSError("the file is empty; copy or export it again.")
@@ -131,11 +128,6 @@ def _writer(model: GaussianModel, path: Path) -> Format:
     if not choices:
         raise FastGSError(f"the extension {path.suffix!r} is unknown; use one of {', '.join(sorted(writable()))}.")
     return next(known for known in choices if known.suits(model))
-
-
-def _release(target: Path, model: GaussianModel) -> None:
-    native.release(target)
-    native.hold(model)
 
 
 def _named(action: str, path: Path, error: Exception) -> FastGSError:

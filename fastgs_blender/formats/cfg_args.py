@@ -6,6 +6,7 @@ import ast
 from pathlib import Path
 
 from ..util.errors import FastGSError
+from ..util.reading import open_file
 
 MAX_SIZE = 1 << 16
 
@@ -23,7 +24,7 @@ def find(model_file: Path) -> Path | None:
 def read(path: Path) -> dict:
     """Its settings, those that are literals.  Parsed, never evaluated; raises FastGSError for anything but a Namespace."""
     try:
-        with open(path, "rb") as stream:
+        with open_file(path) as stream:
             data = stream.read(MAX_SIZE + 1)
         if len(data) > MAX_SIZE:
             raise ValueError("too long")

@@ -5,7 +5,7 @@ Nothing is allocated on the word of a header: counts are checked against the fil
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +14,13 @@ from typing import BinaryIO
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import open_file
 
 MAX_HEADER = 1 << 20
 """Bytes.  The longest header we write has some 70 KB."""
-MAX_LIST_ROWS = 5_000_000
-"""Rows of an element with lists that are walked one by one to find the vertices behind it."""
+MAX_ELEMENTS = 1000
+MAX_WALKED = 10_000_000
+"""Values and lists, in all elements together, that are walked one by one to find the vertices behind them."""
 BLOCK = 1 << 22
 """Bytes read at a time."""
 
@@ -83,7 +85,7 @@ class Header:
 
 def read_header(path: Path) -> Header:
     """The header of a PLY file; raises FastGSError for a broken one."""
-    with open(path, "rb") as stream:
+    with open_file(path) as stream:
         head = stream.read(MAX_HEADER)
     lines, size = [], 0
     while size < len(head):
@@ -101,7 +103,7 @@ def read_header(path: Path) -> Header:
 
 
 def _parse(lines: list[str], size: int) -> Header:
-    order, comments, elements = None, [], []
+    order, comments, elements, columns = None, [], {}, None
     for number, line in enumerate(lines):
         key, *words = line.split() or [""]
         try:
@@ -114,19 +116,22 @@ def _parse(lines: list[str], size: int) -> Header:
                 order = ORDERS[words[0]]
             elif key == "element":
                 name, count = words
-                _expect(count.isascii() and count.isdigit() and len(count) < 19 and name not in [e[0] for e in elements])
-                elements.append((name, int(count), {}))
+                _expect(count.isascii() and count.isdigit() and len(count) < 19 and name not in elements)
+                columns = {}
+                elements[name] = (int(count), columns)
+                if len(elements) > MAX_ELEMENTS:
+                    raise FastGSError(f"its PLY header names more than {MAX_ELEMENTS} elements; the file is damaged.")
             elif key == "property":
                 prop = _property(words)
-                _expect(prop.name not in elements[-1][2])
-                elements[-1][2][prop.name] = prop
+                _expect(columns is not None and prop.name not in columns)
+                columns[prop.name] = prop
             else:
                 _expect(key in ("obj_info", ""))
         except (KeyError, IndexError, ValueError) as error:
             raise FastGSError(f"line {number + 1} of its PLY header makes no sense: {line[:60]!r}.") from error
     if order is None:
         raise FastGSError("its PLY header names no format.")
-    return Header(order, tuple(comments), tuple(Element(n, c, tuple(p.values())) for n, c, p in elements), size)
+    return Header(order, tuple(comments), tuple(Element(n, c, tuple(p.values())) for n, (c, p) in elements.items()), size)
 
 
 def _expect(good: bool) -> None:
@@ -152,7 +157,7 @@ def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]
     columns = {key: np.array([place[name] for name in names], np.intp) for key, names in groups.items()}
     if vertex.has_lists:
         raise FastGSError("its vertices have list properties, which Gaussians never have.")
-    with open(path, "rb") as stream:
+    with open_file(path) as stream:
         length = stream.seek(0, 2)
         stream.seek(header.size)
         blocks = (_binary_blocks if header.order else _ascii_blocks)(stream, header, length)
@@ -186,6 +191,7 @@ def _split(header: Header) -> tuple[tuple[Element, ...], tuple[Element, ...]]:
 def _binary_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.ndarray | None]:
     """First None, when all is checked; then structured rows or, if all columns are float, arrays [rows, columns]."""
     before, after = _split(header)
+    _check_work(element for element in before if element.has_lists)
     for element in before:
         if element.has_lists:
             _walk_lists(stream, element, header, length)
@@ -224,10 +230,16 @@ def _check_rest(rest: bytes) -> None:
         raise FastGSError("there is more in the file than its header says; it is damaged or was not copied as binary, so copy it again.")
 
 
+def _check_work(elements: Iterable[Element]) -> None:
+    """Raises FastGSError where the rows before the vertices are more than are walked one by one."""
+    values = sum(element.count * len(element.properties) for element in elements)
+    if values > MAX_WALKED:
+        raise FastGSError(f"{values} values of other elements stand before its vertices; at most {MAX_WALKED} are read, so write the "
+                          "vertices first.")
+
+
 def _walk_lists(stream: BinaryIO, element: Element, header: Header, length: int) -> None:
     """Skip the rows of an element with lists."""
-    if element.count > MAX_LIST_ROWS:
-        raise FastGSError(f"{element.count} rows of {element.name!r} stand before its vertices; more than {MAX_LIST_ROWS} are not read.")
     order = "big" if header.order == ">" else "little"
     steps = [(int(p.count_code[1:] or 0), p.count_code.startswith("i"), int(p.code[1:])) for p in element.properties]
     for _ in range(element.count):
@@ -268,6 +280,7 @@ class _Tokens:
 def _ascii_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.ndarray | None]:
     """First None, when all is checked; then arrays [rows, columns] float64."""
     before, after = _split(header)
+    _check_work(before)
     vertex, width = header.vertex, len(header.vertex.properties)
     if 2 * sum(e.count * len(e.properties) for e in header.elements) > length - header.size + 1:
         raise _cut_short(header)  # every number is a digit and a space at least
@@ -290,9 +303,7 @@ def _ascii_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.
 
 
 def _skip_words(tokens: _Tokens, element: Element, header: Header) -> None:
-    if element.count > MAX_LIST_ROWS:
-        raise FastGSError(f"{element.count} rows of {element.name!r} stand before its vertices; more than {MAX_LIST_ROWS} are not read.")
-    for _ in range(element.count):
+    for _ in range(element.count if element.properties else 0):
         for prop in element.properties:
             count = 1
             if prop.count_code:

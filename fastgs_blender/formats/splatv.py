@@ -9,6 +9,7 @@ The rasteriser's constants are Raster's defaults unless the JSON, in a key of ou
 from __future__ import annotations
 
 import json
+import os
 import struct
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..model.gaussians import Clip, GaussianModel
 from ..model.slicing import sigmoid
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
+from ..util.reading import open_file
 from .base import Format
 from .description import describe, read_json, restored, understand, whole_number
 from .fitting import bell_opacity, cubic_motion, linear_rotation, plain_colour
@@ -25,6 +27,8 @@ MAGIC = struct.pack("<I", 0x674B)
 MAX_JSON = 16 << 20
 ROW = 1024
 """Gaussians in a row of the texture, which is 4096 texels wide."""
+RECORD = 64
+"""Bytes of a Gaussian."""
 HALF_MAX, HALF_MIN = 65504.0, 2.0**-24
 KEYS = ("basis", "rotation_basis", "temporal", "raster", "clip", "axes", "colour_space", "provenance")
 FRAMES = 50
@@ -41,14 +45,16 @@ class Splatv(Format):
         return head.startswith(MAGIC)
 
     def load(self, path):
-        length = path.stat().st_size
-        with open(path, "rb") as stream:
+        with open_file(path) as stream:
+            length = os.fstat(stream.fileno()).st_size
             size = int.from_bytes(stream.read(8)[4:], "little")
             if not 2 <= size <= min(MAX_JSON, length - 8):
                 raise FastGSError("its header is cut short or damaged; copy or export the file again.")
             chunk, begin, last = _splat_chunk(read_json(stream.read(size)))
             begin, count = begin + 8 + size, whole_number(chunk.get("size"), "the size of its Gaussians")
-            if count % 64 or begin + count > length:
+            if last and "fastgs" not in chunk and 0 < begin + count - length < ROW * RECORD:
+                count = length - begin  # splaTV's own converter states the size of the whole texture and leaves its last row unfilled
+            if count % RECORD or begin + count > length:
                 raise FastGSError(f"the file is cut short: {count} bytes of Gaussians are promised; copy or export it again.")
             if begin + count < length and last:
                 raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
@@ -76,13 +82,13 @@ class Splatv(Format):
             importance = np.exp(model.scale.sum(1, dtype=np.float64)) / (1 + np.exp(-model.opacity.astype(np.float64)))
         texels = texels[np.argsort(-importance, kind="stable")]
         rows = max(1, -(-len(texels) // ROW))
-        chunk = {"type": "splat", "size": rows * ROW * 64, "texwidth": 4 * ROW, "texheight": rows, "cameras": [_camera(model)],
+        chunk = {"type": "splat", "size": rows * ROW * RECORD, "texwidth": 4 * ROW, "texheight": rows, "cameras": [_camera(model)],
                  "fastgs": {k: v for k, v in describe(model).items() if k in KEYS}}
         text = json.dumps([chunk], allow_nan=False).encode("ascii")
         with open(targets[-1], "wb") as stream:
             stream.write(MAGIC + struct.pack("<I", len(text)) + text)
             stream.write(texels.tobytes())
-            stream.write(bytes((rows * ROW - len(texels)) * 64))
+            stream.write(bytes((rows * ROW - len(texels)) * RECORD))
 
 
 def _splat_chunk(chunks) -> tuple[dict, int, bool]:

@@ -18,7 +18,8 @@ from ..model.appearance import RGB, Features
 from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Basis, Cosine, Fourier, Polynomial
 from ..model.temporal import Radial
-from ..util.errors import FastGSError, LossWarning
+from ..util.errors import FastGSError, LossWarning, printable
+from ..util.reading import reading
 from . import cfg_args, ply, torch_zip
 from .base import STEEP, Format, generator
 from .description import comments, from_comments, restored
@@ -167,17 +168,20 @@ def _settings(path: Path) -> dict:
 
 
 def _read_decoder(path: Path, activation: str) -> Features:
-    if not path.is_file():
+    """The decoder in a .pt file; raises FastGSError."""
+    if not path.exists():
         raise FastGSError(f"its decoder {path.name} is missing; put it beside the model.")
     try:
-        content = torch_zip.TorchFile(path).content
-        weights = {}
-        for key, (name, shape) in DECODER.items():
-            tensor = content.get(name) if isinstance(content, dict) else None
-            if not isinstance(tensor, torch_zip.Tensor) or tensor.shape not in (shape, shape[:2]):
-                raise FastGSError(f"it has no {name} of {shape[0]} x {shape[1]} numbers.")
-            with np.errstate(over="ignore", invalid="ignore"):
-                weights[key] = tensor.read().astype(np.float32).reshape(shape[:2])
-        return Features(**weights, activation=activation)
+        with reading(path):
+            content = torch_zip.TorchFile(path).content
+            weights = {}
+            for key, (name, shape) in DECODER.items():
+                tensor = content.get(name) if isinstance(content, dict) else None
+                if not isinstance(tensor, torch_zip.Tensor) or tensor.shape not in (shape, shape[:2]):
+                    raise FastGSError(f"it has no {name} of {shape[0]} x {shape[1]} numbers.")
+                with np.errstate(over="ignore", invalid="ignore"):
+                    weights[key] = tensor.read().astype(np.float32).reshape(shape[:2])
+            return Features(**weights, activation=activation)
     except FastGSError as error:
-        raise FastGSError(f"its decoder {path.name} cannot be used: {error}") from error
+        reason = str(error).removeprefix(printable(f"{path}: "))
+        raise FastGSError(f"its decoder {path.name} cannot be used: {reason}") from error

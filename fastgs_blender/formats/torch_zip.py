@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import open_file
 
 MAX_PICKLE = 4 << 20
 """Bytes; a table of a thousand tensors has 200 KB."""
@@ -66,6 +67,7 @@ class TorchFile:
     def __init__(self, path: Path):
         self.path = path
         with _opened(path) as archive:
+            self.length = archive.fp.seek(0, 2)
             names = [n for n in archive.namelist() if n == "data.pkl" or n.endswith("/data.pkl")]
             if len(names) != 1:
                 raise FastGSError("it is a zip file, but none that PyTorch saved.")
@@ -82,7 +84,7 @@ class TorchFile:
         info = archive.getinfo(self.root + name)
         if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
             raise FastGSError("its parts are compressed or encrypted, which PyTorch never does.")
-        if info.file_size > min(limit, self.path.stat().st_size):
+        if info.file_size > min(limit, self.length):
             raise FastGSError(f"its part {name!r} is too large; the file is damaged.")
         return archive.read(info)
 
@@ -91,8 +93,9 @@ class TorchFile:
         with _opened(self.path) as archive:
             data = self._member(archive, f"data/{storage.key}", 1 << 62)
         if storage.code == "bf2":
-            return (np.frombuffer(data, self.order + "u2").astype(np.uint32) << 16).view(np.float32)
-        return np.frombuffer(data, self.order + storage.code)
+            return (np.frombuffer(data, self.order + "u2", len(data) // 2).astype(np.uint32) << 16).view(np.float32)
+        dtype = np.dtype(self.order + storage.code)
+        return np.frombuffer(data, dtype, len(data) // dtype.itemsize)
 
     def tensor(self, storage, offset, shape, stride) -> Tensor:
         """A tensor, checked against its storage's true size."""
@@ -123,7 +126,7 @@ def content_or_none(head: bytes, path: Path):
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The zip file; its many ways to fail become one."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as stream, zipfile.ZipFile(stream) as archive:
             yield archive
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, KeyError, EOFError, OverflowError, struct.error) as error:
         raise FastGSError("it is no intact zip file; copy it again (files of PyTorch before 1.6 must be saved anew).") from error

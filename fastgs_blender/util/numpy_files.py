@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""numpy's own files, read without ever running what they hold."""
+"""Arrays of numbers in NumPy's .npy and .npz files, read without running a pickle and within bounds of memory."""
 from __future__ import annotations
 
+import math
+import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,38 +16,13 @@ from .errors import FastGSError
 from .reading import open_file, reading
 
 LARGEST_ARRAY = 4 * 2**30
-STEP = 1 << 20
-"""Bytes that are unpacked at a time to see how many there are."""
-DENSEST = 1032
-"""How many times its packed size a deflated member can have at most."""
-
-
-def read_array(path: Path, name: str | None = None) -> np.ndarray:
-    """The array of an .npy file, or the one of that name in an .npz file, of numbers; raises FastGSError."""
-    try:
-        if path.stat().st_size > LARGEST_ARRAY:
-            raise ValueError(f"it has {path.stat().st_size} bytes")
-        if name is not None:
-            _check_unpacked(path, name)
-        with path.open("rb") as stream:
-            found = np.load(stream, allow_pickle=False)
-            array = found if name is None else found[name]
-            if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-                raise ValueError("it holds no numbers")
-            return array
-    except FileNotFoundError as error:
-        raise FastGSError(f"{path}: this file of the capture is missing; copy it again.") from error
-    except (OSError, ValueError, KeyError, EOFError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
-        part = "" if name is None else f" {name!r}"
-        raise FastGSError(f"{path}: the array{part} cannot be read ({error or type(error).__name__}); the file is damaged or another "
-                          "one, so copy it again.") from error
-
-
-def _check_unpacked(path, name):
-    with zipfile.ZipFile(path) as archive:
-        for entry in archive.infolist():
-            if entry.filename == f"{name}.npy" and entry.file_size > LARGEST_ARRAY:
-                raise ValueError(f"{name} would have {entry.file_size} bytes")
+"""Bytes of the largest array that is read."""
+LARGEST_RATIO = 100
+"""How many times larger than its file all that is packed in an .npz may be; measured numbers pack to a half at best."""
+SMALL = 2**24
+"""Bytes that may be unpacked from any file."""
+PIECE = 2**20
+DAMAGED = "the file is damaged or another one, so copy it again"
 
 
 @dataclass(frozen=True)
@@ -59,58 +36,86 @@ class PackedArray:
 
     def read(self) -> np.ndarray:
         """Its numbers, as the file has them; raises FastGSError."""
-        with reading(self.path), _archive(self.path) as archive, archive.open(f"{self.name}.npy") as stream:
-            return np.lib.format.read_array(stream, allow_pickle=False)
+        return read_array(self.path, self.name)
+
+
+def read_array(path: Path, name: str | None = None) -> np.ndarray:
+    """The array of numbers in an .npy file, or the one of that name in an .npz file; raises FastGSError."""
+    advice = DAMAGED if name is None else f"{DAMAGED} (its array {name!r} is wanted)"
+    with reading(path, advice):
+        if name is None:
+            with open_file(path) as stream:
+                return _read(stream, os.fstat(stream.fileno()).st_size)
+        with _archive(path) as archive:
+            member = archive.getinfo(f"{name}.npy")
+            with archive.open(member) as stream:
+                return _read(stream, member.file_size)
 
 
 def packed_arrays(path: Path) -> Mapping[str, PackedArray]:
     """The arrays of numbers in an .npz file by name; raises FastGSError.
 
-    Sizes are true: what a header claims, the zip's table says and, where that is far more than the file has, unpacking gives, is
-    the same.  Arrays of anything but numbers and truth values are passed over.
+    What an array's header claims and what the zip's table says is the same.  Arrays of anything but numbers and truth values are
+    passed over.
     """
     found = {}
     with reading(path), _archive(path) as archive:
-        whole = path.stat().st_size
-        for entry in archive.infolist():
-            name = entry.filename.removesuffix(".npy")
-            if name == entry.filename:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name == member.filename:
                 continue
             if name in found:
                 raise FastGSError(f"{path}: the array {name!r} is in it twice; the file is damaged, so copy or export it again.")
-            with archive.open(entry) as stream:
+            with archive.open(member) as stream:
                 shape, _, dtype = _header(stream)
                 begin = stream.tell()
             if dtype.kind not in "fiub" or dtype.hasobject:
                 continue
-            size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-            if size + begin != entry.file_size or entry.file_size > min(LARGEST_ARRAY, DENSEST * entry.compress_size + begin):
+            if math.prod(shape) * dtype.itemsize + begin != member.file_size:
                 raise FastGSError(f"{path}: its array {name!r} has not the size that its header says; copy or export it again.")
-            if entry.file_size > 4 * whole:
-                _count(archive, entry)
-            found[name] = PackedArray(path, name, tuple(int(n) for n in shape), dtype)
+            found[name] = PackedArray(path, name, shape, dtype)
     return found
 
 
 @contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """An .npz file whose arrays together unpack to no more than the limits."""
     with open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+        members = archive.infolist()
+        whole = sum(member.file_size for member in members)
+        if whole > max(SMALL, LARGEST_RATIO * os.fstat(stream.fileno()).st_size):
+            raise ValueError(f"its arrays would unpack to {whole} bytes, more than {LARGEST_RATIO} times the file")
+        if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
+            raise ValueError("it is compressed in another way than NumPy's")  # other ways may take any amount of memory
         yield archive
 
 
-def _header(stream):
-    """Shape, order and type of an .npy stream."""
+def _header(stream) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether its order is Fortran's, and type of an .npy stream."""
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"it is of version {version} of numpy's format")
-    return (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(stream)
+        raise ValueError(f"version {version} of the .npy format is not read")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(stream)
+    shape = tuple(int(n) for n in shape)
+    if min(shape, default=0) < 0:
+        raise ValueError(f"its header says the shape {shape}")
+    return shape, fortran, dtype
 
 
-def _count(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Unpack a member and keep nothing; raises ValueError where it is not as long as the table says."""
-    count = 0
-    with archive.open(entry) as stream:
-        while piece := stream.read(STEP):
-            count += len(piece)
-    if count != entry.file_size:
-        raise ValueError(f"{entry.filename} has {count} bytes, not {entry.file_size}")
+def _read(stream, length: int) -> np.ndarray:
+    """The array of an .npy stream of at most `length` bytes; nothing is allocated on the word of its header."""
+    shape, fortran, dtype = _header(stream)
+    if dtype.kind not in "fiub" or dtype.hasobject:
+        raise ValueError("it holds no numbers")
+    size = math.prod(shape) * dtype.itemsize
+    if size > min(LARGEST_ARRAY, length):
+        raise ValueError(f"its array would have {size} bytes, more than the file holds or than the {LARGEST_ARRAY} that are read")
+    array = np.empty(shape[::-1] if fortran else shape, dtype)
+    view, at = memoryview(array.reshape(-1).view(np.uint8)), 0
+    while at < size:
+        got = stream.readinto(view[at:at + PIECE])
+        if not got:
+            raise ValueError("it is cut short")
+        at += got
+    return array.T if fortran else array

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...formats.native import write_tensors
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
+from ...util.tensor_files import write_tensors
 
 NAME = "checkpoint.safetensors"
 VERSION = 1

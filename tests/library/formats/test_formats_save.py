@@ -198,7 +198,7 @@ def test_a_file_that_may_not_be_read(model, tmp_path, monkeypatch):
     def forbidden(*_, **__):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr("builtins.open", forbidden)
+    monkeypatch.setattr(os, "open", forbidden)
     with pytest.raises(fg.FastGSError, match="Permission denied"):
         fg.load(tmp_path / "m.ply")
 
