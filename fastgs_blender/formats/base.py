@@ -115,7 +115,7 @@ def _clipped(array, low, high, only=None):
 def _unusable_rows(array: np.ndarray, limit: float) -> np.ndarray | None:
     """Mask [N] of rows with a value above limit, below -LIMIT or NaN; None if there is none.
 
-    A few rows at a time, so that a memory-mapped file is read once and never held in memory.
+    A few rows at a time, so that no temporary array is as large as the model.
     """
     n = len(array)
     flat = array.reshape(n, -1) if array.size else np.zeros((n, 0), np.float32)

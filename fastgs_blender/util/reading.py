@@ -31,7 +31,7 @@ def reading(path, advice: str = DAMAGED) -> Iterator[None]:
     """
     try:
         yield
-    except FastGSError:
+    except (FastGSError, Warning):  # a warning is raised where the caller wants warnings to be errors
         raise
     except FileNotFoundError as error:
         raise FastGSError(f"{path}: there is no such file; check the name and the folder.") from error

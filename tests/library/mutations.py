@@ -40,6 +40,9 @@ MEMORY = 1 << 30
 """Bytes of address space a reader may take beyond what the process had; the seeds are small."""
 CPU = 60
 """Seconds of the processor's time for one file: a guard against endless work, far above what any machine needs."""
+CPU_OF_ATTACKS = 10
+UNCHANGED = -1
+"""The number of the mutation that changes nothing."""
 SILENCE = 300
 """Seconds of the clock for one file, for readers that wait instead of working."""
 MOST = 12
@@ -81,6 +84,23 @@ def campaign(name: str, read: Callable[[Path], object], seeds: Mapping[str, Seed
     return told
 
 
+def attacks(name: str, read: Callable[[Path], object], seeds: Mapping[str, Seed], folder: Path, memory: int = MEMORY) -> dict[str, int]:
+    """Call read(folder) with files that are known to have harmed a reader, as they are, within the limits; as campaign() otherwise.
+
+    A small file may take CPU_OF_ATTACKS seconds at most.
+    """
+    for seed, files in seeds.items():
+        _write(folder / seed, files)
+    work = [(seed, UNCHANGED) for seed in seeds]
+    told = {"accepted": 0, "refused": 0}
+    failures: list[str] = []
+    at = 0
+    while at < len(work) and len(failures) < MOST:
+        at = _child(name, read, seeds, folder, work, at, (), memory, told, failures)
+    assert not failures, f"{len(failures)} failures of {name}:\n" + "\n".join(failures)
+    return told
+
+
 def _cases(seeds, fixed) -> list[str]:
     for seed, files in seeds.items():
         assert "/" not in seed and set(files) - set(fixed), f"a seed's name without a slash, and a file to change: {seed}"
@@ -109,7 +129,8 @@ def _one(name, read, seeds, folder, seed, number, fixed) -> bool:
     files = seeds[seed]
     path = draw.choice(sorted(set(files) - set(fixed)))
     others = [content for each in seeds.values() for content in each.values()]
-    (folder / seed / path).write_bytes(mutated(files[path], draw, others))
+    if number != UNCHANGED:
+        (folder / seed / path).write_bytes(mutated(files[path], draw, others))
     try:
         with _strict():
             read(folder / seed)
@@ -202,7 +223,7 @@ def _batch(name, read, seeds, folder, work, begin, fixed, tell) -> int:
     for at in range(begin, len(work)):
         seed, number = work[at]
         if hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_PROF, CPU)
+            signal.setitimer(signal.ITIMER_PROF, CPU if number != UNCHANGED else CPU_OF_ATTACKS)
         try:
             text = "accepted" if _one(name, read, seeds, folder, seed, number, fixed) else "refused"
         except Exception as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
@@ -140,6 +141,31 @@ def test_features_become_the_colour_at_their_moment_without_a_view(rng, make_mod
     f = model.features[at].astype(np.float64)
     f[:, 6:] = 0
     np.testing.assert_allclose(back.features, decode(f, np.zeros(3), np.zeros((40, 3)), model.appearance), atol=0.5 / 255 + 1e-6)
+
+
+def unpadded(count: int, missing: int, **about) -> bytes:
+    """As splaTV's own converter writes: the size of whole rows of the texture, and `missing` records fewer."""
+    chunk = {"type": "splat", "size": 64 * (count + missing), "texwidth": 4096, "texheight": (count + missing) // 1024, **about}
+    return file(b"".join(record() for _ in range(count)), chunk=chunk)
+
+
+def test_files_without_the_padding_of_the_last_row_are_whole(load_bytes):
+    assert len(load_bytes(unpadded(1100, 948))) == 1100
+    for wrong in (unpadded(1100, 948)[:-1], unpadded(1000, 1048), unpadded(1100, 948, fastgs={"axes": "RDF"})):
+        with pytest.raises(fg.FastGSError, match="cut short"):
+            load_bytes(wrong)
+
+
+def test_files_of_splatvs_own_converter(shared_data):
+    files = sorted((shared_data / "splatv").glob("*.splatv"))
+    if not files:
+        pytest.skip("no files of splaTV's converter are here")
+    for path in files:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            model = fg.load(path)
+        assert len(model) > 1000 and np.isfinite(fg.slice_model(model, 0.5).position).all()
+        assert all("position are not finite" in str(w.message) for w in said), "some of its Gaussians lie nowhere; nothing else is lost"
 
 
 BAD = {

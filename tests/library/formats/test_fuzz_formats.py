@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import tracemalloc
 import warnings
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from random_models import random_model
 
 import fastgs_blender as fg
+from fastgs_blender.formats import identify
 
 pytestmark = pytest.mark.filterwarnings("error", "ignore::fastgs_blender.LossWarning")
 KINDS = {
@@ -124,6 +126,51 @@ def test_all_numbers_nan(valid, tmp_path, name):
             size = 320 if name == "lite.splatv" else len(content) - 8 - int.from_bytes(content[:8], "little")
         content = content[:-size] + (b"\x7f\xff" if "big" in name else b"\xff\x7f") * (size // 2)
     assert loaded(tmp_path / "m", content, valid["full.pt"]) is None
+
+
+def with_size(text: bytes) -> bytes:
+    """A safetensors file that is nothing but its header."""
+    return len(text).to_bytes(8, "little") + text
+
+
+VERTEX = "".join(f"property float {name}\n" for name in ply_files.INRIA)
+ROW = b"0 " * 14 + b"\n"
+ATTACKS = {
+    "rows of nothing": b"ply\nformat ascii 1.0\n" + b"".join(b"element e%d 5000000\n" % i for i in range(100))
+    + f"element vertex 1\n{VERTEX}end_header\n".encode() + ROW,
+    "elements": b"ply\nformat ascii 1.0\n" + b"".join(b"element %d 0\n" % i for i in range(66_000)) + b"end_header\n",
+    "elements and a vertex": b"ply\nformat ascii 1.0\n" + b"".join(b"element %d 0\n" % i for i in range(40_000))
+    + f"element vertex 1\n{VERTEX}end_header\n".encode() + ROW,
+    "columns": b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property char c%d\n" % i for i in range(50_000)) + b"end_header\n",
+    "rows of lists": b"ply\nformat binary_little_endian 1.0\n" + b"".join(
+        b"element e%d 4000000\nproperty list char char a\n" % i for i in range(50)) + f"element vertex 1\n{VERTEX}end_header\n".encode()
+    + bytes(4_000_000),
+    "a long number": f"ply\nformat ascii 1.0\nelement vertex 1\n{VERTEX}end_header\n".encode() + b"9" * 4_000_000 + b" " + ROW,
+    "deep JSON": b"ply\nformat ascii 1.0\ncomment fastgs clip " + b"[" * 100_000
+    + f"\nelement vertex 1\n{VERTEX}end_header\n".encode() + ROW,
+    "header entries that are lists": with_size(b'{"__metadata__":{"fast-gs":"{\\"version\\":1}"},"position":[1,2]}'),
+    "header entries that are words": with_size(
+        b'{"__metadata__":{"fast-gs":["a"]},"position":{"dtype":[],"shape":"3","data_offsets":{}}}'),
+}
+
+
+def test_files_that_once_harmed_a_reader(tmp_path):
+    told = mutations.attacks("models", read, {name: {"m": content} for name, content in ATTACKS.items()}, tmp_path)
+    assert told == {"accepted": 1, "refused": len(ATTACKS) - 1}
+
+
+@pytest.mark.parametrize("read", [fg.load, identify])
+def test_pipes_and_devices_are_refused_at_once(tmp_path, valid, read):
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no named pipes")
+    os.mkfifo(tmp_path / "m.ply")
+    for path in (tmp_path / "m.ply", Path("/dev/zero")):
+        with pytest.raises(fg.FastGSError, match="pipe or a device"):
+            read(path)
+    (tmp_path / "full.ply").write_bytes(valid["full.ply"])
+    os.mkfifo(tmp_path / "full.pt")
+    with pytest.raises(fg.FastGSError, match=r"full\.pt cannot be used: this is a pipe"):
+        fg.load(tmp_path / "full.ply")
 
 
 @settings(max_examples=120)
