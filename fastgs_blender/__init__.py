@@ -7,6 +7,7 @@
     image = fg.render(model, camera, t=0.25)["rgb"]
 """
 from .cameras.camera import Camera
+from .cameras.cameras_json import load_cameras
 from .formats import load, save
 from .model.appearance import RGB, SH, Features
 from .model.gaussians import Clip, GaussianModel, Raster
@@ -22,5 +23,5 @@ __version__ = VERSION
 __all__ = [
     "RGB", "SH", "Always", "BakeReport", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
     "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",
-    "freeze", "load", "render", "save", "slice_model",
+    "freeze", "load", "load_cameras", "render", "save", "slice_model",
 ]

@@ -27,7 +27,7 @@ def main():
     arguments.add_argument("--model", type=Path, default=EXAMPLE)
     arguments.add_argument("--out", type=Path, default=Path("demo"))
     arguments.add_argument("--size", default="640x360", help="of the film; the poster is twice as wide")
-    arguments.add_argument("--picture", type=Path, help="write the poster once more, small enough for the README")
+    arguments.add_argument("--animation", type=Path, help="write the film once more as an animated WebP for the README")
     options = arguments.parse_args()
     out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
@@ -46,9 +46,9 @@ def main():
     scene.view_settings.view_transform = 'Standard'
     scene.render.resolution_percentage = 100
     poster = render_poster(bpy, scene, out / "poster.png", size)
-    if options.picture:
-        shrink(poster, options.picture)
     film = render_film(bpy, scene, out, size)
+    if options.animation:
+        animate(film, options.animation)
     bpy.ops.wm.save_as_mainfile(filepath=str(out / "demo.blend"), check_existing=False)
     print(f"\n{splats.fastgs.gaussian_count:,} Gaussians, {scene.frame_end} frames, {time.monotonic() - began:.0f} s in all:")
     for name, path in (("film", film), ("poster", poster), ("scene", out / "demo.blend")):
@@ -88,13 +88,14 @@ def render_poster(bpy, scene, path, size):
     return path
 
 
-def shrink(poster, path):
-    """The poster 960 pixels wide, its lowest bit dropped: half the bytes, and nobody sees it."""
-    from PIL import Image
+def animate(film, path):
+    """The film as an animated WebP, which plays where README is read."""
+    import av
 
-    image = Image.open(poster).convert("RGB")
-    image = image.resize((960, round(960 * image.height / image.width)), Image.Resampling.LANCZOS)
-    image.point(lambda value: min((value + 1) // 2 * 2, 255)).save(path, optimize=True)
+    with av.open(str(film)) as container:
+        rate = container.streams.video[0].average_rate
+        first, *rest = [frame.to_image() for frame in container.decode(video=0)]
+    first.save(path, save_all=True, append_images=rest, duration=round(1000 / rate), loop=0, quality=80, method=6)
 
 
 def render_film(bpy, scene, out, size):

@@ -36,4 +36,4 @@ def test_the_examples_of_the_command_are_understood():
 
 def test_the_picture_comes_first():
     first = (ROOT / "README.md").read_text("utf-8").splitlines()[0]
-    assert re.fullmatch(r"!\[.+\]\(docs/first-light\.png\)", first)
+    assert re.fullmatch(r"!\[.+\]\(docs/first-light\.webp\)", first)
