@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """measure a model against the pictures of a capture
 
-Renders the views that the capture holds out, at every frame, and compares: PSNR (dB), DSSIM1 and DSSIM2 ((1 - SSIM) / 2 with
-3DGS's window at data range 1, and with scikit-image's at data range 2), LPIPS with AlexNet where its weights are on this machine
-(as 3DGS trainers feed it, and normalised to -1..1 as its authors do), flicker (how differently the picture and the truth change from
-one frame to the next), and PSNR of the foreground alone where the capture has masks.
+Renders the views that the model was not trained on, as its file says (else those that the capture holds out), at every frame, and
+compares: PSNR (dB), DSSIM1 and DSSIM2 ((1 - SSIM) / 2 with 3DGS's window at data range 1, and with scikit-image's at data range 2),
+LPIPS with AlexNet where its weights are on this machine (as 3DGS trainers feed it, and normalised to -1..1 as its authors do), else FLIP
+where flip-evaluator is installed, flicker (how differently the picture and the truth change from one frame to the next), and PSNR of the
+foreground alone where the capture has masks.  Pixels that a lens or the capture's masks rule out count in no measure.
 
 --out (default: a folder beside the model) gets evaluation.json, evaluation.csv, truth, render and error side by side as PNG, and a
 film of each view with the truth beside the render.
@@ -22,9 +23,11 @@ def add_arguments(parser):
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
     parser.add_argument("capture", metavar="CAPTURE", help="the capture to measure it against")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: MODEL-evaluation, or evaluation in the folder)")
-    parser.add_argument("--views", metavar="NAME,NAME", help="the views to use (default: those held out); all for all")
-    parser.add_argument("--frames", metavar="A:B", help="the frames to use, counted from 0 (default: all)")
-    parser.add_argument("--scale", type=float, metavar="S", help="size of the pictures, 1 as they are (default: the layout's)")
+    parser.add_argument("--views", "--held-out", metavar="NAME,NAME", help="the views to use, all for all (default: those that the model "
+                        "was not trained on)")
+    parser.add_argument("--frames", metavar="A:B", help="the frames to use, counted from 0 (default: all that the model's clip covers)")
+    parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
+    parser.add_argument("--scale", type=float, metavar="S", help="size of the pictures, 1 as they are (default: as in training)")
     parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
     parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -40,6 +43,7 @@ def run(args):
     from ..captures.pixels.store import FrameStore
     from ..evaluation import report
     from ..evaluation.evaluate import chosen, evaluate, make_folder
+    from ..evaluation.training_record import recorded
 
     use_threads(args.threads)
     file = model_file(args.model)
@@ -47,9 +51,10 @@ def run(args):
     make_folder(out)
     frames = _frames(args.frames)
     model = formats.load(file)
-    capture = open_capture(args.capture, scale=args.scale)
+    known = recorded(model)
+    capture = open_capture(args.capture, scale=known.scale if args.scale is None and known else args.scale, layout=args.layout)
     views = _views(args.views, capture)
-    shots = chosen(capture, views, frames)
+    shots = chosen(capture, views, frames, known)
     check(replace(capture, shots=shots, faults=[]))
     store = FrameStore(capture, 0)
     try:
@@ -85,7 +90,7 @@ def facts(result: dict) -> str:
     """One line on the model and its speed."""
     count = f"{result['gaussians']:,}".replace(",", " ")
     return (f"{count} Gaussians, {human_bytes(result['file_bytes'])} on disk, "
-            f"{result['fps']:.1f} frames per second at {result['width']} x {result['height']}")
+            f"{result['fps']:.1f} frames per second at {result['width']} x {result['height']} on {result['device']}")
 
 
 def _files(out, files) -> str:

@@ -14,12 +14,15 @@ from ..rendering import colour
 from ..rendering.api import render
 from ..rendering.images import write_png
 from ..util.errors import FastGSError
+from ..util.threads import thread_count
 from . import metrics
 from .film import available, film
+from .flip import Flip
 from .perceptual import Lpips, Unavailable
 from .pictures import comparison
+from .training_record import TrainingRecord, recorded
 
-MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flicker")
+MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
 """What is measured of each frame, and averaged; None where a measure does not apply."""
 
 
@@ -27,17 +30,20 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
              progress: Callable | None = None) -> dict:
     """Measure a model against the pictures of a capture.
 
-    views      names of the cameras to use; None: those held out.  frames: their numbers from 0; None: all that the model covers
+    views      names of the cameras to use; None: those that the model was not trained on, as its file says, else the capture's choice
+    frames     their numbers from 0, beyond the model's clip too; None: all that the clip covers
     out        folder for side-by-side pictures of `images` frames of each view, and a film of each view; None: no pictures
-    lpips      measure LPIPS too, where its weights are on this machine
+    lpips      measure LPIPS too, where its weights are on this machine, else FLIP, where its package is
     progress   called as progress(done, total, row) after each frame
 
     Returns JSON values: facts of the model and the capture; "rows", one for each frame; "views" and "average", the means of MEASURES
-    (of PSNR, over the frames where it is finite); "fps" of rendering alone; "notes", what could not be measured and why.
+    (of PSNR, over the frames where it is finite); "held_out": whether no picture was trained on, None if the model does not say; "seen"
+    and "unseen", the means of pictures that were and were not, where there are both; "fps" of rendering alone, on "device"; "notes".
     Raises FastGSError where there is nothing to measure.  Never more than two frames are in memory.
     """
-    shots = chosen(capture, views, frames)
-    clock, notes = _clock(model, capture)
+    known = recorded(model)
+    shots = chosen(capture, views, frames, known)
+    clock, notes = _clock(model, capture, beyond=frames is not None)
     covered = [shot for shot in shots if clock(shot) is not None]
     if not covered:
         raise FastGSError(f"the model's clip has none of the frames to evaluate of {capture.path}; choose others with --frames.")
@@ -45,12 +51,16 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
         notes.append(f"{len(shots) - len(covered)} frames lie outside the model's clip and are left out")
     if capture.axes != model.axes:
         notes.append(f"the model's axes are {model.axes} and the capture's {capture.axes}: they may not share a world")
-    perceptual = None
+    perceptual = flip = None
     if lpips:
         try:
             perceptual = Lpips()
         except Unavailable as reason:
             notes.append(str(reason))
+            try:
+                flip = Flip()
+            except Unavailable as reason:
+                notes.append(str(reason))
     if out is not None:
         make_folder(Path(out))
     if out is not None and not available():
@@ -71,11 +81,12 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
                 seconds += spent
                 if valid is not None:
                     picture = picture * valid[..., None]
-                row = {"view": view, "frame": shot.frame, "t": clock(shot), "milliseconds": round(1000 * spent, 3),
-                       **_measures(picture, truth, foreground, valid, perceptual)}
+                row = {"view": view, "frame": shot.frame, "t": clock(shot), "trained_on": _trained_on(known, model, shot, clock(shot)),
+                       "milliseconds": round(1000 * spent, 3), **_measures(picture, truth, foreground, valid, perceptual, flip)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
-                    row["flicker"] = metrics.temporal_error(picture, before[1], truth, before[2])
-                before = shot.frame, picture, truth
+                    both = None if valid is None or before[3] is None else valid & before[3]
+                    row["flicker"] = _finite(metrics.temporal_error(picture, before[1], truth, before[2], both))
+                before = shot.frame, picture, truth, None if valid is None else np.asarray(valid) > 0
                 rows.append(row)
                 if gallery:
                     gallery.add(shot, picture, truth, row)
@@ -84,11 +95,17 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
     exact = sum(row["psnr"] is None for row in rows)
     if exact:
         notes.append(f"{exact} frames equal the truth exactly: their PSNR is infinite and left out of the averages")
+    seen, unseen = ([row for row in rows if row["trained_on"] is told] for told in (True, False))
+    if known is None:
+        notes.append("the model's file does not say which pictures it was trained on, so whether these were held out is not known")
+    elif seen:
+        notes.append(f"{len(seen)} of the {len(rows)} pictures were trained on: they tell how well the model remembers, "
+                     "not how well it holds in new views")
     return {
         "gaussians": len(model), "memory_bytes": model.nbytes, "capture": str(capture.path), "layout": capture.layout,
-        "held_out": all(shot.held_out for shot in covered), "width": covered[0].camera.width, "height": covered[0].camera.height,
-        "backend": backend, "fps": round(len(rows) / max(seconds, 1e-9), 3),
-        "average": _means(rows),
+        "held_out": None if known is None else not seen, "width": covered[0].camera.width, "height": covered[0].camera.height,
+        "backend": backend, "device": f"the processor, {thread_count()} threads", "fps": round(len(rows) / max(seconds, 1e-9), 3),
+        "average": _means(rows), **({"seen": _means(seen), "unseen": _means(unseen)} if seen and unseen else {}),
         "views": {view: _means([row for row in rows if row["view"] == view]) for view in dict.fromkeys(row["view"] for row in rows)},
         "rows": rows, "notes": notes, "files": [str(file) for file in files],
     }
@@ -102,11 +119,19 @@ def make_folder(folder: Path):
         raise FastGSError(f"{folder}: the folder for the results cannot be made ({error.strerror}); choose another with --out.") from error
 
 
-def chosen(capture, views=None, frames=None) -> list:
-    """The shots of those views (default: held out) and frames (default: all), view by view in the order of time."""
+def chosen(capture, views=None, frames=None, known: TrainingRecord | None = None) -> list:
+    """The shots of those views and frames (default: all), view by view in the order of time.
+
+    views  default: those that the model was not trained on, as `known` says; without it those that the capture holds out
+    """
     names = capture.views
     listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    if views is None:
+    if views is None and known is not None:
+        shots = [shot for shot in capture.shots if shot.view not in known.views]
+        if not shots:
+            raise FastGSError(f"the model was trained on all {len(names)} views of {capture.path}; choose views with --views, and frames "
+                              "that it was not trained on with --frames.")
+    elif views is None:
         shots = capture.held_out
         if not shots:
             raise FastGSError(f"{capture.path} holds out no view to evaluate with; choose views with --views (there are {listed}).")
@@ -125,8 +150,13 @@ def chosen(capture, views=None, frames=None) -> list:
     return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
 
 
-def _clock(model, capture):
-    """Gives (model time of a shot or None outside of the model's clip, notes).
+def _trained_on(known: TrainingRecord | None, model, shot, t: float) -> bool | None:
+    count = model.clip.frame_count
+    return None if known is None else known.saw(shot.view, t * count, count)
+
+
+def _clock(model, capture, beyond: bool = False):
+    """Gives (model time of a shot or None outside of the model's clip, notes); beyond: times outside of the clip are given too.
 
     A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame; one of every
     n-th frame by its frame rate.
@@ -138,7 +168,7 @@ def _clock(model, capture):
 
     def time_of(shot):
         frame = (whole.start_frame + shot.t * whole.frame_count - part.start_frame) / step
-        return frame / part.frame_count if -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
+        return frame / part.frame_count if beyond or -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
 
     clips = (f"{clip.frame_count} frames from {clip.start_frame}" for clip in (part, whole))
     return time_of, ["the model's clip is {}, the capture's {}: frames are matched by their numbers".format(*clips)]
@@ -154,7 +184,7 @@ def _truth(capture, store, shot):
     """What a shot should look like, [h, w, 3]; the masks [h, w] of its foreground and of its valid pixels, None where there is none.
 
     Transparent pictures are judged over black, as models are.  What is not valid (beyond the lens' picture, or ruled out by the
-    capture's masks) is black on both sides, and no part of the PSNR.
+    capture's masks) is black on both sides, and no part of any measure.
     """
     pixels = store.pixels(shot)
     rgb, mask, valid = pixels.rgb, pixels.mask, pixels.valid
@@ -170,15 +200,21 @@ def _truth(capture, store, shot):
     return rgb, mask, valid
 
 
-def _measures(picture, truth, foreground, valid, perceptual) -> dict:
+def _measures(picture, truth, foreground, valid, perceptual, flip) -> dict:
     values = dict.fromkeys(MEASURES)
     values["psnr"] = metrics.psnr(picture, truth, valid)
     if foreground is not None:
         values["psnr_foreground"] = metrics.psnr(picture, truth, foreground)
-    values["dssim1"], values["dssim2"] = metrics.dssim1(picture, truth), metrics.dssim2(picture, truth)
+    values["dssim1"], values["dssim2"] = metrics.dssim1(picture, truth, valid), metrics.dssim2(picture, truth, valid)
     if perceptual:
-        values["lpips"], values["lpips_normalised"] = perceptual(picture, truth)
-    return {name: value if value is None or np.isfinite(value) else None for name, value in values.items()}
+        values["lpips"], values["lpips_normalised"] = perceptual(picture, truth, valid)
+    if flip:
+        values["flip"] = flip(picture, truth, valid)
+    return {name: _finite(value) for name, value in values.items()}
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else value
 
 
 def _means(rows) -> dict:

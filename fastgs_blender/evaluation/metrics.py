@@ -31,35 +31,45 @@ def psnr(picture, truth, mask=None) -> float:
     return float("inf") if mean == 0 else -10 * float(np.log10(mean))
 
 
-def dssim1(picture, truth) -> float:
-    """(1 - SSIM) / 2 with 3DGS's SSIM: Gaussian window of 11 x 11 pixels, sigma 1.5, zeros beyond the edges, data range 1."""
+def dssim1(picture, truth, valid=None) -> float:
+    """(1 - SSIM) / 2 with 3DGS's SSIM: Gaussian window of 11 x 11 pixels, sigma 1.5, zeros beyond the edges, data range 1.
+
+    With valid [h, w], the mean is taken over windows whose centre is valid; nan where there is none.  Pictures should be black elsewhere.
+    """
     distance = np.arange(GAUSSIAN_WINDOW) - GAUSSIAN_WINDOW // 2
     window = np.exp(-distance**2 / (2 * SIGMA**2))
     picture, truth = (np.pad(x, ((5, 5), (5, 5), (0, 0))) for x in _pair(picture, truth))
-    return (1 - _ssim(picture, truth, window / window.sum(), 1.0, 1.0)) / 2
+    return (1 - _ssim(picture, truth, window / window.sum(), 1.0, 1.0, None if valid is None else np.asarray(valid) > 0)) / 2
 
 
-def dssim2(picture, truth) -> float:
+def dssim2(picture, truth, valid=None) -> float:
     """(1 - SSIM) / 2 with scikit-image's structural_similarity(..., channel_axis=-1, data_range=2.0).
 
     Uniform window of 7 x 7 pixels, sample covariances (N / (N - 1)), only windows that lie inside the picture.  Older versions
     of scikit-image took 2 as the range of any floating-point picture, and the published figures stem from them.
+    With valid [h, w], only windows of valid pixels count; nan where there is none.
     """
     picture, truth = _pair(picture, truth)
     if min(picture.shape[:2]) < UNIFORM_WINDOW:
         raise FastGSError(f"DSSIM2 needs pictures of at least 7 x 7 pixels, not {picture.shape[1]} x {picture.shape[0]}.")
     count = UNIFORM_WINDOW**2
-    return (1 - _ssim(picture, truth, np.full(UNIFORM_WINDOW, 1 / UNIFORM_WINDOW), 2.0, count / (count - 1))) / 2
+    window = np.full(UNIFORM_WINDOW, 1 / UNIFORM_WINDOW)
+    whole = None if valid is None else _filtered((np.asarray(valid) > 0).astype(np.float64), window) > 1 - 0.5 / count
+    return (1 - _ssim(picture, truth, window, 2.0, count / (count - 1), whole)) / 2
 
 
-def temporal_error(picture, before, truth, truth_before) -> float:
+def temporal_error(picture, before, truth, truth_before, valid=None) -> float:
     """Flicker: the mean of |(picture - before) - (truth - truth_before)| over pixels and channels, 0..2.
 
-    It is 0 where a picture changes from one frame to the next exactly as the truth does, however wrong it is.
+    It is 0 where a picture changes from one frame to the next exactly as the truth does, however wrong it is.  With valid [h, w], only
+    valid pixels count; nan where there is none.
     """
     picture, truth = _pair(picture, truth)
     before, truth_before = _pair(before, truth_before)
-    return float(np.abs((picture - before) - (truth - truth_before)).mean())
+    error = np.abs((picture - before) - (truth - truth_before))
+    if valid is not None:
+        error = error[np.asarray(valid) > 0]
+    return float(error.mean()) if error.size else float("nan")
 
 
 def _pair(picture, truth):
@@ -69,8 +79,13 @@ def _pair(picture, truth):
     return picture, truth
 
 
-def _ssim(x, y, window, data_range: float, sample: float) -> float:
-    """Mean SSIM over all whole windows (Wang et al. 2004): `window` [k] is one axis of a separable one, `sample` scales covariances."""
+def _ssim(x, y, window, data_range: float, sample: float, counted=None) -> float:
+    """Mean SSIM over all whole windows (Wang et al. 2004): `window` [k] is one axis of a separable one, `sample` scales covariances.
+
+    counted  which windows [h - k + 1, w - k + 1] the mean is taken over; None: all.  nan where there are none.
+    """
+    if counted is not None and not counted.any():
+        return float("nan")
     c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
     total = 0.0
     for channel in range(x.shape[-1]):
@@ -78,7 +93,7 @@ def _ssim(x, y, window, data_range: float, sample: float) -> float:
         ma, mb, aa, bb, ab = (_filtered(v, window) for v in (a, b, a * a, b * b, a * b))
         va, vb, vab = (sample * (s - m) for s, m in ((aa, ma * ma), (bb, mb * mb), (ab, ma * mb)))
         ssim = (2 * ma * mb + c1) * (2 * vab + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2))
-        total += float(ssim.mean())
+        total += float((ssim if counted is None else ssim[counted]).mean())
     return total / x.shape[-1]
 
 

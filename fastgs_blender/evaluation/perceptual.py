@@ -64,7 +64,13 @@ class Lpips:
         if left:
             raise Unavailable(f"LPIPS is not measured, as {path} lacks {left[0]}")
 
-    def __call__(self, picture, truth) -> tuple[float | None, float | None]:
+    def __call__(self, picture, truth, valid=None) -> tuple[float | None, float | None]:
+        if valid is not None:  # the network sees neighbourhoods: what is left out is cut away, to the rectangle around what is valid
+            rows, columns = np.flatnonzero(np.any(valid, 1)), np.flatnonzero(np.any(valid, 0))
+            if not len(rows):
+                return None, None
+            inside = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            picture, truth = picture[inside], truth[inside]
         if min(np.shape(picture)[:2]) < SMALLEST:
             return None, None
         tensors = [self._tensor(x) for x in (picture, truth)]

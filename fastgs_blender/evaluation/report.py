@@ -12,7 +12,8 @@ from ..util.outputs import replacing
 from .evaluate import MEASURES
 
 COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_foreground": ("fg PSNR", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim2": ("DSSIM2", ".4f"),
-           "lpips": ("LPIPS", ".4f"), "lpips_normalised": ("LPIPS +-1", ".4f"), "flicker": ("flicker", ".4f")}
+           "lpips": ("LPIPS", ".4f"), "lpips_normalised": ("LPIPS +-1", ".4f"), "flip": ("FLIP", ".4f"),
+           "flicker": ("flicker", ".4f")}
 """Heading and number format of each measure in the table."""
 
 
@@ -23,6 +24,7 @@ def table(result: dict) -> str:
     averages = [(view, f"mean of {means['frames']}", means) for view, means in result["views"].items()]
     if len(averages) > 1:
         averages.append(("all", f"mean of {result['average']['frames']}", result["average"]))
+    averages += [(name, f"mean of {result[name]['frames']}", result[name]) for name in ("unseen", "seen") if name in result]
     width = max(4, *(len(view) for view, _, _ in rows))
     second = max(len(text) for _, text, _ in rows + averages)
 
@@ -52,9 +54,10 @@ def write(result: dict, folder: Path) -> list[Path]:
 
 
 def _csv(result) -> str:
-    """Columns: view, frame ("mean" in the averages, whose view is "all" for the last), t, MEASURES, milliseconds."""
+    """Columns: view, frame ("mean" in the averages, whose view is "all" for the last), t, trained_on, MEASURES, milliseconds."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, ["view", "frame", "t", *MEASURES, "milliseconds"], restval="", extrasaction="ignore", lineterminator="\n")
+    columns = ["view", "frame", "t", "trained_on", *MEASURES, "milliseconds"]
+    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(result["rows"])
     writer.writerows({"view": view, "frame": "mean", **means} for view, means in (*result["views"].items(), ("all", result["average"])))

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from ... import formats
+from ...evaluation import training_record
 from ...formats.base import generator
 from ...util.errors import FastGSError
 from ..core.settings import Settings, from_dict
@@ -112,7 +113,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
     reporter.status("preparing")
     group.first_does(lambda: reporter.fill(store, capture.shots))
     about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
-             "settings": json.dumps(settings.to_dict(), allow_nan=False)}
+             "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
     if len(cuts) == 1:
         model = _segment(capture, store, settings, out, group, reporter, stop, None, 0)
     else:

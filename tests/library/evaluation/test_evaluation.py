@@ -98,7 +98,7 @@ def test_measures_are_those_of_the_files(run, work, model):
     for name in ("psnr", "dssim1", "dssim2"):
         assert result["average"][name] == pytest.approx(np.mean([row[name] for row in result["rows"]]))
     assert result["average"]["flicker"] == pytest.approx(np.mean([row["flicker"] for row in result["rows"][1:]]))
-    assert result["gaussians"] == 80 and result["fps"] > 0 and result["held_out"] is True
+    assert result["gaussians"] == 80 and result["fps"] > 0 and result["held_out"] is None, "the file does not say what it was trained on"
     assert result["file_bytes"] == (work / "m.safetensors").stat().st_size
     assert (result["width"], result["height"]) == SIZE
 
@@ -108,7 +108,7 @@ def test_the_files_hold_what_the_terminal_shows(run, work):
     assert code == 0 and "%" in err, "a progress bar"
     result = json.loads((work / "out" / "evaluation.json").read_text())
     lines = out.splitlines()
-    assert lines[0].split() == ["view", "frame", "PSNR", "dB", "DSSIM1", "DSSIM2", "flicker"]
+    assert lines[0].split() == ["view", "frame", "PSNR", "dB", "DSSIM1", "DSSIM2", "FLIP", "flicker"]
     assert [line.split()[:3] for line in lines[1:1 + FRAMES]] == [["cam00", str(r["frame"]), f"{r['psnr']:.2f}"] for r in result["rows"]]
     assert f"{result['average']['psnr']:.2f}" in lines[FRAMES + 2]
     assert "80 Gaussians" in out and "frames per second" in out and "evaluation.csv, 4 pictures, 1 film" in out
@@ -160,7 +160,7 @@ def test_a_model_that_is_the_truth_is_found_to_be(run, work, truth):
 def test_views_and_frames(run, work):
     result = json.loads(run("--views", "cam02,cam01", "--frames", "1:3:2", "--json")[1])
     assert [(row["view"], row["frame"]) for row in result["rows"]] == [("cam01", 1), ("cam01", 3), ("cam02", 1), ("cam02", 3)]
-    assert result["held_out"] is False
+    assert result["held_out"] is None
     assert result["average"]["flicker"] is None, "frames that do not follow each other say nothing of flicker"
     assert set(result["views"]) == {"cam01", "cam02"}
     table = run("--views", "all", "--frames", "0", "--quiet")[1].splitlines()
@@ -246,8 +246,10 @@ def test_a_model_of_a_part_of_the_capture(truth):
     assert [row["t"] for row in result["rows"]] == pytest.approx([0, 1 / 3, 2 / 3])
     assert any("5 frames lie outside" in note for note in result["notes"])
     assert result["average"]["psnr"] is None or result["average"]["psnr"] > 100
+    beyond = evaluate(part, capture, store, frames=[3, 7], lpips=False)
+    assert [row["t"] for row in beyond["rows"]] == pytest.approx([-1 / 3, 1]), "frames that are asked for are measured beyond the clip too"
     with pytest.raises(fg.FastGSError, match="none of the frames"):
-        evaluate(part, capture, store, frames=[0, 1], lpips=False)
+        evaluate(part, capture, store, frames=[8], lpips=False)
     every_second = replace(whole, clip=fg.Clip(4, 12.0, 1))
     assert [row["t"] for row in evaluate(every_second, capture, store, frames=[0, 2, 3], lpips=False)["rows"]] == [0, 0.25, 0.375]
 
