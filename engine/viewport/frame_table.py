@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The table of what changes from frame to frame, as one small texture: a row for the view and one for each instance.
 
-The shaders (glsl.py) read it; the constants that both need are filled into their text there.
+The splats' shaders (glsl/splat.py) read it by the same names.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -17,8 +18,52 @@ from .textures import WIDTH
 
 NONE, WEIGHTS, POWERS = range(3)
 """How a basis reaches the shader: it has no terms, as weights of its terms at this time, or as powers of t - mu_tau."""
-HEAD = 11
-"""Texels of an instance's row before the weights of its bases."""
+
+
+class ViewTexel(IntEnum):
+    """Places in the view's row.
+
+    SIZE    width, height, fx, fy
+    CENTRE  cx, cy, orthographic, number of instances
+    LIMITS  of the Jacobian's tangents, see Camera.tangent_limits()
+    DEPTHS  see Depths; whether there is a depth picture; number of the colour group that is drawn
+    COUNTS  Gaussians that are drawn, in rows of WIDTH and the rest; width and height of the depth picture
+    """
+
+    SIZE = 0
+    CENTRE = 1
+    LIMITS = 2
+    DEPTHS = 3
+    COUNTS = 4
+
+
+class InstanceTexel(IntEnum):
+    """Places in an instance's row, before the weights of its bases.
+
+    TO_CAMERA  three rows from the model's space to the camera's
+    EYE        the camera's centre (orthographic: its direction) in the model's space; antialiased
+    GEOMETRY   first texel, in rows of WIDTH and the rest; texels of a Gaussian; what the colour texels hold
+    COLOUR     first texel, likewise; texels of a Gaussian; degree of the harmonics
+    TIME       t, code of the temporal opacity, how the motion's basis comes, texels of an axis of the motion
+    BASES      first run of the motion's weights, number of runs; how the rotation's basis comes, its terms
+    GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
+    RASTER     near, alpha_max, alpha_cut, blur
+    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH
+    """
+
+    TO_CAMERA = 0
+    EYE = 3
+    GEOMETRY = 4
+    COLOUR = 5
+    TIME = 6
+    BASES = 7
+    GROUP = 8
+    RASTER = 9
+    FIRST = 10
+
+
+HEAD = len(InstanceTexel) + 2
+"""Texels of an instance's row before the weights of its bases; TO_CAMERA takes three."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ Geometry (32 bits), in this order:
     one texel for each term of the rotation | for x, then y, then z: the motion's terms in groups of four
 
 Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four coefficients | base | direction | time.
-The shaders (glsl.py) read it.
+The shaders (glsl/splat.py) read it.
 """
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A picture of splats on the GPU: blended in the space in which the models were trained, then turned into scene-linear colour.
+"""Draws a picture of splats on the GPU: blends them in the space in which their models were trained, then makes scene-linear colour of it.
 
 Splats are blended once for each *group* that needs its own way from blended numbers to colour: one for all plain sRGB models,
 one for all linear ones, one for each model with a decoder.  In a group's turn the splats of others are black, so that they
@@ -15,16 +15,15 @@ import gpu
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
+from ...fastgs_blender.model.appearance import Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from . import shaders
 from .atlas import Atlas
 from .eye import WHOLE
-from .frame_table import Depths, frame_table
-from .textures import upload, upload_list
+from .frame_table import Depths, ViewTexel, frame_table
+from .resolve_table import resolve_table
+from .textures import ORDER_WIDTH, upload, upload_list
 
-ORDER_WIDTH = 4096
-"""Entries in a row of the texture with the order; filled into the shaders (glsl.py)."""
 FORMAT = 'RGBA16F'
 
 
@@ -100,7 +99,7 @@ class Picture:
         seen = self._no_depth if depth is None else upload(depth.values[..., None])
         with _drawing('ALPHA_PREMULT'):
             for number, (_, framebuffer) in enumerate(self._targets):
-                table[0, 3, 3] = number
+                table[0, ViewTexel.DEPTHS, 3] = number
                 with framebuffer.bind():
                     framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
                     if order.count:
@@ -149,22 +148,8 @@ class Picture:
 
     def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
                  first=True, own=False, summed=False, raw=False, size=None):
-        values = np.zeros((1, 37, 4), np.float32)
-        row = values[0]
-        appearance = group.instance and group.instance.model.appearance
-        activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
-        row[0] = group.colour_space == "srgb" and not raw, activation, summed, raw
-        row[1] = (0, 0, 0, 0) if background is None else (*background, 1)
-        row[2] = border
-        row[3] = first, opacity, 0, 0
-        row[4] = *(size or self.size), self.camera.orthographic, outside
-        row[5] = self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
-        if appearance:
-            row[6:9] = group.instance.camera_to_model[:3]
-            row[9:27] = appearance.w1.reshape(18, 4)
-            row[27:33, :3] = appearance.w2.T
-        row[33:36, :3] = working
-        row[36] = frame
+        values = resolve_table(self.camera, size or self.size, group.colour_space, group.instance, working, background, border, opacity,
+                               frame, outside, first, summed, raw)
         shader, batch = shaders.resolve(group.instance is not None, own)
         with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
             inputs = {"t_resolve": upload(values), **textures}

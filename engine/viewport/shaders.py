@@ -18,7 +18,7 @@ def splats(features: bool, own: bool):
     info = gpu.types.GPUShaderCreateInfo()
     between = gpu.types.GPUStageInterfaceInfo("fastgs_splat_iface")
     between.smooth('VEC2', "v_uv")
-    between.flat('VEC4', "v_look")
+    between.flat('VEC4', "v_alpha")
     between.flat('VEC3', "v_first")
     between.flat('FLOAT', "v_own")
     info.vertex_in(0, 'VEC2', "corner")

@@ -14,6 +14,13 @@ import numpy as np
 from ..util.errors import FastGSError
 
 SH_C0 = 0.28209479177387814
+SH_C1 = 0.4886025119029199
+SH_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+SH_C3 = (-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154, -0.4570457994644658, 1.445305721320277,
+         -0.5900435899266435)
+SH_C4 = (2.5033429417967046, -1.7701307697799304, 0.9461746957575601, -0.6690465435572892, 0.10578554691520431, -0.6690465435572892,
+         0.47308734787878004, -1.7701307697799304, 0.6258357354491761)
+"""Factors of the spherical harmonics of each degree, in the order of sh_basis.  Shaders take them from here."""
 ACTIVATIONS = ("sigmoid", "clamp", "none")
 """Output activations of STG's decoder: N3V, Technicolor, Immersive (`sandwich`, `sandwichnoact`, `sandwichnoactss`)."""
 
@@ -78,23 +85,20 @@ def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
     out = [np.full_like(x, SH_C0)]
     if degree > 0:
-        c = 0.4886025119029199
-        out += [-c * y, c * z, -c * x]
+        out += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]
     if degree > 1:
         xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
-        out += [1.0925484305920792 * xy, -1.0925484305920792 * yz, 0.31539156525252005 * (2 * zz - xx - yy),
-                -1.0925484305920792 * xz, 0.5462742152960396 * (xx - yy)]
+        a, b, c, d, e = SH_C2
+        out += [a * xy, b * yz, c * (2 * zz - xx - yy), d * xz, e * (xx - yy)]
     if degree > 2:
-        out += [-0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * xy * z,
-                -0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
-                -0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy),
-                -0.5900435899266435 * x * (xx - 3 * yy)]
+        a, b, c, d, e, f, g = SH_C3
+        out += [a * y * (3 * xx - yy), b * xy * z, c * y * (4 * zz - xx - yy), d * z * (2 * zz - 3 * xx - 3 * yy),
+                e * x * (4 * zz - xx - yy), f * z * (xx - yy), g * x * (xx - 3 * yy)]
     if degree > 3:
-        out += [2.5033429417967046 * xy * (xx - yy), -1.7701307697799304 * yz * (3 * xx - yy),
-                0.9461746957575601 * xy * (7 * zz - 1), -0.6690465435572892 * yz * (7 * zz - 3),
-                0.10578554691520431 * (zz * (35 * zz - 30) + 3), -0.6690465435572892 * xz * (7 * zz - 3),
-                0.47308734787878004 * (xx - yy) * (7 * zz - 1), -1.7701307697799304 * xz * (xx - 3 * yy),
-                0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))]
+        a, b, c, d, e, f, g, h, i = SH_C4
+        out += [a * xy * (xx - yy), b * yz * (3 * xx - yy), c * xy * (7 * zz - 1), d * yz * (7 * zz - 3), e * (zz * (35 * zz - 30) + 3),
+                f * xz * (7 * zz - 3), g * (xx - yy) * (7 * zz - 1), h * xz * (xx - 3 * yy),
+                i * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))]
     return np.stack(out, -1)
 
 

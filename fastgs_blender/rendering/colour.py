@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import numpy as np
 
+SRGB_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 12.92, 0.055, 2.4
+"""Of the sRGB curve: linear up to the cut, a power beyond it.  Shaders take them from here."""
+
 
 def srgb_to_linear(srgb: np.ndarray) -> np.ndarray:
     """Scene-linear values of sRGB ones; the curve goes on above 1 and is point-symmetric below 0."""
     x = np.asarray(srgb)
     a = np.abs(x)
-    return np.copysign(np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4), x).astype(x.dtype, copy=False)
+    linear = np.where(a <= SRGB_CUT, a / SRGB_SLOPE, ((a + SRGB_OFFSET) / (1 + SRGB_OFFSET)) ** SRGB_GAMMA)
+    return np.copysign(linear, x).astype(x.dtype, copy=False)
 
 
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """The inverse of srgb_to_linear."""
     x = np.asarray(linear)
     a = np.abs(x)
-    return np.copysign(np.where(a <= 0.0031308, a * 12.92, 1.055 * a ** (1 / 2.4) - 0.055), x).astype(x.dtype, copy=False)
+    srgb = np.where(a <= 0.0031308, a * SRGB_SLOPE, (1 + SRGB_OFFSET) * a ** (1 / SRGB_GAMMA) - SRGB_OFFSET)
+    return np.copysign(srgb, x).astype(x.dtype, copy=False)
 
 
 def straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -1,29 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shaders' text.  The maths is fastgs_blender/rendering/oracle.py's; the layout of the textures is records.py's and parameters.py's.
+"""The shaders that slice, project and blend splats: one instance of a rectangle for each Gaussian."""
+from __future__ import annotations
 
-Written to be translated to Vulkan and Metal too: no integer textures, no arrays of samplers, no mixing of int and float.
-"""
+from . import constants
 
-COMMON = """
-#define WIDTH 8192
-#define ORDER_WIDTH 4096
-#define HEAD 11
-
+FETCH = """
 int whole(float x) { return int(floor(x + 0.5)); }
-vec4 view_row(int j) { return texelFetch(t_table, ivec2(j, 0), 0); }
-vec4 object_row(int o, int j) { return texelFetch(t_table, ivec2(j, o + 1), 0); }
+vec4 view_texel(int j) { return texelFetch(t_table, ivec2(j, 0), 0); }
+vec4 instance_texel(int o, int j) { return texelFetch(t_table, ivec2(j, o + 1), 0); }
 vec4 geometry_texel(int i) { return texelFetch(t_geometry, ivec2(i % WIDTH, i / WIDTH), 0); }
 vec4 colour_texel(int i) { return texelFetch(t_colour, ivec2(i % WIDTH, i / WIDTH), 0); }
 """
 
 SLICE = """
+/* place of an instance's first Gaussian among those of all instances */
 int first_of(int o) {
-  return whole(object_row(o, 8).w) * WIDTH + whole(object_row(o, 10).x);
+  return whole(instance_texel(o, INSTANCE_GROUP).w) * WIDTH + whole(instance_texel(o, INSTANCE_FIRST).x);
 }
 
-int object_of(int g, int objects) {
+/* the instance that Gaussian g belongs to */
+int instance_of(int g, int instances) {
   int low = 0;
-  int high = objects;
+  int high = instances;
   while (high - low > 1) {
     int middle = (low + high) / 2;
     if (first_of(middle) <= g) { low = middle; } else { high = middle; }
@@ -31,17 +29,18 @@ int object_of(int g, int objects) {
   return low;
 }
 
+/* temporal.py: the factor of each kind of temporal opacity */
 float temporal_factor(int kind, float t, float mu_tau, vec4 p) {
-  if (kind == 1) {
+  if (kind == TEMPORAL_RADIAL) {
     float d = t - mu_tau;
     return exp(-exp(p.x) * d * d);
   }
-  if (kind == 2) {
+  if (kind == TEMPORAL_WINDOW) {
     float early = max(p.x - t, 0.0) / exp(p.z);
     float late = max(t - p.y, 0.0) / exp(p.w);
     return exp(-early * early - late * late);
   }
-  if (kind == 3) {
+  if (kind == TEMPORAL_RADIAL_WINDOW) {
     float d = t - mu_tau;
     float outside = max(max(p.y - t, t - p.z), 0.0) / exp(p.w);
     return exp(-exp(p.x) * d * d - outside * outside);
@@ -49,17 +48,17 @@ float temporal_factor(int kind, float t, float mu_tau, vec4 p) {
   return 1.0;
 }
 
-/* the motion's offset: terms by axis, four in a texel, from texel `at` on */
+/* slicing.py, mu(t) - mu_base: the motion's terms by axis, four in a texel, from texel `at` on */
 vec3 moved(int o, int at, int mode, int groups, int first, int used, float delta) {
   vec3 sum = vec3(0.0);
-  if (mode == 1) {
+  if (mode == BASIS_WEIGHTS) {
     for (int j = 0; j < used; j++) {
-      vec4 w = object_row(o, HEAD + j);
+      vec4 w = instance_texel(o, INSTANCE_TEXELS + j);
       int k = at + first + j;
       sum += vec3(dot(w, geometry_texel(k)), dot(w, geometry_texel(k + groups)), dot(w, geometry_texel(k + 2 * groups)));
     }
   }
-  if (mode == 2) {
+  if (mode == BASIS_POWERS) {
     float power = 1.0;
     for (int j = 0; j < groups; j++) {
       vec4 w = vec4(delta, delta * delta, delta * delta * delta, delta * delta * delta * delta) * power;
@@ -71,14 +70,15 @@ vec3 moved(int o, int at, int mode, int groups, int first, int used, float delta
   return sum;
 }
 
+/* slicing.py, q(t) - c_0: the rotation's terms, one in a texel, from texel `at` on */
 vec4 turned(int o, int at, int mode, int terms, int first, int used, int weights, float delta) {
   vec4 sum = vec4(0.0);
-  if (mode == 1) {
+  if (mode == BASIS_WEIGHTS) {
     for (int j = 0; j < used; j++) {
-      sum += object_row(o, weights + j).x * geometry_texel(at + first + j);
+      sum += instance_texel(o, weights + j).x * geometry_texel(at + first + j);
     }
   }
-  if (mode == 2) {
+  if (mode == BASIS_POWERS) {
     float power = delta;
     for (int j = 0; j < terms; j++) {
       sum += power * geometry_texel(at + j);
@@ -90,38 +90,39 @@ vec4 turned(int o, int at, int mode, int terms, int first, int used, int weights
 """
 
 HARMONICS = """
-/* appearance.sh_basis, one coefficient at a time */
+/* appearance.sh_basis: the term Y_b of the unit direction d */
 float harmonic(int b, vec3 d) {
   float x = d.x, y = d.y, z = d.z;
   float xx = x * x, yy = y * y, zz = z * z;
-  if (b == 0) { return 0.28209479177387814; }
-  if (b == 1) { return -0.4886025119029199 * y; }
-  if (b == 2) { return 0.4886025119029199 * z; }
-  if (b == 3) { return -0.4886025119029199 * x; }
-  if (b == 4) { return 1.0925484305920792 * x * y; }
-  if (b == 5) { return -1.0925484305920792 * y * z; }
-  if (b == 6) { return 0.31539156525252005 * (2.0 * zz - xx - yy); }
-  if (b == 7) { return -1.0925484305920792 * x * z; }
-  if (b == 8) { return 0.5462742152960396 * (xx - yy); }
-  if (b == 9) { return -0.5900435899266435 * y * (3.0 * xx - yy); }
-  if (b == 10) { return 2.890611442640554 * x * y * z; }
-  if (b == 11) { return -0.4570457994644658 * y * (4.0 * zz - xx - yy); }
-  if (b == 12) { return 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy); }
-  if (b == 13) { return -0.4570457994644658 * x * (4.0 * zz - xx - yy); }
-  if (b == 14) { return 1.445305721320277 * z * (xx - yy); }
-  if (b == 15) { return -0.5900435899266435 * x * (xx - 3.0 * yy); }
-  if (b == 16) { return 2.5033429417967046 * x * y * (xx - yy); }
-  if (b == 17) { return -1.7701307697799304 * y * z * (3.0 * xx - yy); }
-  if (b == 18) { return 0.9461746957575601 * x * y * (7.0 * zz - 1.0); }
-  if (b == 19) { return -0.6690465435572892 * y * z * (7.0 * zz - 3.0); }
-  if (b == 20) { return 0.10578554691520431 * (zz * (35.0 * zz - 30.0) + 3.0); }
-  if (b == 21) { return -0.6690465435572892 * x * z * (7.0 * zz - 3.0); }
-  if (b == 22) { return 0.47308734787878004 * (xx - yy) * (7.0 * zz - 1.0); }
-  if (b == 23) { return -1.7701307697799304 * x * z * (xx - 3.0 * yy); }
-  if (b == 24) { return 0.6258357354491761 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy)); }
+  if (b == 0) { return SH_C0; }
+  if (b == 1) { return -SH_C1 * y; }
+  if (b == 2) { return SH_C1 * z; }
+  if (b == 3) { return -SH_C1 * x; }
+  if (b == 4) { return SH_C2_0 * x * y; }
+  if (b == 5) { return SH_C2_1 * y * z; }
+  if (b == 6) { return SH_C2_2 * (2.0 * zz - xx - yy); }
+  if (b == 7) { return SH_C2_3 * x * z; }
+  if (b == 8) { return SH_C2_4 * (xx - yy); }
+  if (b == 9) { return SH_C3_0 * y * (3.0 * xx - yy); }
+  if (b == 10) { return SH_C3_1 * x * y * z; }
+  if (b == 11) { return SH_C3_2 * y * (4.0 * zz - xx - yy); }
+  if (b == 12) { return SH_C3_3 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy); }
+  if (b == 13) { return SH_C3_4 * x * (4.0 * zz - xx - yy); }
+  if (b == 14) { return SH_C3_5 * z * (xx - yy); }
+  if (b == 15) { return SH_C3_6 * x * (xx - 3.0 * yy); }
+  if (b == 16) { return SH_C4_0 * x * y * (xx - yy); }
+  if (b == 17) { return SH_C4_1 * y * z * (3.0 * xx - yy); }
+  if (b == 18) { return SH_C4_2 * x * y * (7.0 * zz - 1.0); }
+  if (b == 19) { return SH_C4_3 * y * z * (7.0 * zz - 3.0); }
+  if (b == 20) { return SH_C4_4 * (zz * (35.0 * zz - 30.0) + 3.0); }
+  if (b == 21) { return SH_C4_5 * x * z * (7.0 * zz - 3.0); }
+  if (b == 22) { return SH_C4_6 * (xx - yy) * (7.0 * zz - 1.0); }
+  if (b == 23) { return SH_C4_7 * x * z * (xx - 3.0 * yy); }
+  if (b == 24) { return SH_C4_8 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy)); }
   return 0.0;
 }
 
+/* oracle.colours: max(0, 0.5 + sum_b Y_b c_b) with the coefficients from texel `at` on, three texels for four of them */
 vec3 harmonics(int at, int degree, vec3 d) {
   vec3 sum = vec3(0.5);
   int count = (degree + 1) * (degree + 1);
@@ -135,12 +136,12 @@ vec3 harmonics(int at, int degree, vec3 d) {
 }
 """
 
-SPLAT_VERTEX = COMMON + SLICE + HARMONICS + """
+VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + FETCH + SLICE + HARMONICS + """
 void main()
 {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0); /* not drawn */
   v_uv = vec2(0.0);
-  v_look = vec4(0.0);
+  v_alpha = vec4(0.0);
   v_first = vec3(0.0);
 #ifdef FEATURES
   v_second = vec3(0.0);
@@ -148,17 +149,22 @@ void main()
 #endif
   v_own = 0.0;
 
-  vec4 size = view_row(0), centre = view_row(1), limits = view_row(2), depths = view_row(3), counts = view_row(4);
+  vec4 size = view_texel(VIEW_SIZE), centre = view_texel(VIEW_CENTRE), limits = view_texel(VIEW_LIMITS);
+  vec4 depths = view_texel(VIEW_DEPTHS), counts = view_texel(VIEW_COUNTS);
   bool orthographic = centre.z > 0.5;
   int drawn = whole(counts.x) * WIDTH + whole(counts.y);
   int k = drawn - 1 - gl_InstanceID; /* the list is front to back */
   int g = whole(texelFetch(t_order, ivec2(k % ORDER_WIDTH, k / ORDER_WIDTH), 0).x);
-  int o = object_of(g, whole(centre.w));
+  int o = instance_of(g, whole(centre.w));
   int i = g - first_of(o);
 
-  vec4 row0 = object_row(o, 0), row1 = object_row(o, 1), row2 = object_row(o, 2), eye = object_row(o, 3);
-  vec4 where_geometry = object_row(o, 4), where_colour = object_row(o, 5), time = object_row(o, 6);
-  vec4 bases = object_row(o, 7), more = object_row(o, 8), raster = object_row(o, 9);
+  vec4 row0 = instance_texel(o, INSTANCE_TO_CAMERA), row1 = instance_texel(o, INSTANCE_TO_CAMERA + 1);
+  vec4 row2 = instance_texel(o, INSTANCE_TO_CAMERA + 2), eye = instance_texel(o, INSTANCE_EYE);
+  vec4 where_geometry = instance_texel(o, INSTANCE_GEOMETRY), where_colour = instance_texel(o, INSTANCE_COLOUR);
+  vec4 time = instance_texel(o, INSTANCE_TIME), bases = instance_texel(o, INSTANCE_BASES), group = instance_texel(o, INSTANCE_GROUP);
+  vec4 raster = instance_texel(o, INSTANCE_RASTER);
+
+  /* slicing.py: opacity, rotation and position at the time */
 
   int at = whole(where_geometry.x) * WIDTH + whole(where_geometry.y) + i * whole(where_geometry.z);
   vec4 fixed_part = geometry_texel(at);
@@ -176,10 +182,11 @@ void main()
   if (!(sigma >= raster.z)) { return; }
   int turns = whole(bases.w);
   int used = whole(bases.y);
-  q += turned(o, at, whole(bases.z), turns, whole(more.x), whole(more.y), HEAD + used, delta);
+  q += turned(o, at, whole(bases.z), turns, whole(group.x), whole(group.y), INSTANCE_TEXELS + used, delta);
   at += turns;
   vec3 p = fixed_part.xyz + moved(o, at, whole(time.z), whole(time.w), whole(bases.x), used, delta);
 
+  /* oracle.project from here on */
   vec4 p1 = vec4(p, 1.0);
   float x = dot(row0, p1), y = dot(row1, p1), z = dot(row2, p1);
   if (!(z > raster.x)) { return; }
@@ -195,7 +202,7 @@ void main()
   }
   vec2 mean = vec2(fx * x * per_depth + centre.x, fy * y * per_depth + centre.y);
 
-  /* the two rows of J W, then the 2 x 3 factor J W R S of the projected covariance */
+  /* the two rows u and v of J W, then of the 2 x 3 factor J W R S; Sigma_2D = (J W R S)(J W R S)^T = [[a, b], [b, c]] */
   vec3 u_row = fx * per_depth * (row0.xyz + shear_x * row2.xyz);
   vec3 v_row = fy * per_depth * (row1.xyz + shear_y * row2.xyz);
   vec3 sd = exp(scale_time.xyz);
@@ -206,7 +213,7 @@ void main()
   vec3 u = vec3(dot(u_row, axis0), dot(u_row, axis1), dot(u_row, axis2));
   vec3 v = vec3(dot(v_row, axis0), dot(v_row, axis1), dot(v_row, axis2));
   float a = dot(u, u), b = dot(u, v), c = dot(v, v);
-  vec3 area = cross(u, v);
+  vec3 area = cross(u, v); /* det Sigma_2D as a sum of squares (Cauchy-Binet) */
   float sharp = dot(area, area);
   float blur = raster.w;
   float det = sharp + blur * (a + c) + blur * blur;
@@ -229,10 +236,10 @@ void main()
   v_uv = corner * (sqrt(2.0 * log(sigma / raster.z)) * 1.0005 + 1e-4);
   mean += v_uv.x * sqrt(large) * axis + v_uv.y * sqrt(small) * vec2(-axis.y, axis.x);
   float depth = depths.x + (orthographic ? depths.y * z : depths.y / z);
-  v_look = vec4(sigma, raster.y, raster.z, depth);
+  v_alpha = vec4(sigma, raster.y, raster.z, depth);
   gl_Position = vec4(2.0 * mean.x / size.x - 1.0, 1.0 - 2.0 * mean.y / size.y, 0.0, 1.0);
 
-  if (whole(more.z) != whole(depths.w)) { return; } /* of another group: black */
+  if (whole(group.z) != whole(depths.w)) { return; } /* of another group: black */
   v_own = 1.0;
   at = whole(where_colour.x) * WIDTH + whole(where_colour.y) + i * whole(where_colour.z);
 #ifdef FEATURES
@@ -240,7 +247,7 @@ void main()
   v_second = colour_texel(at + 1).xyz;
   v_third = colour_texel(at + 2).xyz * delta;
 #else
-  if (whole(where_geometry.w) == 1) {
+  if (whole(where_geometry.w) == COLOURS_HARMONICS) {
     vec3 d = orthographic ? eye.xyz : p - eye.xyz;
     v_first = harmonics(at, whole(where_colour.w), d / max(length(d), 1e-30));
   }
@@ -251,16 +258,17 @@ void main()
 }
 """
 
-SPLAT_FRAGMENT = """
+FRAGMENT = constants.VIEW + """
 void main()
 {
-  float alpha = min(v_look.y, v_look.x * exp(-0.5 * dot(v_uv, v_uv)));
-  if (alpha < v_look.z) { discard; }
-  vec4 depths = texelFetch(t_table, ivec2(3, 0), 0);
+  /* oracle.rasterise: alpha of the splat at this pixel; v_uv is in standard deviations */
+  float alpha = min(v_alpha.y, v_alpha.x * exp(-0.5 * dot(v_uv, v_uv)));
+  if (alpha < v_alpha.z) { discard; }
+  vec4 depths = texelFetch(t_table, ivec2(VIEW_DEPTHS, 0), 0);
   if (depths.z > 0.5) {
-    vec4 size = texelFetch(t_table, ivec2(0, 0), 0), counts = texelFetch(t_table, ivec2(4, 0), 0);
+    vec4 size = texelFetch(t_table, ivec2(VIEW_SIZE, 0), 0), counts = texelFetch(t_table, ivec2(VIEW_COUNTS, 0), 0);
     ivec2 pixel = ivec2(gl_FragCoord.xy * counts.zw / size.xy);
-    if (v_look.w > texelFetch(t_depth, pixel, 0).x) { discard; }
+    if (v_alpha.w > texelFetch(t_depth, pixel, 0).x) { discard; }
   }
   out_first = vec4(v_first * alpha, alpha);
 #ifdef FEATURES
@@ -270,84 +278,5 @@ void main()
 #ifdef OWN
   out_own = vec4(v_own * alpha, 0.0, 0.0, alpha);
 #endif
-}
-"""
-
-RESOLVE_VERTEX = """
-void main()
-{
-  v_uv = 0.5 * corner + 0.5;
-  gl_Position = vec4(corner, 0.0, 1.0);
-}
-"""
-
-RESOLVE_FRAGMENT = """
-vec4 row(int j) { return texelFetch(t_resolve, ivec2(j, 0), 0); }
-
-float to_linear(float x)
-{
-  float a = abs(x);
-  float y = a <= 0.04045 ? a / 12.92 : pow((a + 0.055) / 1.055, 2.4);
-  return x < 0.0 ? -y : y;
-}
-
-#ifdef FEATURES
-vec3 decoded(vec3 base, vec3 direction, vec3 time, vec2 pixel, float activation)
-{
-  vec4 size = row(4), lens = row(5);
-  vec3 ray = vec3(0.0, 0.0, 1.0);
-  if (size.z < 0.5) { ray.xy = vec2((pixel.x - lens.z) / lens.x, (size.y - pixel.y - lens.w) / lens.y); }
-  ray = vec3(dot(row(6).xyz, ray), dot(row(7).xyz, ray), dot(row(8).xyz, ray));
-  ray /= max(length(ray), 1e-30);
-  vec3 eye = vec3(row(6).w, row(7).w, row(8).w);
-  vec4 in0 = vec4(direction, time.x), in1 = vec4(time.yz, eye.xy), in2 = vec4(eye.z, ray);
-  vec3 rgb = base;
-  for (int h = 0; h < 6; h++) {
-    float hidden = max(dot(row(9 + 3 * h), in0) + dot(row(10 + 3 * h), in1) + dot(row(11 + 3 * h), in2), 0.0);
-    rgb += hidden * row(27 + h).xyz;
-  }
-  if (activation < 0.5) { return 1.0 / (1.0 + exp(-rgb)); }
-  if (activation < 1.5) { return clamp(rgb, 0.0, 1.0); }
-  return rgb;
-}
-#endif
-
-void main()
-{
-  vec4 kind = row(0), under = row(1), border = row(2), whole_picture = row(3), size = row(4);
-  if (v_uv.x < border.x || v_uv.y < border.y || v_uv.x >= border.z || v_uv.y >= border.w) { discard; }
-  ivec2 pixel = min(ivec2(v_uv * size.xy), ivec2(size.xy) - ivec2(1));
-  vec4 first = texelFetch(t_first, pixel, 0);
-  float alpha = first.a;
-  float weight = alpha;
-#ifdef OWN
-  vec4 own = texelFetch(t_own, pixel, 0);
-  alpha = own.a;
-  if (kind.z < 0.5) { weight = own.x; } /* else a sum of groups, which brings its weight along */
-#endif
-  vec3 rgb = vec3(0.0);
-  if (weight > 0.0) {
-    rgb = first.rgb / weight;
-#ifdef FEATURES
-    rgb = decoded(rgb, texelFetch(t_second, pixel, 0).rgb / weight, texelFetch(t_third, pixel, 0).rgb / weight,
-                  vec2(pixel) + vec2(0.5), kind.y);
-#endif
-    vec4 frame = row(36);
-    if (v_uv.x < frame.x || v_uv.y < frame.y || v_uv.x >= frame.z || v_uv.y >= frame.w) { rgb *= size.w; }
-    if (kind.x > 0.5) { rgb = vec3(to_linear(rgb.x), to_linear(rgb.y), to_linear(rgb.z)); }
-    rgb = vec3(dot(row(33).xyz, rgb), dot(row(34).xyz, rgb), dot(row(35).xyz, rgb)) * weight;
-  }
-  if (kind.w > 0.5) { /* to be summed */
-    out_colour = vec4(rgb, weight);
-    return;
-  }
-  /* the first one also brings the background and the coverage; the others only add their light */
-  if (whole_picture.x > 0.5) {
-    rgb += (1.0 - alpha) * under.rgb * under.a;
-    out_colour = vec4(rgb, under.a > 0.5 ? 1.0 : alpha) * whole_picture.y;
-  }
-  else {
-    out_colour = vec4(rgb * whole_picture.y, 0.0);
-  }
 }
 """

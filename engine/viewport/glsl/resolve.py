@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shaders that turn blended splats into scene-linear colour."""
+from __future__ import annotations
+
+from . import constants
+
+VERTEX = """
+void main()
+{
+  v_uv = 0.5 * corner + 0.5;
+  gl_Position = vec4(corner, 0.0, 1.0);
+}
+"""
+
+FRAGMENT = constants.RESOLVE + """
+vec4 row(int j) { return texelFetch(t_resolve, ivec2(j, 0), 0); }
+
+/* colour.srgb_to_linear */
+float to_linear(float x)
+{
+  float a = abs(x);
+  float y = a <= SRGB_CUT ? a / SRGB_SLOPE : pow((a + SRGB_OFFSET) / (1.0 + SRGB_OFFSET), SRGB_GAMMA);
+  return x < 0.0 ? -y : y;
+}
+
+#ifdef FEATURES
+/* appearance.decode of un-premultiplied features, for the ray through a pixel */
+vec3 decoded(vec3 base, vec3 direction, vec3 time, vec2 pixel, int activation)
+{
+  vec4 size = row(RESOLVE_SIZE), lens = row(RESOLVE_LENS);
+  vec4 x_row = row(RESOLVE_TO_MODEL), y_row = row(RESOLVE_TO_MODEL + 1), z_row = row(RESOLVE_TO_MODEL + 2);
+  vec3 ray = vec3(0.0, 0.0, 1.0);
+  if (size.z < 0.5) { ray.xy = vec2((pixel.x - lens.z) / lens.x, (size.y - pixel.y - lens.w) / lens.y); }
+  ray = vec3(dot(x_row.xyz, ray), dot(y_row.xyz, ray), dot(z_row.xyz, ray));
+  ray /= max(length(ray), 1e-30);
+  vec3 eye = vec3(x_row.w, y_row.w, z_row.w);
+  vec4 in0 = vec4(direction, time.x), in1 = vec4(time.yz, eye.xy), in2 = vec4(eye.z, ray);
+  vec3 rgb = base;
+  for (int h = 0; h < DECODER_HIDDEN; h++) {
+    int w1 = RESOLVE_W1 + 3 * h;
+    float hidden = max(dot(row(w1), in0) + dot(row(w1 + 1), in1) + dot(row(w1 + 2), in2), 0.0);
+    rgb += hidden * row(RESOLVE_W2 + h).xyz;
+  }
+  if (activation == ACTIVATION_SIGMOID) { return 1.0 / (1.0 + exp(-rgb)); }
+  if (activation == ACTIVATION_CLAMP) { return clamp(rgb, 0.0, 1.0); }
+  return rgb;
+}
+#endif
+
+void main()
+{
+  vec4 kind = row(RESOLVE_KIND), under = row(RESOLVE_BACKGROUND), border = row(RESOLVE_BORDER);
+  vec4 whole_picture = row(RESOLVE_WHOLE), size = row(RESOLVE_SIZE);
+  if (v_uv.x < border.x || v_uv.y < border.y || v_uv.x >= border.z || v_uv.y >= border.w) { discard; }
+  ivec2 pixel = min(ivec2(v_uv * size.xy), ivec2(size.xy) - ivec2(1));
+  vec4 first = texelFetch(t_first, pixel, 0);
+  float alpha = first.a;
+  float weight = alpha;
+#ifdef OWN
+  vec4 own = texelFetch(t_own, pixel, 0);
+  alpha = own.a;
+  if (kind.z < 0.5) { weight = own.x; } /* else a sum of groups, which brings its weight along */
+#endif
+  vec3 rgb = vec3(0.0);
+  if (weight > 0.0) {
+    rgb = first.rgb / weight;
+#ifdef FEATURES
+    rgb = decoded(rgb, texelFetch(t_second, pixel, 0).rgb / weight, texelFetch(t_third, pixel, 0).rgb / weight,
+                  vec2(pixel) + vec2(0.5), int(kind.y + 0.5));
+#endif
+    vec4 frame = row(RESOLVE_FRAME);
+    if (v_uv.x < frame.x || v_uv.y < frame.y || v_uv.x >= frame.z || v_uv.y >= frame.w) { rgb *= size.w; }
+    if (kind.x > 0.5) { rgb = vec3(to_linear(rgb.x), to_linear(rgb.y), to_linear(rgb.z)); }
+    rgb = vec3(dot(row(RESOLVE_WORKING).xyz, rgb), dot(row(RESOLVE_WORKING + 1).xyz, rgb), dot(row(RESOLVE_WORKING + 2).xyz, rgb)) * weight;
+  }
+  if (kind.w > 0.5) { /* to be summed */
+    out_colour = vec4(rgb, weight);
+    return;
+  }
+  /* the first one also brings the background and the coverage; the others only add their light */
+  if (whole_picture.x > 0.5) {
+    rgb += (1.0 - alpha) * under.rgb * under.a;
+    out_colour = vec4(rgb, under.a > 0.5 ? 1.0 : alpha) * whole_picture.y;
+  }
+  else {
+    out_colour = vec4(rgb * whole_picture.y, 0.0);
+  }
+}
+"""

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of what the resolve shader needs, as one row of a texture.  The shader (glsl/resolve.py) reads it by the same names."""
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
+from ...fastgs_blender.rendering.instances import ViewedInstance
+
+HIDDEN = len(Features().w1)
+"""Hidden units of a decoder; a unit's 12 weights take three texels."""
+
+
+class ResolveTexel(IntEnum):
+    """Places in the row.
+
+    KIND        whether colours are decoded from sRGB, the activation's code, whether it is a sum of groups, whether it is to be summed
+    BACKGROUND  colour, and whether there is one
+    BORDER      part of the framebuffer to draw: left, bottom, right, top, 0..1
+    WHOLE       whether the background and the coverage are drawn, the opacity
+    SIZE        width, height, orthographic, share of their colour that pixels outside FRAME keep
+    LENS        fx, fy, cx, cy
+    TO_MODEL    three rows from the camera's space to the model's
+    W1, W2      the decoder's matrices
+    WORKING     three rows from linear Rec.709 to the target's primaries
+    FRAME       where colours are as they are: left, bottom, right, top, 0..1
+    """
+
+    KIND = 0
+    BACKGROUND = 1
+    BORDER = 2
+    WHOLE = 3
+    SIZE = 4
+    LENS = 5
+    TO_MODEL = 6
+    W1 = 9
+    W2 = W1 + 3 * HIDDEN
+    WORKING = W2 + HIDDEN
+    FRAME = WORKING + 3
+
+
+def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstance | None, working: np.ndarray, background, border,
+                  opacity: float, frame, outside: float, first: bool, summed: bool, raw: bool) -> np.ndarray:
+    """float32 [1, texels, 4].
+
+    size       width and height of the picture
+    decoder    the instance whose decoder makes the colours, or None
+    first      whether this also brings the background and the coverage
+    summed     whether the colours are sums of groups, which bring their weight along
+    raw        whether the colours are to be summed, and stay as they are
+    For the rest see Picture.resolve().
+    """
+    values = np.zeros((1, ResolveTexel.FRAME + 1, 4), np.float32)
+    row, at = values[0], ResolveTexel
+    appearance = decoder and decoder.model.appearance
+    activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
+    row[at.KIND] = colour_space == "srgb" and not raw, activation, summed, raw
+    row[at.BACKGROUND] = (0, 0, 0, 0) if background is None else (*background, 1)
+    row[at.BORDER] = border
+    row[at.WHOLE] = first, opacity, 0, 0
+    row[at.SIZE] = *size, camera.orthographic, outside
+    row[at.LENS] = camera.fx, camera.fy, camera.cx, camera.cy
+    if appearance:
+        row[at.TO_MODEL:at.TO_MODEL + 3] = decoder.camera_to_model[:3]
+        row[at.W1:at.W2] = appearance.w1.reshape(-1, 4)
+        row[at.W2:at.WORKING, :3] = appearance.w2.T
+    row[at.WORKING:at.WORKING + 3, :3] = working
+    row[at.FRAME] = frame
+    return values
