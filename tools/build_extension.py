@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,26 @@ def copy_content(stage: Path):
             shutil.copytree(ROOT / item, stage / item, ignore=shutil.ignore_patterns("__pycache__", ".*"))
         else:
             shutil.copy(ROOT / item, stage / item)
+    copy_pages(stage)
+
+
+def copy_pages(stage: Path):
+    """README, CHANGELOG and docs/ without pictures; a link to what the extension leaves out becomes its words."""
+    pages = [Path("README.md"), Path("CHANGELOG.md"), *(page.relative_to(ROOT) for page in (ROOT / "docs").glob("*.md"))]
+    (stage / "docs").mkdir()
+    for page in pages:
+        shutil.copy(ROOT / page, stage / page)
+
+    def kept(link: re.Match) -> str:
+        picture, words, target = link.groups()
+        if "://" in target or target.startswith("#") or (folder / target.partition("#")[0]).exists():
+            return link[0]
+        return "" if picture else words
+
+    for page in pages:
+        folder = (stage / page).parent
+        text = re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", kept, (stage / page).read_text("utf-8"))
+        (stage / page).write_text(text.lstrip("\n"), "utf-8")
 
 
 def with_wheels(manifest: str, name: str, bundled: list[Path]) -> str:

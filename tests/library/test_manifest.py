@@ -7,6 +7,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import json
+import re
 import tomllib
 import zipfile
 from pathlib import Path
@@ -91,8 +92,21 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
               "examples/capture_train_render.py"}
     wanted |= {str(p.relative_to(ROOT)) for package in ("fastgs_blender", "engine", "operators", "ui")
                for p in (ROOT / package).rglob("*.py")}
+    wanted |= {"CHANGELOG.md", *(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))}
     assert names == wanted
     assert str(path) in capsys.readouterr().out
+
+
+def test_links_of_the_zips_pages_lead_into_the_zip(builder, tmp_path):
+    stage = tmp_path / "stage"
+    builder.copy_content(stage)
+    links = {(page, link) for page in stage.rglob("*.md")
+             for link in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")) if "://" not in link}
+    assert len(links) >= 12 and all((page.parent / link).exists() for page, link in links)
+    assert (stage / "README.md", "docs/guide.md") in links
+    readme = (stage / "README.md").read_text("utf-8")
+    assert readme.startswith("# ") and "first-light" not in readme
+    assert "CONTRIBUTING.md" in readme  # a name, where the file is not there
 
 
 def test_wheels_are_named_in_the_staged_manifest_alone(builder, manifest):
