@@ -18,6 +18,7 @@ from ..util.errors import FastGSError, LossWarning, printable
 from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
 from .base import Format, usable
+from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
 from .inria import Inria
@@ -30,7 +31,7 @@ from .spz import Spz
 from .stg import SpacetimeGaussians
 from .unsupported import explain
 
-DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Splat4d())
+DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), FourDGS(), Splat4d())
 STATIC: tuple[Format, ...] = (Spz(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""

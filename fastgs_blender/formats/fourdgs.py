@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`.4dgs` of avala-ai (version 1): quantised Gaussians that travel straight, fade like a bell and live in a window of time.
+
+Records (opcode, length, content) between two magics.  Read are the header, the grids, the table of windows, chunks and delta chunks of
+attributes, bands of spherical harmonics, object tracks and the frame of reference; sound, cameras, sensors and the index are passed over.
+Both temporal models are read: gaussian-birth, and keyframe-delta, whose states become Gaussians with windows (fourdgs_states.py).
+A Gaussian is seen at win_lo <= T < win_hi while exp(-((T - mu) / sigma)^2 / 2) >= cutoff; T in seconds, colours as displayed.
+"""
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from ..model.appearance import RGB, SH, SH_C0
+from ..model.gaussians import Clip, GaussianModel
+from ..util.errors import FastGSError, LossWarning
+from ..util.reading import read_bytes
+from . import fourdgs_streams as wire
+from . import fourdgs_tracks as tracks
+from .base import Format
+from .fourdgs_scene import Scene, band_of, chunk, complete
+from .fourdgs_states import States
+from .straight import Timeline, logit, straight
+
+HEADER, FOOTER, GRIDS, WINDOWS, CHUNK, BAND, DELTA_CHUNK, FRAME, TRACK = 1, 2, 3, 4, 5, 7, 16, 0x20, 0x25
+STEPS = ("pos", "scale_log", "rot", "rgb", "alpha", "motion", "time", "sigma_log")
+FPS = 30.0
+"""Frames per second of a scene that is a continuum."""
+LARGEST = 64 << 30
+UP = {1: "RUB", 2: "RFU", 4: "RDF"}
+"""Our axes by the number of the axis that points up: +y, +z, -y.  Which way is ahead changes no picture."""
+
+
+class FourDGS(Format):
+    """See the module."""
+
+    name = "4dgs"
+    reads = (".4dgs",)
+
+    def sniff(self, head, path):
+        return head.startswith(wire.MAGIC)
+
+    def load(self, path):
+        data = read_bytes(path, LARGEST)
+        scene, seen, room = None, set(), 1000 + len(data)
+        states = None
+        for opcode, place, content in wire.records(memoryview(data)):
+            if (scene is None) != (opcode == HEADER):
+                raise FastGSError("it does not begin with one header; the file is damaged, so copy or export it again.")
+            if opcode in (GRIDS, WINDOWS) and opcode in seen:
+                raise FastGSError(f"it has two records {opcode:#04x} of which there may be one; the file is damaged.")
+            seen.add(opcode)
+            if opcode == HEADER:
+                scene = _header(content)
+                states = States(scene) if scene.temporal_model == "keyframe-delta" else None
+            elif opcode == GRIDS:
+                _grids(scene, content)
+            elif opcode == WINDOWS:
+                _windows(scene, content)
+            elif opcode == CHUNK:
+                begin, end, count, cursor = chunk(content, room)
+                if states:
+                    states.keyframe(place, begin, end, wire.streams(cursor, count, "a keyframe"), count)
+                else:
+                    scene.tables.append(complete(wire.streams(cursor, count, "a chunk"), count, "a chunk"))
+                    scene.bands.append({})
+                    room -= count
+            elif opcode == DELTA_CHUNK:
+                if not states:
+                    raise FastGSError("it has a delta chunk, which its temporal model does not know; the file is damaged.")
+                states.delta(place, content, room)
+            elif opcode == BAND:
+                number = content.number("B")
+                if states:
+                    states.band(number, content)
+                else:
+                    _band(scene, number, content)
+            elif opcode == TRACK:
+                _track(scene, content)
+            elif opcode == FRAME:
+                _frame(scene, content, path)
+        if scene is None or GRIDS not in seen:
+            raise FastGSError("its header or its grids are missing; the file is damaged, so copy or export it again.")
+        if states:
+            states.finish()
+        return _model(scene)
+
+
+def _header(content: wire.Cursor) -> Scene:
+    content.text(), content.text()
+    duration, _, cutoff = content.unpack("dQd")
+    temporal_model = content.text()
+    content.unpack("6d")
+    degree, _ = content.unpack("BB")
+    if temporal_model not in ("gaussian-birth", "keyframe-delta"):
+        raise FastGSError(f"its temporal model is {temporal_model[:40]!r}, and those known are gaussian-birth and keyframe-delta.")
+    if not (0 <= duration <= 1e6 and 0 < cutoff < 1 and degree <= 3):
+        raise FastGSError(f"its header says {duration:g} seconds, a cutoff of {cutoff:g} and degree {degree}; the file is damaged.")
+    return Scene(duration, cutoff, temporal_model, degree)
+
+
+def _grids(scene: Scene, content: wire.Cursor) -> None:
+    scheme = content.text()
+    if scheme != "uniform-v1":
+        raise FastGSError(f"its numbers are quantised by {scheme[:40]!r}, and the scheme that is known is 'uniform-v1'.")
+    scene.origin, steps = np.array(content.unpack("3d")), content.unpack("8d")
+    if not np.isfinite([*scene.origin, *steps]).all():
+        raise FastGSError("a step of its grids is no finite number; the file is damaged.")
+    scene.steps = dict(zip(STEPS, steps))
+
+
+def _windows(scene: Scene, content: wire.Cursor) -> None:
+    count = content.number("I")
+    windows = np.frombuffer(content.take(16 * count), "<f8").reshape(count, 2)
+    if count:
+        scene.windows = windows
+
+
+def _track(scene: Scene, content: wire.Cursor) -> None:
+    track = tracks.read(content)
+    if track and any(other.name == track.name for other in scene.tracks):
+        raise FastGSError(f"its object {track.name} has two tracks; the file is damaged.")
+    scene.tracks += [track] if track else []
+
+
+def _frame(scene: Scene, content: wire.Cursor, path: Path) -> None:
+    """The scene's own frame of reference; others, which have names, are passed over."""
+    if content.text():
+        return
+    hand, up, _ = content.unpack("3B")
+    if hand == 2:
+        warnings.warn(LossWarning(f"{path}: it is of a left-handed space, so it is seen mirrored."), stacklevel=4)
+    scene.axes = UP.get(up, "RDF")
+
+
+def _band(scene: Scene, number: int, content: wire.Cursor) -> None:
+    """A band of spherical harmonics belongs to the chunk before it."""
+    if not scene.tables:
+        raise FastGSError("it has spherical harmonics before any Gaussians; the file is damaged.")
+    if number in scene.bands[-1]:
+        raise FastGSError(f"a chunk in it has band {number} of spherical harmonics twice; the file is damaged.")
+    scene.bands[-1][number] = band_of(scene.degree, number, content, len(scene.tables[-1][wire.FLAGS]))
+
+
+def _model(scene: Scene) -> GaussianModel:
+    """The model of all Gaussians of a scene."""
+    frames = max(1, round(scene.duration * FPS))
+    duration = scene.duration or 1 / FPS
+    clip, timeline = Clip(frames, frames / duration), Timeline(length=duration)
+    wanted = set(range(1, scene.degree + 1))
+    if any(set(bands) != wanted for bands, table in zip(scene.bands, scene.tables) if len(table[wire.FLAGS])):
+        raise FastGSError("bands of spherical harmonics are missing; the file is damaged, so copy or export it again.")
+    joined = {a: np.concatenate([t[a] for t in scene.tables] or [np.zeros((0, wire.CHANNELS[a]), np.int64)]) for a in wire.REQUIRED}
+    n, step = len(joined[wire.FLAGS]), scene.steps
+    always, index = joined[wire.FLAGS][:, 0] & 1 != 0, joined[wire.WINDOW][:, 0]
+    if n and (index.min() < 0 or index.max() >= len(scene.windows)):
+        raise FastGSError(f"a Gaussian has window {index.max()} of {len(scene.windows)}; the file is damaged.")
+    with np.errstate(all="ignore"):  # what is no number is found by usable()
+        window = scene.windows[index]
+        ln_sigma = joined[wire.SIGMA][:, 0] * step["sigma_log"]
+        motion_step, mu_step = _own_steps(scene, ln_sigma, always, window[:, 1] - window[:, 0])
+        mu = joined[wire.MU][:, 0] * mu_step
+        velocity = joined[wire.MOTION] * motion_step[:, None]
+        begin, end = window.T
+        reach = np.where(always, np.inf, math.sqrt(-2 * math.log(scene.cutoff)) * np.exp(ln_sigma))
+        begin, end = np.maximum(begin, mu - reach), np.minimum(end, mu + reach)
+        if scene.temporal_model == "keyframe-delta":
+            begin, end = np.maximum(begin, scene.spans[0]), np.minimum(end, scene.spans[1])
+        lives = straight(joined[wire.POSITION] * step["pos"] + scene.origin, velocity, mu, np.where(always, np.inf, ln_sigma), timeline,
+                         (begin, end))
+        green, red, blue = joined[wire.COLOUR].T
+        rgb = np.clip(np.stack([red + green, green, blue + green], 1) * step["rgb"], 0, 1)
+        features, look = rgb, RGB()
+        if scene.degree:
+            features, look = _harmonics(scene, rgb, n), SH(scene.degree)
+        rotation = _rotations(joined[wire.OMITTED][:, 0], joined[wire.ROTATION] * step["rot"])
+        moved = tracks.follow(lives, rotation, _objects(scene), scene.tracks, timeline)
+        opacity = logit(joined[wire.OPACITY][:, 0] * step["alpha"])
+        return GaussianModel(**moved, scale=joined[wire.SCALE] * step["scale_log"], opacity=opacity, features=features, appearance=look,
+                             clip=clip, axes=scene.axes)
+
+
+def _objects(scene: Scene) -> np.ndarray:
+    """The object [N] that each Gaussian belongs to; 0: none."""
+    names = [wire.identities(t[wire.OBJECT]) if wire.OBJECT in t else np.zeros(len(t[wire.FLAGS]), np.int64) for t in scene.tables]
+    return np.concatenate(names or [np.zeros(0, np.int64)])
+
+
+def _own_steps(scene: Scene, ln_sigma, always, lengths) -> tuple[np.ndarray, np.ndarray]:
+    """The grids [N] of velocity and of mu, which follow from each Gaussian's own lifetime (specification, 6.3)."""
+    sigma = np.exp(ln_sigma)
+    half = np.clip(np.where(always, lengths, math.sqrt(-2 * math.log(scene.cutoff)) * sigma), 0.02, 2.0)
+    motion = np.clip(np.ceil(np.log2(half / 0.5)), -4, 2)
+    time = scene.steps["time"]
+    fine = np.clip(np.floor(np.log2(np.where(always, time, np.minimum(time, 0.05 * sigma)) / time)), -10, 0)
+    return scene.steps["motion"] * 2.0**-motion, time * 2.0**fine
+
+
+def _rotations(omitted: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Quaternions w x y z [N, 4] of three components of x y z w each, and the number of the one that is left out."""
+    if len(omitted) and (omitted.min() < 0 or omitted.max() > 3):
+        raise FastGSError("a rotation in it leaves out a component that does not exist; the file is damaged.")
+    kept = np.clip(kept, -1, 1)
+    q = np.empty((len(kept), 4))
+    for i in range(4):
+        rows = omitted == i
+        q[np.ix_(rows, [c for c in range(4) if c != i])] = kept[rows]
+        q[rows, i] = np.sqrt(np.maximum(0, 1 - (kept[rows] ** 2).sum(1)))
+    return q[:, [3, 0, 1, 2]]
+
+
+def _harmonics(scene: Scene, rgb: np.ndarray, n: int) -> np.ndarray:
+    """Features [N, 3 B] of colours and bands; a band has all of red, then green, then blue."""
+    parts = [((rgb - 0.5) / SH_C0)[:, None]]
+    for band in range(1, scene.degree + 1):
+        values = np.concatenate([b[band] for b, t in zip(scene.bands, scene.tables) if len(t[wire.FLAGS])] or [np.zeros((0, 6 * band + 3))])
+        parts.append((-4 + values * (8 / 255)).reshape(n, 3, 2 * band + 1).transpose(0, 2, 1))
+    return np.concatenate(parts, 1).reshape(n, -1)

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The temporal model keyframe-delta of `.4dgs`: states of a population of Gaussians, each a change of an earlier one.
+
+A state holds over its own interval; what holds unchanged over several becomes one Gaussian with a window.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from . import fourdgs_streams as wire
+from .fourdgs_scene import Scene, band_of, complete
+
+COLUMNS = {a: slice(sum(wire.CHANNELS[b] for b in range(a)), sum(wire.CHANNELS[b] for b in range(a + 1))) for a in wire.REQUIRED}
+WIDTH = sum(wire.CHANNELS[a] for a in wire.REQUIRED)
+FIXED = (wire.SIGMA, wire.FLAGS, wire.WINDOW)
+"""What a change may not touch, for the grids of others follow from it."""
+
+
+@dataclass
+class State:
+    """A population: identities [N], sorted; a row of integers for each [N, M]: the attributes, then the bands."""
+
+    place: int
+    identity: np.ndarray
+    rows: np.ndarray
+
+
+class States:
+    """Reads states in the order of the file and hands the Gaussians that they make to the scene."""
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        self.width = WIDTH + sum(3 * (2 * b + 1) for b in range(1, scene.degree + 1))
+        self.first = self.last = None
+        self.end = 0.0
+        self.shown = State(-1, np.zeros(0, np.int64), np.zeros((0, self.width), np.int64))
+        self.since = np.zeros(0)
+        self.born: np.ndarray | None = None
+        self.bands: set[int] = set()
+        self.done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def keyframe(self, place: int, begin: float, end: float, table, count: int) -> None:
+        """A whole state."""
+        self._close()
+        self.first = self._open(begin, end, State(place, *self._rows(table, count, "a keyframe")), _named(table, count))
+
+    def delta(self, place: int, content: wire.Cursor, room: int) -> None:
+        """A state that says what changed against another one: the last keyframe's or the last."""
+        self._close()
+        begin, end, _, mode, reference, _, _, *counts = content.unpack("ddIBQQHIII")
+        codec, size = content.text(), content.number("Q")
+        if max(counts) > room:
+            raise FastGSError(f"a delta chunk claims {max(counts)} Gaussians, which the file is too small to hold; copy it again.")
+        body = wire.unpacked(content.block(), codec, size)
+        updates, births, deaths = (wire.streams(body.block(), count, "a delta chunk") for count in counts)
+        base = {0: self.first, 1: self.last}.get(mode)
+        if base is None or base.place != reference:
+            raise FastGSError("a delta chunk refers to a state that is not there; the file is damaged, so copy or export it again.")
+        touched = _named(updates, counts[0])
+        gone, new = _named(deaths, counts[2]), self._rows(births, counts[1], "a delta chunk")
+        if len(np.unique(np.concatenate([touched, gone, new[0]]))) != sum(counts):
+            raise FastGSError("a delta chunk names a Gaussian twice; the file is damaged.")
+        rows = base.rows.copy()
+        self._update(rows, _places(base.identity, touched), updates)
+        keep = np.ones(len(rows), bool)
+        keep[_places(base.identity, gone)] = False
+        identity = np.concatenate([base.identity[keep], new[0]])
+        order = np.argsort(identity, kind="stable")
+        if np.any(np.diff(identity[order]) == 0):
+            raise FastGSError("a delta chunk brings a Gaussian to life that lives; the file is damaged.")
+        self._open(begin, end, State(place, identity[order], np.concatenate([rows[keep], new[1]])[order]), _named(births, counts[1]))
+
+    def band(self, number: int, content: wire.Cursor) -> None:
+        """Spherical harmonics of those that the last record brought to life."""
+        if self.born is None or number in self.bands:
+            raise FastGSError("it has spherical harmonics that belong to nothing; the file is damaged.")
+        values = band_of(self.scene.degree, number, content, len(self.born))
+        self.bands.add(number)
+        begin = WIDTH + sum(3 * (2 * b + 1) for b in range(1, number))
+        if number <= self.scene.degree:
+            self.last.rows[_places(self.last.identity, self.born), begin:begin + values.shape[1]] = values
+
+    def finish(self) -> None:
+        """Hand over what was found."""
+        self._close()
+        if abs(self.end - self.scene.duration) > 1e-9 * max(1, self.end):
+            raise FastGSError(f"its states end at {self.end:g} s, and the scene at {self.scene.duration:g} s; the file is damaged.")
+        self._emit(np.ones(len(self.shown.rows), bool), self.end)
+        rows = np.concatenate([d[0] for d in self.done] or [np.zeros((0, self.width), np.int64)])
+        self.scene.tables = [{a: rows[:, columns] for a, columns in COLUMNS.items()}]
+        at, bands = WIDTH, {}
+        for b in range(1, self.scene.degree + 1):
+            bands[b] = rows[:, at:at + 3 * (2 * b + 1)]
+            at += 3 * (2 * b + 1)
+        self.scene.bands = [bands]
+        begin, end = (np.concatenate([d[i] for d in self.done] or [np.zeros(0)]) for i in (1, 2))
+        self.scene.spans = (begin, end)
+
+    def _rows(self, table, count: int, what: str) -> tuple[np.ndarray, np.ndarray]:
+        """Identities, sorted, and rows of Gaussians that are given whole."""
+        identity = _named(table, count)
+        order = np.argsort(identity, kind="stable")
+        if np.any(np.diff(identity[order]) == 0):
+            raise FastGSError(f"{what} in it names a Gaussian twice; the file is damaged.")
+        table = complete(table, count, what)
+        rows = np.zeros((count, self.width), np.int64)
+        for a, columns in COLUMNS.items():
+            rows[:, columns] = table[a]
+        return identity[order], rows[order]
+
+    def _update(self, rows: np.ndarray, places: np.ndarray, updates) -> None:
+        """Add differences to rows; rotations are said anew."""
+        for a, values in updates.items():
+            if a in FIXED:
+                raise FastGSError(f"a delta chunk changes {wire.NAMES[a]}, which may not change; the file is damaged.")
+            if a in (wire.OMITTED, wire.ROTATION):
+                rows[places, COLUMNS[a]] = values
+            elif a in COLUMNS:
+                rows[places, COLUMNS[a]] += values
+        if rows.size and np.abs(rows).max() >= 2**31:
+            raise FastGSError("a number in it leaves 32 bits after its changes; the file is damaged.")
+
+    def _open(self, begin: float, end: float, state: State, born: np.ndarray) -> State:
+        """Begin a state; the bands of spherical harmonics of `born`, in the file's order, may still come."""
+        if not (abs(begin - self.end) <= 1e-9 * max(1, abs(self.end)) and begin <= end < np.inf):
+            raise FastGSError(f"a state in it begins at {begin:g} s where the one before ends at {self.end:g} s; the file is damaged.")
+        self.begin, self.end = begin, end
+        self.last, self.bands, self.born = state, set(), born
+        return state
+
+    def _close(self) -> None:
+        """Compare the last state with what was shown before it: what differs ends, and the rest goes on."""
+        if self.born is None:
+            return
+        if len(self.born) and self.bands != set(range(1, self.scene.degree + 1)):
+            raise FastGSError("bands of spherical harmonics are missing; the file is damaged, so copy or export it again.")
+        old, new = self.shown, self.last
+        place = np.searchsorted(old.identity, new.identity).clip(0, max(0, len(old.identity) - 1))
+        same = np.zeros(len(new.identity), bool)
+        if len(old.identity) and len(new.identity):
+            same = (old.identity[place] == new.identity) & (old.rows[place] == new.rows).all(1)
+        ends = np.ones(len(old.identity), bool)
+        ends[place[same]] = False
+        self._emit(ends, self.begin)
+        since = np.full(len(new.identity), self.begin)
+        since[same] = self.since[place[same]]
+        self.shown, self.since, self.born = State(new.place, new.identity, new.rows.copy()), since, None
+
+    def _emit(self, which: np.ndarray, end: float) -> None:
+        if which.any():
+            self.done.append((self.shown.rows[which], self.since[which], np.full(which.sum(), end)))
+
+
+def _named(table, count: int) -> np.ndarray:
+    """The identities of a group; raises FastGSError where there are none."""
+    if wire.IDENTITY not in table:
+        if count:
+            raise FastGSError("its Gaussians have no identities, which keyframe-delta needs; the file is damaged.")
+        return np.zeros(0, np.int64)
+    return wire.identities(table[wire.IDENTITY])
+
+
+def _places(identity: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Where identities stand in a sorted list; raises FastGSError where one is not in it."""
+    place = np.searchsorted(identity, wanted)
+    if np.any(place >= len(identity)) or np.any(identity[np.minimum(place, len(identity) - 1)] != wanted):
+        raise FastGSError("a change names a Gaussian that does not live; the file is damaged.")
+    return place

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The wire of `.4dgs`: a cursor over bytes, records, and the streams of integers in which attributes are stored."""
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..util.errors import FastGSError
+
+MAGIC = b"\x894DGS1\r\n"
+POSITION, SCALE, OMITTED, ROTATION, COLOUR, OPACITY, MOTION, MU, SIGMA, FLAGS, WINDOW = range(11)
+IDENTITY, OBJECT = 13, 14
+CHANNELS = {POSITION: 3, SCALE: 3, OMITTED: 1, ROTATION: 3, COLOUR: 3, OPACITY: 1, MOTION: 3, MU: 1, SIGMA: 1, FLAGS: 1, WINDOW: 1,
+            IDENTITY: 1, OBJECT: 1}
+"""Attributes that are read, and how many numbers each has."""
+NAMES = ("position", "scale", "rotation index", "rotation", "colour", "opacity", "motion", "mu_t", "sigma_t", "flags", "window index")
+REQUIRED = tuple(range(11))
+RAW, DELTA, CONSTANT = range(3)
+
+
+class Cursor:
+    """A place in bytes; every read is checked against their end."""
+
+    def __init__(self, data: memoryview):
+        self.data, self.at = data, 0
+
+    def __bool__(self) -> bool:
+        return self.at < len(self.data)
+
+    def take(self, count: int) -> memoryview:
+        """The next `count` bytes; raises FastGSError where there are not so many."""
+        if count > len(self.data) - self.at:
+            raise FastGSError("the file is cut short, or a length in it is wrong; copy or export it again.")
+        self.at += count
+        return self.data[self.at - count:self.at]
+
+    def unpack(self, code: str) -> tuple:
+        """Numbers of a struct code, little-endian without padding."""
+        return struct.unpack("<" + code, self.take(struct.calcsize("<" + code)))
+
+    def number(self, code: str):
+        """One number."""
+        return self.unpack(code)[0]
+
+    def text(self) -> str:
+        """A text with its length in front."""
+        try:
+            return str(self.take(self.number("I")), "utf-8")
+        except UnicodeDecodeError as error:
+            raise FastGSError("a text in it is no UTF-8; the file is damaged, so copy or export it again.") from error
+
+    def block(self) -> Cursor:
+        """Bytes with their length in front, as a cursor of their own."""
+        return Cursor(self.take(self.number("Q")))
+
+
+def records(data: memoryview) -> Iterator[tuple[int, int, Cursor]]:
+    """Opcode, place and content of all records between both magics; raises FastGSError."""
+    if data[:8] != MAGIC or data[-8:] != MAGIC or len(data) < 16:
+        raise FastGSError("the file is cut short: it does not end with the mark that every whole .4dgs file ends with; copy it again.")
+    cursor = Cursor(data[:-8])
+    cursor.take(8)
+    while cursor:
+        place = cursor.at
+        opcode = cursor.number("B")
+        yield opcode, place, cursor.block()
+
+
+def unpacked(block: Cursor, codec: str, size: int) -> Cursor:
+    """The streams of a chunk, which may be compressed as a whole."""
+    if codec in ("", "none"):
+        return Cursor(block.data)
+    if codec != "deflate":
+        raise FastGSError(f"its chunks are compressed with {codec[:20]!r}, which is not supported; export it with deflate.")
+    return Cursor(memoryview(_inflated(block.data, size)))
+
+
+def streams(cursor: Cursor, count: int, what: str) -> dict[int, np.ndarray]:
+    """The attributes [count, channels] int64 of a run of streams; those that are not known are passed over."""
+    found, seen = {}, set()
+    while cursor:
+        attribute, values = stream(cursor, count)
+        if attribute in seen:
+            raise FastGSError(f"{what} has attribute {attribute} twice; the file is damaged.")
+        seen.add(attribute)
+        if values is not None:
+            if values.shape[1] != CHANNELS[attribute]:
+                raise FastGSError(f"attribute {attribute} of {what} has {values.shape[1]} channels instead of {CHANNELS[attribute]}.")
+            found[attribute] = values
+    return found
+
+
+def stream(cursor: Cursor, count: int, band: bool = False) -> tuple[int, np.ndarray | None]:
+    """An attribute and its integers [count, channels] int64; None for one that is not known.  band: spherical harmonics."""
+    attribute, width, mode, codec, channels, elements, size = cursor.unpack("5BIQ")
+    payload = cursor.take(size)
+    if attribute not in CHANNELS and not band:
+        return attribute, None
+    if codec == 1:
+        raise FastGSError("its streams are compressed with zstd, which is not supported; export it with deflate.")
+    if codec:
+        raise FastGSError(f"a stream in it has the unknown codec {codec}; export it with deflate.")
+    if width not in (1, 2, 4) or mode not in (RAW, DELTA, CONSTANT) or not channels:
+        raise FastGSError(f"the stream of attribute {attribute} has {width} bytes a number and mode {mode}; the file is damaged.")
+    if elements != count:
+        raise FastGSError(f"the stream of attribute {attribute} has {elements} elements, and there are {count} Gaussians.")
+    if not count:
+        return attribute, np.zeros((0, channels), np.int64)
+    symbols = channels if mode == CONSTANT else count * channels
+    planes = np.frombuffer(_inflated(payload, symbols * width), np.uint8).reshape(width, symbols)
+    code = np.ascontiguousarray(planes.T).view(f"<u{width}").reshape(-1, channels).astype(np.int64)
+    values = (code >> 1) ^ -(code & 1)
+    if mode == CONSTANT:
+        values = np.repeat(values, count, 0)
+    return attribute, np.cumsum(values, 0) if mode == DELTA else values
+
+
+def identities(values: np.ndarray) -> np.ndarray:
+    """Unsigned 32-bit names [N] of signed numbers with the same bits."""
+    if values.size and (values.min() < -(2**31) or values.max() >= 2**31):
+        raise FastGSError("an identity in it does not fit 32 bits; the file is damaged.")
+    return values.reshape(-1) % 2**32
+
+
+def _inflated(data, size: int) -> bytes:
+    """Exactly `size` bytes out of a zlib stream: memory is taken as they come, not as the file says."""
+    try:
+        machine = zlib.decompressobj()
+        out = machine.decompress(data, size + 1)
+    except (zlib.error, OverflowError) as error:
+        raise FastGSError("a compressed stream in it is damaged; copy or export the file again.") from error
+    if len(out) != size or not machine.eof:
+        raise FastGSError(f"a stream in it does not have the {size} bytes that the file says; copy or export it again.")
+    return out
