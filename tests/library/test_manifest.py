@@ -89,7 +89,7 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     with zipfile.ZipFile(path) as file:
         names = {name for name in file.namelist() if not name.endswith("/")}
     wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples/playground.safetensors",
-              "examples/capture_train_render.py"}
+              "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ("fastgs_blender", "engine", "operators", "ui")
                for p in (ROOT / package).rglob("*.py")}
     wanted |= {"CHANGELOG.md", *(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))}
@@ -103,7 +103,7 @@ def test_links_of_the_zips_pages_lead_into_the_zip(builder, tmp_path):
     links = {(page, link) for page in stage.rglob("*.md")
              for link in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")) if "://" not in link}
     assert len(links) >= 12 and all((page.parent / link).exists() for page, link in links)
-    assert (stage / "README.md", "docs/guide.md") in links
+    assert (stage / "README.md", "docs/colour.md") in links
     readme = (stage / "README.md").read_text("utf-8")
     assert readme.startswith("# ") and "first-light" not in readme
     assert "CONTRIBUTING.md" in readme  # a name, where the file is not there
