@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What `fastgs info` says about a capture: as JSON values, and as lines for people."""
+"""The facts of a capture that `fastgs info` prints: as JSON values, and as lines for people."""
 from __future__ import annotations
 
 import contextlib
 from collections import Counter
 from dataclasses import asdict
 
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, printable
 from .capture import Capture, Shot
 from .pixels.checks import problems
 from .pixels.probe import Facts, facts
@@ -85,7 +85,7 @@ def text(found: dict) -> str:
         *(("problem", problem) for problem in found["problems"]),
     ]
     width = max(len(name) for name, _ in lines)
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines)
+    return printable("\n".join(f"{name:<{width}}  {value}" for name, value in lines))
 
 
 def _sizes(counts: Counter) -> str:

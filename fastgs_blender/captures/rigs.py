@@ -11,7 +11,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..cameras.lens import pinhole_for
 from ..model.gaussians import Clip
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, printable
 from .capture import Capture, Options, Points, Shot
 from .sources import Source
 
@@ -78,11 +78,11 @@ def from_entries(
         raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
     chosen = _chosen(frame_count, options.frames, path)
     place = {frame: i for i, frame in enumerate(chosen)}
-    entries = [entry for entry in entries if entry.frame in place]
+    entries = [replace(entry, view=printable(entry.view)) for entry in entries if entry.frame in place]  # for messages, and for Blender
     if not entries:
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
-    kept = _held_out(path, entries, held_out, options.held_out)
+    kept = _held_out(path, entries, map(printable, held_out), options.held_out)
     times = _times(entries, chosen, options.frames is not None)
     cameras: dict = {}
     shots = []
@@ -97,7 +97,7 @@ def from_entries(
     shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
     step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
-    return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, list(notes), list(faults))
+    return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)])
 
 
 def check_count(path, frames: int, cameras: int = 1) -> None:

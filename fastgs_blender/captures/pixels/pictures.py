@@ -2,6 +2,7 @@
 """Picture files as display-referred colours with straight alpha: PNG and JPEG through pillow, EXR through OpenEXR."""
 from __future__ import annotations
 
+import io
 import os
 import warnings
 from collections.abc import Iterator
@@ -18,6 +19,8 @@ from . import exr
 from .limits import check_size
 
 FORMATS = ("PNG", "JPEG")
+BRIGHTEST = np.float32(65504)
+"""Linear values beyond it are cut: they are white with any gain, and larger ones would overflow on their way there."""
 MOST_PIXELS_A_BYTE = 8 * 1032
 """Deflate, which compresses PNG best, makes at most 1032 bytes of one, and a byte holds at most 8 pixels."""
 
@@ -55,7 +58,9 @@ def read_grey(source: Source) -> np.ndarray:
 
 def _exr(path):
     rgb, alpha = exr.read(path)
-    return (rgb if alpha is None else colour.straight(rgb, alpha)), alpha
+    with np.errstate(over="ignore"):  # colours of what is nearly transparent
+        rgb = rgb if alpha is None else colour.straight(rgb, alpha)
+    return np.clip(rgb, -BRIGHTEST, BRIGHTEST), alpha
 
 
 def _pillow(path):
@@ -68,12 +73,24 @@ def _pillow(path):
     return pixels[..., :3], pixels[..., 3] if alpha else None
 
 
+class _Bounded(io.BufferedReader):
+    """A file whose read() makes room for no more bytes than it still has: pillow believes the lengths that a PNG states."""
+
+    def __init__(self, raw: io.FileIO):
+        super().__init__(raw)
+        self.size = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int = -1) -> bytes:
+        left = max(self.size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
 @contextmanager
 def opened(path: Path) -> Iterator:
     """A pillow Image of a PNG or JPEG file; raises FastGSError for whatever pillow raises while it is open."""
     from PIL import Image
 
-    with reading(path, "copy or export the picture again"), open_file(path) as file:
+    with reading(path, "copy or export the picture again"), _Bounded(open_file(path).detach()) as file:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size() knows the limit
@@ -81,5 +98,5 @@ def opened(path: Path) -> Iterator:
         except Image.UnidentifiedImageError as error:
             raise FastGSError(f"{path}: the picture cannot be read (it is no PNG or JPEG); copy or export it again.") from error
         with picture:
-            check_size(path, *picture.size, os.fstat(file.fileno()).st_size * MOST_PIXELS_A_BYTE)
+            check_size(path, *picture.size, file.size * MOST_PIXELS_A_BYTE)
             yield picture

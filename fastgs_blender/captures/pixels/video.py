@@ -151,6 +151,15 @@ def _undecodable(path, number) -> FastGSError:
 
 
 @contextmanager
+def _bounded(path: Path):
+    """FFmpeg says that there is too little memory also for what it never asks for: a count in the file beyond its own limits."""
+    try:
+        yield
+    except MemoryError:
+        raise FastGSError(f"{path}: the video claims more than FFmpeg has memory for; it is damaged, so copy it again.") from None
+
+
+@contextmanager
 def _opened(path: Path):
     """A PyAV container whose first video stream has a decoder; raises FastGSError for whatever PyAV raises while it is open."""
     try:
@@ -158,7 +167,8 @@ def _opened(path: Path):
     except ImportError as error:
         raise FastGSError(f"{path}: reading a video needs PyAV; install it with: pip install av.") from error
     open_file(path).close()  # FFmpeg opens it by name: a pipe must not get that far
-    with reading(path, "the video is damaged, cut short or of an unknown kind"), av.open(f"file:{path}", options=OPTIONS) as container:
+    with reading(path, "the video is damaged, cut short or of an unknown kind"), _bounded(path), \
+            av.open(f"file:{path}", options=OPTIONS) as container:
         if not container.streams.video:
             raise FastGSError(f"{path}: there is no video in this file.")
         if container.streams.video[0].codec_context is None:

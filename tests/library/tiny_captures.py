@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The smallest capture of each layout, as files in a folder: what tests damage."""
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fastgs_blender.util import rotations
+
+WIDTH, HEIGHT, FOCAL = 32, 24, 30.0
+VIEWS = ("cam00", "cam01")
+FRAMES = 2
+
+
+def pose(i: int) -> np.ndarray:
+    """World-to-camera [4, 4] of the i-th camera."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotations.to_matrices(rotations.unit(np.array([1.0, 0.02, 0.1 * i, 0.01])))
+    matrix[:3, 3] = 0.3 * i, 0.1, 3.0
+    return matrix
+
+
+def opengl(i: int) -> list:
+    """Camera-to-world of the i-th camera, in OpenGL's axes, as lists."""
+    return (np.linalg.inv(pose(i)) @ np.diag([1.0, -1, -1, 1])).tolist()
+
+
+def picture(path: Path, i: int, frame: int) -> None:
+    """A picture of a few colours."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    x, y = np.arange(WIDTH) // 4, np.arange(HEIGHT)[:, None] // 4
+    Image.fromarray(np.uint8(np.stack([x * 20 + 0 * y, y * 30 + 0 * x, 0 * x * y + 40 * i + 90 * frame], -1))).save(path)
+
+
+def pictures(folder: Path, name: str = "{view}/{frame:04}.png") -> None:
+    for i, view in enumerate(VIEWS):
+        for frame in range(FRAMES):
+            picture(folder / name.format(view=view, frame=frame + 1), i, frame)
+
+
+def video(path: Path, frames: int = 6, codec: str = "libx264", **options) -> None:
+    """A short video."""
+    import av
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options=options)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        for frame in range(frames):
+            grey = np.full((HEIGHT, WIDTH, 3), 40 + 9 * frame, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
+        container.mux(stream.encode(None))
+
+
+def points(path: Path, ascii_: bool = False) -> None:
+    """A points.ply with colours and times."""
+    table = np.zeros(5, [(n, "<f4") for n in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")] + [("t", "<f4")])
+    table["x"], table["red"] = np.arange(5), 40
+    kinds = "".join(f"property {'uchar' if table.dtype[n] == np.uint8 else 'float'} {n}\n" for n in table.dtype.names)
+    head = f"ply\nformat {'ascii' if ascii_ else 'binary_little_endian'} 1.0\nelement vertex 5\n{kinds}end_header\n".encode()
+    rows = "".join(" ".join(str(v) for v in row) + "\n" for row in table.tolist()).encode() if ascii_ else table.tobytes()
+    path.write_bytes(head + rows)
+
+
+def fastgs(folder: Path) -> None:
+    pictures(folder)
+    pictures(folder, "masks/{view}/{frame:04}.png")
+    points(folder / "points.ply")
+    camera = dict(width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL, cx=16.0, cy=12.0)
+    cameras = [dict(name="cam00", **camera, world_to_camera=pose(0).tolist(), distortion={"model": "opencv", "k1": -0.1, "p1": 0.01}),
+               dict(name="cam01", **camera, world_to_camera=[pose(1).tolist(), pose(2).tolist()],
+                    distortion={"model": "fisheye", "k1": 0.1})]
+    (folder / "cameras.json").write_text(json.dumps({
+        "format": "fast-gs capture", "version": 1, "fps": 24, "start_frame": 1, "frame_count": FRAMES, "axes": "RDF", "masks": "valid",
+        "colour": "auto", "held_out": ["cam01"], "cameras": cameras}))
+
+
+def panoptic(folder: Path) -> None:
+    pictures(folder, "ims/{view}/{frame:04}.jpg")
+    pictures(folder, "seg/{view}/{frame:04}.png")
+    k = [[FOCAL, 0, 16.0], [0, FOCAL, 12.0], [0, 0, 1]]
+    for i, split in enumerate(("train", "test")):
+        (folder / f"{split}_meta.json").write_text(json.dumps({
+            "w": WIDTH, "h": HEIGHT, "k": [[k]] * FRAMES, "w2c": [[pose(i).tolist()]] * FRAMES, "cam_id": [[i]] * FRAMES,
+            "fn": [[f"{VIEWS[i]}/{frame + 1:04}.jpg"] for frame in range(FRAMES)]}))
+    np.savez(folder / "init_pt_cld.npz", data=np.arange(35.0).reshape(5, 7) / 40)
+
+
+def transforms(folder: Path) -> None:
+    """As nerfstudio writes it."""
+    pictures(folder, "images/{view}_{frame:04}.png")
+    points(folder / "sparse_pc.ply", ascii_=True)
+    frames = [{"file_path": f"images/{view}_{frame + 1:04}.png", "transform_matrix": opengl(i), "time": frame / FRAMES,
+               "mask_path": f"images/{view}_0001.png"} for i, view in enumerate(VIEWS) for frame in range(FRAMES)]
+    (folder / "transforms.json").write_text(json.dumps({
+        "camera_model": "OPENCV", "fl_x": FOCAL, "fl_y": FOCAL, "cx": 16.0, "cy": 12.0, "w": WIDTH, "h": HEIGHT, "k1": 0.05, "k2": 0.01,
+        "p1": 0.001, "ply_file_path": "sparse_pc.ply", "test_filenames": ["images/cam01_0001.png"], "frames": frames}))
+
+
+def splits(folder: Path) -> None:
+    """As D-NeRF writes it."""
+    pictures(folder, "{view}/r_{frame:03}.png")
+    for i, split in enumerate(("train", "test")):
+        frames = [{"file_path": f"./{VIEWS[i]}/r_{frame + 1:03}", "rotation": 0.1, "time": frame / FRAMES,
+                   "transform_matrix": opengl(2 * i + frame)} for frame in range(FRAMES)]
+        (folder / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": frames}))
+
+
+def immersive(folder: Path) -> None:
+    entries = []
+    for i in range(2):
+        video(folder / f"camera_000{i + 1}.mp4", 2)
+        entries.append({"name": f"camera_000{i + 1}", "position": [0.1 * i, 0.0, 0.0], "orientation": [0.0, 0.1 * i, 0.0],
+                        "focal_length": FOCAL, "pixel_aspect_ratio": 1.0, "principal_point": [16.0, 12.0], "width": float(WIDTH),
+                        "height": float(HEIGHT), "radial_distortion": [0.05, -0.01, 0.0], "projection_type": "fisheye"})
+    (folder / "models.json").write_text(json.dumps(entries))
+
+
+def n3v(folder: Path) -> None:
+    pictures(folder, "{view}/images/{frame:04}.png")
+    points(folder / "points3D_downsample2.ply")
+    rows = []
+    for i in range(2):
+        right, down, forward, centre = np.linalg.inv(pose(i))[:3].T
+        rows.append(np.r_[np.stack([down, right, -forward, centre, [HEIGHT, WIDTH, FOCAL]], 1).ravel(), 0.5, 20])
+    np.save(folder / "poses_bounds.npy", np.array(rows))
+
+
+def technicolor(folder: Path) -> None:
+    for i in range(2):
+        for frame in range(FRAMES):
+            picture(folder / f"Fabien_undist_{frame + 51:05}_{i:02}.png", i, frame)
+    rows = [" ".join(map(str, [FOCAL, 16, 12, 1, 0.1, *rotations.from_matrices(pose(i)[:3, :3]), *pose(i)[:3, 3]])) for i in range(2)]
+    (folder / "cameras_parameters.txt").write_text("\n".join(["f cx cy aspect skew qw qx qy qz tx ty tz", *rows]) + "\n")
+
+
+def qualisys(folder: Path) -> None:
+    for i in range(2):
+        for frame in range(FRAMES):
+            picture(folder / f"film {1000 + i}" / f"{frame:04}.png", i, frame)
+    cameras = []
+    for i in range(2):
+        turn = " ".join(f'r{a + 1}{b + 1}="{(np.diag([1, -1, -1]) @ pose(i)[:3, :3])[a, b]}"' for a in range(3) for b in range(3))
+        cameras.append(
+            f'<camera active="1" serial="{1000 + i}" model="Miqus Video">\n<fov_video_max left="0" top="0" right="39" bottom="29"/>\n'
+            f'<fov_video left="4" top="3" right="35" bottom="26"/>\n<transform x="{100 * i}" y="3" z="1500" {turn}/>\n'
+            f'<intrinsic focallength="9" sensorMinU="0" sensorMaxU="2559" focalLengthU="1920" focalLengthV="1920" centerPointU="1280" '
+            'centerPointV="960" skew="0" radialDistortion1="0.02" radialDistortion2="0" radialDistortion3="0" tangentalDistortion1="0.001" '
+            'tangentalDistortion2="0"/>\n</camera>')
+    body = "\n".join(["<cameras>", *cameras, "</cameras>"])
+    (folder / "calib.qca.txt").write_text(f'<?xml version="1.0"?>\n<calibration type="regular">\n{body}\n</calibration>\n')
+
+
+def colmap_model(folder: Path, names: list[str], binary: bool) -> None:
+    """A model with a camera for each name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    turns = [(*rotations.from_matrices(pose(i)[:3, :3]), *pose(i)[:3, 3]) for i in range(len(names))]
+    if not binary:
+        texts = {"cameras": [f"{i} OPENCV {WIDTH} {HEIGHT} {FOCAL} {FOCAL} 16 12 0.05 0 0.001 0" for i in range(len(names))],
+                 "images": [line for i, name in enumerate(names)
+                            for line in (f"{i} {' '.join(map(str, turns[i]))} {i} {name}", "3.5 4.5 -1 6 7 2")],
+                 "points3D": [f"{i} {i}.5 0 1 200 100 {i} 0.3 0 1 1 2" for i in range(4)]}
+        for name, lines in texts.items():
+            (folder / f"{name}.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
+        return
+    count = struct.pack("<Q", len(names))
+    (folder / "cameras.bin").write_bytes(count + b"".join(
+        struct.pack("<IiQQ8d", i, 4, WIDTH, HEIGHT, FOCAL, FOCAL, 16, 12, 0.05, 0, 0.001, 0) for i in range(len(names))))
+    (folder / "images.bin").write_bytes(count + b"".join(
+        struct.pack("<I7dI", i, *turns[i], i) + name.encode() + b"\0" + struct.pack("<Q2dq", 1, 3.5, 4.5, -1)
+        for i, name in enumerate(names)))
+    (folder / "points3D.bin").write_bytes(struct.pack("<Q", 4) + b"".join(
+        struct.pack("<Q3d3BdQ2i", i, i, 0, 1, 200, 100, i, 0.3, 1, 0, 1) for i in range(4)))
+
+
+def colmap_text(folder: Path) -> None:
+    pictures(folder, "images/{view}/{frame:04}.png")
+    colmap_model(folder / "sparse/0", [f"{view}/0001.png" for view in VIEWS], False)
+
+
+def colmap_binary(folder: Path) -> None:
+    pictures(folder, "images/{view}/{frame:04}.png")
+    colmap_model(folder / "sparse/0", [f"{view}/0001.png" for view in VIEWS], True)
+
+
+def colmap_frames(folder: Path) -> None:
+    for frame in range(FRAMES):
+        for i, view in enumerate(VIEWS):
+            picture(folder / f"colmap_{frame}" / "images" / f"{view}.png", i, frame)
+        colmap_model(folder / f"colmap_{frame}" / "sparse/0", [f"{view}.png" for view in VIEWS], frame == 0)
+
+
+LAYOUTS = {"fastgs": [fastgs], "panoptic": [panoptic], "transforms": [transforms, splits], "immersive": [immersive], "n3v": [n3v],
+           "technicolor": [technicolor], "qualisys": [qualisys], "colmap": [colmap_text, colmap_binary, colmap_frames]}
+"""What makes captures of each layout that has a description."""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """{relative path: content} of all files in a folder."""
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
