@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command fastgs: one module a subcommand in commands/, and here what they share."""
+"""The command line fastgs: its parser, and how errors and warnings of its commands are shown."""
 from __future__ import annotations
 
 import argparse
@@ -12,7 +12,7 @@ import warnings
 from . import __version__
 from .commands import COMMANDS
 from .commands.shared import note
-from .util.errors import FastGSError, LossWarning
+from .util.errors import FastGSError, LossWarning, printable
 
 FAILED, STOPPED = 2, 130
 
@@ -39,6 +39,9 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv=None) -> int:
     """Run one command; returns the exit code: 0, 2 for an error told in one sentence, 130 when stopped."""
+    for stream in (sys.stdout, sys.stderr):  # names from files may hold letters that a terminal's encoding lacks
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     args = parser().parse_args(argv)
     try:
         with _losses_as_remarks():
@@ -59,7 +62,7 @@ def main(argv=None) -> int:
 
 @contextlib.contextmanager
 def _losses_as_remarks():
-    """What a file could not give or hold is told as a remark, not as a warning about our program."""
+    """Print a LossWarning as a remark to the user, not as a warning about our program."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", LossWarning)
         usual = warnings.showwarning
@@ -76,6 +79,6 @@ def _losses_as_remarks():
 
 def _tell(sentence, code, debug):
     if debug:
-        traceback.print_exc()
-    print(f"fastgs: {sentence}", file=sys.stderr)
+        sys.stderr.write(printable(traceback.format_exc()))
+    note(sentence)
     return code

@@ -2,7 +2,7 @@
 """time the stages of rendering a frame
 
 Without FILE it draws a cloud of random moving Gaussians (Fourier, order 5).  Times are medians in milliseconds; the first
-frame is told apart, as it may compile the renderer.
+frame is reported separately, because it may compile the renderer.
 """
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """write a model in another format, or frames of it as static models
 
-The format of OUT follows from its name.  What OUT's format cannot hold is told, one line each, before the end.
+The format of OUT follows from its name.  Whatever that format cannot hold is reported at the end, one line each.
 --at FRAME writes the model as it is at that frame (counted from 0; fractions allowed); --at A:B or A:B:S (both ends included)
 writes one file a frame, and OUT then says where the number goes: out_####.ply or out_%04d.ply.
 """
@@ -13,7 +13,7 @@ import warnings
 from pathlib import Path
 
 from ..util.errors import FastGSError, LossWarning
-from .shared import human_bytes, note, print_json
+from .shared import human_bytes, note, print_json, say
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
 
@@ -43,7 +43,7 @@ def run(args):
             formats.save(result, target)
         if not args.json:
             size = human_bytes(target.stat().st_size)
-            print(f"{target}: {len(result)} Gaussians, {size}")
+            say(f"{target}: {len(result)} Gaussians, {size}")
     if args.json:
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(model), "losses": losses})
     for loss in losses:

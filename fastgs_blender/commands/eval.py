@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ..util.errors import FastGSError
-from .shared import add_backend, human_bytes, note, print_json, use_threads
+from ..util.errors import FastGSError, printable
+from .shared import add_backend, human_bytes, note, print_json, say, use_threads
 
 
 def add_arguments(parser):
@@ -63,7 +63,8 @@ def run(args):
         with tqdm(total=len(shots), unit="frame", desc="evaluating", disable=args.quiet) as bar:
 
             def show(done, total, row):
-                bar.set_postfix_str(f"{row['view']} {row['psnr']:.2f} dB" if row["psnr"] is not None else row["view"], refresh=False)
+                name = printable(row["view"])
+                bar.set_postfix_str(name if row["psnr"] is None else f"{name} {row['psnr']:.2f} dB", refresh=False)
                 _advance(bar, done, total)
 
             result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=args.backend,
@@ -77,8 +78,8 @@ def run(args):
     if args.json:
         print_json(result)
     else:
-        print(report.table(result))
-        print(f"\n{facts(result)}\n{_files(out, result['files'])}")
+        say(report.table(result))
+        say(f"\n{facts(result)}\n{_files(out, result['files'])}")
 
 
 def _advance(bar, done, total):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from .shared import human_bytes, print_json
+from .shared import human_bytes, print_json, say
 
 CHUNK = 65_536
 CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
@@ -32,7 +32,7 @@ def run(args):
     if args.json:
         print_json(facts)
     else:
-        print(to_text(facts))
+        say(to_text(facts))
 
 
 def is_capture(path) -> bool:
@@ -120,7 +120,8 @@ def text(facts: dict) -> str:
         *((f"from {key}", value) for key, value in facts["provenance"].items()),
     ]
     width = max(len(name) for name, _ in lines)
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines)
+    indent = "\n" + " " * (width + 2)
+    return "\n".join(f"{name.replace(chr(10), ' '):<{width}}  {value}".replace("\n", indent) for name, value in lines)
 
 
 def _motion_text(motion: dict) -> str:

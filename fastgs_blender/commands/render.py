@@ -2,7 +2,7 @@
 """render frames of a model to PNG or multi-layer EXR files
 
 Frames are counted from 0; A:B has both ends, A:B:S goes in steps, fractions are sub-frames.  The default is the whole clip.
-Frames that are there already are kept; a stopped run goes on when it is started again.
+Frames that exist already are kept, so the same command continues a stopped run.
 
 PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
 R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where there is nothing).

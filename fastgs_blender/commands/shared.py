@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, printable
 
 
 def add_backend(parser):
@@ -37,13 +37,27 @@ def image_size(text: str) -> tuple[int, int]:
 
 def print_json(values):
     """One JSON document on standard output."""
-    json.dump(values, sys.stdout, indent=2, allow_nan=False)
+    json.dump(_unicode(values), sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
 
 
+def _unicode(values):
+    """The values with lone surrogates in texts written out: JSON has escapes for them, but strict readers refuse those."""
+    if isinstance(values, dict):
+        return {_unicode(key): _unicode(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [_unicode(value) for value in values]
+    return values.encode("utf-8", "backslashreplace").decode("utf-8") if isinstance(values, str) else values
+
+
+def say(text: str):
+    """Print a line of the result on standard output; texts from files cannot command the terminal."""
+    print(printable(text))
+
+
 def note(text: str):
-    """A remark on standard error: standard output is for results."""
-    print(f"fastgs: {text}", file=sys.stderr)
+    """Print a remark on standard error: standard output is for results."""
+    print(f"fastgs: {printable(text)}", file=sys.stderr)
 
 
 def human_bytes(count: float) -> str:

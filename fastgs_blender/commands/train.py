@@ -2,7 +2,7 @@
 """train a model from a multi-view capture
 
 The folder given with --out gets model.safetensors, and while training runs a checkpoint, a log, previews and status.json.
-Ctrl-C saves and stops; --resume goes on exactly where the run was, also after it was killed.
+Ctrl-C saves and stops; --resume continues exactly where the run was, also after it was killed.
 
 Several processes or machines share the work when torchrun starts them:
     torchrun --nproc-per-node=2 -m fastgs_blender train CAPTURE --out DIR
@@ -35,8 +35,8 @@ OTHER_FLAGS = {"start": "--init"}
 def add_arguments(parser):
     parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in that folder")
-    parser.add_argument("--overwrite", action="store_true", help="begin anew where there is a run in that folder")
+    parser.add_argument("--resume", action="store_true", help="continue the run in that folder")
+    parser.add_argument("--overwrite", action="store_true", help="start again from the beginning if the folder has a run already")
     parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long and how large (default: standard)")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every file format answers to, and the check that every loaded model passes."""
+"""Format, the interface of a file format; usable(), the check that every loaded model passes."""
 from __future__ import annotations
 
 import warnings
@@ -63,12 +63,12 @@ class Format:
 
 
 def generator() -> str:
-    """Who writes: name and version."""
+    """Name and version of this program, for the headers of files."""
     return f"FAST-GS for Blender {VERSION}"
 
 
 def usable(model: GaussianModel, path: Path) -> GaussianModel:
-    """The model without the Gaussians that cannot be computed with; says so in a LossWarning.
+    """The model without the Gaussians that cannot be computed with; a LossWarning says how many are left out.
 
     Left out are those with NaN, infinite or absurd (> 1e18) numbers.  Infinities that have a meaning stay, as the finite
     number that means the same: opaque (logit inf), flat (ln 0) and unchanging (ln of an infinite time).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything of a model but its arrays, as plain JSON values; and back, every value checked.
+"""describe() gives a model's kinds and constants as JSON values; understand() reads them back and checks each.
 
 The native file holds it whole, PLY files in comments and .splatv in its JSON, so that these read back exactly too.
 """
@@ -56,7 +56,7 @@ def understand(values: dict) -> dict:
 
 
 def read_json(text: str | bytes):
-    """Decoded JSON; raises FastGSError for what is none, however it is broken."""
+    """Decoded JSON; raises FastGSError for anything else."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Turning a model's kinds into those of a poorer format: cubic motion, linear rotation, bell-shaped opacity, plain colour.
+"""Functions that fit a model to the kinds of a poorer format: cubic motion, linear rotation, bell-shaped opacity, plain colour.
 
 All fits are least squares over each Gaussian's own lifetime, for what it does while nobody can see it does not matter.
 """

@@ -35,7 +35,7 @@ def colour_columns(degree: int) -> list[str]:
 
 
 class Inria(Format):
-    """See the module."""
+    """The PLY of static 3D Gaussian splatting."""
 
     name = "INRIA PLY"
     extensions = reads = (".ply",)

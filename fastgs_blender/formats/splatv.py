@@ -36,7 +36,7 @@ FRAMES = 50
 
 
 class Splatv(Format):
-    """See the module."""
+    """`.splatv` of splaTV."""
 
     name = "splaTV"
     extensions = reads = (".splatv",)

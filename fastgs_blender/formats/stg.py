@@ -39,7 +39,7 @@ FRAMES = 50
 
 
 class SpacetimeGaussians(Format):
-    """See the module."""
+    """The PLY of Spacetime Gaussians, full and lite, and its decoder."""
 
     name = "Spacetime Gaussians PLY"
     extensions = reads = (".ply",)
@@ -142,7 +142,7 @@ def _motion_columns(header: ply.Header, recorded: Basis | None) -> tuple[Basis, 
 
 
 def _activation(path: Path, settings: dict) -> str:
-    """The decoder's output activation; an unknown one is said."""
+    """The decoder's output activation; warns about an unknown one."""
     function = settings.get("function", "sandwich")
     if function not in ACTIVATIONS:
         warnings.warn(LossWarning(f"{path}: its decoder's output function {function!r} is unknown, so sigmoid is used."), stacklevel=5)
@@ -150,7 +150,7 @@ def _activation(path: Path, settings: dict) -> str:
 
 
 def _settings(path: Path) -> dict:
-    """frames and function, so far as a cfg_args near the file knows them; a broken one is said and passed over."""
+    """frames and function, so far as a cfg_args near the file has them; a broken one is skipped with a warning."""
     file = cfg_args.find(path)
     if file is None:
         return {}

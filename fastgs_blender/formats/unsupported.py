@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What to say about files that no format here reads: most are recognisable, and something can be done."""
+"""explain() says why a file cannot be read, and what to do about it: most foreign files are recognisable."""
 from __future__ import annotations
 
 from collections.abc import Sequence

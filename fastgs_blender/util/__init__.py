@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every other part of the library uses: errors, files, threads."""
+"""Modules that every other part of the library uses: errors, reading and writing files, pictures, rotations, threads."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one error that users see, and the one warning."""
+"""FastGSError, the one error that users see; LossWarning, the one warning; printable(), which both go through."""
 
 
 def printable(text: object) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work for several threads.
+"""run() spreads work over several threads; thread_count() says how many.
 
 Kernels release Python's lock, so plain Python threads run them side by side.  Numba's own parallel loops are not used: their
 fallback layer aborts the process when two threads render at once.  What a piece of work computes never depends on how the

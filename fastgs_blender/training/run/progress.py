@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...util.errors import FastGSError
+from ...util.errors import FastGSError, printable
 from . import checkpoint
 from .plot import write_plot
 
@@ -85,7 +85,7 @@ class Reporter(Silent):
 
     def say(self, text):
         self.bar.clear()
-        print(f"fastgs: {text}", file=sys.stderr)
+        print(f"fastgs: {printable(text)}", file=sys.stderr)
         self.bar.refresh()
 
     def fill(self, store, shots):

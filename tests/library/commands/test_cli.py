@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,37 @@ assert not {"numba", "OpenEXR", "PIL", "tqdm", "torch"} & set(sys.modules)
     result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert all(word in result.stdout for word in ("info", "convert", "render", "bench", fg.__version__))
+
+
+HOSTILE = {"a\udcffb": "x\x1b]0;owned\x07\x1b[2J\ud800", "plain": "one\nfile   /etc/passwd\ttwo\r\x00", "é漢": "ü"}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_what_a_file_says_cannot_command_the_terminal_or_break_its_encoding(model, tmp_path, encoding):
+    model.provenance = HOSTILE
+    path = tmp_path / "a\x1b[31m.safetensors"
+    fg.save(model, path)
+    def info(*arguments):
+        command = [sys.executable, "-m", "fastgs_blender", "info", *arguments, path]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": encoding})
+
+    result = info()
+    assert result.returncode == 0, result.stderr
+    text = result.stdout.decode(encoding)
+    assert not {c for c in text if ord(c) < 32} - {"\n", "\t"}
+    assert "\\x1b]0;owned" in text and "a\\udcffb" in text and "\\ud800" in text
+    assert [line for line in text.splitlines() if line.startswith("file")] == [line for line in text.splitlines() if "a\\x1b[31m" in line]
+    values = json.loads(info("--json").stdout.decode(encoding))
+    assert "\x1b]0;owned" in values["provenance"]["a\\udcffb"] and values["provenance"]["é漢"] == "ü"
+    json.dumps(values, ensure_ascii=False).encode("utf-8")
+    path.write_bytes(b"{")
+    failed = info("--debug")
+    assert failed.returncode == 2 and b"\x1b" not in failed.stderr and b"Traceback" in failed.stderr
+
+
+def test_a_name_that_is_no_utf8(run):
+    code, _, errors = run("info", "missing\udcff\x1b[31m.ply")
+    assert code == 2 and "missing\\udcff\\x1b[31m.ply" in errors and "Traceback" not in errors
 
 
 def test_runs_as_a_module(file):
