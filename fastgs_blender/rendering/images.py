@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..util import picture_files
 from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from . import colour
@@ -19,30 +20,23 @@ STALE = 600.0
 
 def write_png(path, image: dict, colour_space: str):
     """image["rgb"] and ["alpha"], as render() returns them, as 8-bit sRGB with straight alpha."""
-    from PIL import Image
-
     rgb = colour.display(image["rgb"], image["alpha"], colour_space)
     rgba = np.concatenate([rgb, image["alpha"][..., None]], -1)
     pixels = np.floor(np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
-    with _written_aside(path) as part, part.open("wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", compress_level=4)
+    with _written_aside(path) as part:
+        picture_files.write_png(part, pixels)
 
 
-def write_exr(path, image: dict, colour_space: str, passes=None, attributes: dict | None = None):
+def write_exr(path, image: dict, colour_space: str, passes=None, texts: dict[str, str] | None = None):
     """The passes (default: all in image) as 32-bit float channels, named so that Blender finds its passes again.
 
     rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer, such as Depth.Z and
-    MedianDepth.Z (1e10 where there is nothing); passes.py has the names.  image["alpha"] must be there if "rgb" is.
+    MedianDepth.Z (1e10 where there is nothing); passes.py has the names.  image["alpha"] must be there if "rgb" is.  texts become
+    attributes of the file.
     """
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}
-    file = OpenEXR.File(header, _channels(image, colour_space, image if passes is None else passes))
+    planes = _channels(image, colour_space, image if passes is None else passes)
     with _written_aside(path) as part:
-        try:
-            file.write(str(part))
-        except RuntimeError as error:
-            raise OSError(str(error)) from error
+        picture_files.write_exr(part, planes, texts)
 
 
 def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:

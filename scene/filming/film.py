@@ -15,7 +15,7 @@ from ...fastgs_blender.captures import generated
 from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.outputs import replacing
-from ...fastgs_blender.util.plainfiles import read_exr, write_exr, write_png
+from ...fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 from .studio import Studio
 from .subject import find
 

@@ -13,7 +13,7 @@ from mathutils import Matrix
 from ... import fastgs_blender as fg
 from ...fastgs_blender.captures import generated
 from ...fastgs_blender.rendering.colour import linear_to_srgb, straight
-from ...fastgs_blender.util.plainfiles import read_exr
+from ...fastgs_blender.util.picture_files import read_exr
 from .. import camera as cameras
 from .. import colour
 from ..world import background

@@ -22,7 +22,7 @@ CAMERAS = {
 @pytest.fixture
 def capture(module, tmp_path):
     """Two cameras of frames 10 to 12; the right one moves; its pixels are taller than wide."""
-    write_png = module("fastgs_blender.util.plainfiles").write_png
+    write_png = module("fastgs_blender.util.picture_files").write_png
     folder, poses = tmp_path / "capture", {}
     for i, name in enumerate(CAMERAS):
         matrix = np.diag([1.0, -1, -1, 1])

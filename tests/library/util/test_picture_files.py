@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures without Pillow and OpenEXR are what these read and write; generated rigs look where they should; held files are told."""
+"""Pictures written with NumPy are what Pillow and OpenEXR read; generated rigs look where they should; held files are told."""
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
+import mutations
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,10 +17,10 @@ import fastgs_blender as fg
 from fastgs_blender.captures import generated
 from fastgs_blender.captures.points import load_points
 from fastgs_blender.util import locks
-from fastgs_blender.util.plainfiles import read_exr, write_exr, write_png
+from fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 
 ROOT = Path(__file__).resolve().parents[3]
-SIDES = st.integers(1, 9)
+SIDES = st.integers(1, 9) | st.sampled_from([16, 17, 64, 70])
 
 
 @given(SIDES, SIDES, st.sampled_from([None, 3, 4]), st.integers(0, 2**32 - 1))
@@ -35,25 +37,60 @@ def test_exr_comes_back_and_openexr_reads_it(tmp_path_factory, height, width, na
     rng = np.random.default_rng(seed)
     planes = {name: rng.normal(size=(height, width)).astype(np.float32) for name in names}
     path = tmp_path_factory.getbasetemp() / "a.exr"
-    write_exr(path, planes)
+    write_exr(path, planes, {"comments": "frame 1; é", "a name of more than thirty-one letters": ""})
     again, _ = read_exr(path)
     with openexr.File(str(path), separate_channels=True) as file:
+        assert file.header()["comments"] == "frame 1; é"
         theirs = {name: channel.pixels for name, channel in file.channels().items()}
     assert set(again) == set(theirs) == set(names)
     for name, plane in planes.items():
         assert np.array_equal(again[name], plane) and np.array_equal(theirs[name], plane)
 
 
+@pytest.mark.parametrize("compression", ["NO_COMPRESSION", "ZIPS_COMPRESSION", "ZIP_COMPRESSION"])
+def test_exrs_of_openexr_are_read(tmp_path, rng, compression):
+    openexr = pytest.importorskip("OpenEXR")
+    planes = {"Z": rng.normal(size=(37, 11)).astype(np.float32), "half": np.ones((37, 11), np.float16), "n": np.zeros((37, 11), np.uint32)}
+    header = {"compression": getattr(openexr, compression), "type": openexr.scanlineimage}
+    openexr.File(header, dict(planes)).write(str(tmp_path / "a.exr"))
+    again, _ = read_exr(tmp_path / "a.exr")
+    for name, plane in planes.items():
+        assert again[name].dtype == plane.dtype and np.array_equal(again[name], plane)
+
+
+def test_mutations_of_exrs(tmp_path, rng):
+    openexr = pytest.importorskip("OpenEXR")
+    seeds = {}
+    for name in ("NO_COMPRESSION", "ZIP_COMPRESSION"):
+        header = {"compression": getattr(openexr, name), "type": openexr.scanlineimage}
+        parts = [openexr.Part(header, {c: rng.random((20, 7)).astype("f4")}, c) for c in ("a", "b")]
+        openexr.File(parts).write(str(tmp_path / f"{name}.exr"))
+        seeds[name] = {"a.exr": (tmp_path / f"{name}.exr").read_bytes()}
+
+    def read(folder):
+        planes, _ = read_exr(folder / "a.exr")
+        assert all(plane.ndim == 2 for plane in planes.values())
+
+    told = mutations.campaign("exr", read, seeds, tmp_path)
+    assert min(told.values()) > 0
+    plain = seeds["NO_COMPRESSION"]["a.exr"]
+    at = plain.index(struct.pack("<Q", plain.index(struct.pack("<iii", 0, 0, 28))))
+    attacks = {"an offset beyond 2^63": {"a.exr": plain[:at] + b"\xff" * 8 + plain[at + 8:]},
+               "2^31 lines": {"a.exr": plain.replace(struct.pack("<4i", 0, 0, 6, 19), struct.pack("<4i", 0, 0, 2**31 - 2, 2**31 - 2))},
+               "one line many times": {"a.exr": plain.replace(struct.pack("<4i", 0, 0, 6, 19), struct.pack("<4i", 0, 0, 6, -1))}}
+    assert mutations.attacks("exr", read, attacks, tmp_path) == {"accepted": 0, "refused": 3}
+
+
 def test_other_exrs_and_cut_ones_are_refused(tmp_path):
     openexr = pytest.importorskip("OpenEXR")
     plane = np.zeros((4, 5), np.float32)
-    with openexr.File({"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}, {"Z": plane}) as file:
-        file.write(str(tmp_path / "zip.exr"))
+    with openexr.File({"compression": openexr.PIZ_COMPRESSION, "type": openexr.scanlineimage}, {"Z": plane}) as file:
+        file.write(str(tmp_path / "piz.exr"))
     write_exr(tmp_path / "whole.exr", {"Z": plane})
     whole = (tmp_path / "whole.exr").read_bytes()
-    for i, data in enumerate(((tmp_path / "zip.exr").read_bytes(), b"", b"\x89PNG", whole[:40], whole[:-1])):
+    for i, data in enumerate(((tmp_path / "piz.exr").read_bytes(), b"", b"\x89PNG", whole[:40], whole[:-1])):
         (tmp_path / f"{i}.exr").write_bytes(data)
-        with pytest.raises(fg.FastGSError, match="uncompressed EXR"):
+        with pytest.raises(fg.FastGSError, match="no EXR picture of scan lines"):
             read_exr(tmp_path / f"{i}.exr")
 
 
