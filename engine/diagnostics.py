@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a report of a problem should contain."""
+"""Collects what a report of a problem should contain."""
 from __future__ import annotations
 
 import os
@@ -10,6 +10,7 @@ import bpy
 
 from ..fastgs_blender import __version__
 from ..fastgs_blender.kernels.cpu import cache
+from ..fastgs_blender.util.errors import printable
 from ..fastgs_blender.util.threads import thread_count
 from ..scene import objects, settings
 from . import compiling
@@ -31,7 +32,7 @@ def text() -> str:
         if objects.is_splat(obj):
             state = objects.error_of(obj) or f"{obj.fastgs.gaussian_count:,} Gaussians"
             lines.append(f'object "{obj.name}": {obj.fastgs.filepath}: {state}')
-    return "\n".join([*lines, "log:", *(settings.recent.lines or ["(empty)"])]) + "\n"
+    return printable("\n".join([*lines, "log:", *(settings.recent.lines or ["(empty)"])]) + "\n")
 
 
 def _version(name: str) -> str:

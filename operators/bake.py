@@ -11,6 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.util.errors import printable
 from ..scene.meshes.baking import Settings, bake_steps
 from ..scene.meshes.surface import bakeable
 from ..scene.splats import splat_object
@@ -141,7 +142,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
             self.report({'WARNING'}, note)
         if report.warning:
             self.report({'WARNING'}, report.warning[0].upper() + report.warning[1:])
-        self.report({'INFO'}, f"{report}; {time.monotonic() - self._began:.1f} s, {self._path}")
+        self.report({'INFO'}, printable(f"{report}; {time.monotonic() - self._began:.1f} s, {self._path}"))
         return {'FINISHED'}
 
     def _fill_range(self, scene):

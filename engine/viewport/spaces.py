@@ -9,6 +9,7 @@ import bpy
 import gpu
 import numpy as np
 
+from ... import fastgs_blender as fg
 from ...scene import colour, objects, proxies, snapshot, world
 from .. import compiling
 from . import frusta, shaders
@@ -88,7 +89,12 @@ def _draw(context, depsgraph, display, region, rendered, hidden=False):
         view = _views[region.as_pointer(), rendered] = View(atlas, _worker, _shown_models)
     settings, matrices = context.scene.fastgs, context.region_data
     divider = int(settings.viewport_pixels)
-    camera, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider, _picture(context, depsgraph))
+    try:
+        camera, depths = eye(
+            region.width, region.height, matrices.view_matrix, matrices.window_matrix, divider, _picture(context, depsgraph))
+    except fg.FastGSError as error:  # through a camera whose transform holds no numbers Blender draws nothing either
+        view.trouble = str(error)
+        return
     depth = None
     if hidden and shown.instances:
         depth = scene_depth(region.width, region.height, depths)

@@ -84,6 +84,9 @@ class Recorder:
         self.positions.append(np.concatenate([found[key] for key in self._keys]))
 
     def _measure(self, obj, owner, matrix, key, frame):
+        if not np.isfinite(matrix).all():
+            raise FastGSError(f'"{owner}" has a transform that holds no finite numbers on frame {frame:g}; clear its location, rotation '
+                              "and scale, or those of its parents.")
         try:
             mesh = obj.to_mesh()
         except RuntimeError as error:

@@ -172,6 +172,14 @@ def test_existing_files_and_bad_folders(bake, add, target):
     assert len(bake(cube, overwrite=True)) == 400
 
 
+def test_an_object_with_a_broken_transform_is_named(bake, add, target):
+    cube = add("cube")
+    cube.name, cube.location.x = "Lost", float("nan")
+    with pytest.raises(RuntimeError, match='"Lost" has a transform that holds no finite numbers on frame 1'):
+        bake(cube)
+    assert not Path(target).exists()
+
+
 def test_nothing_to_bake(bake, add, scene, splat_object):
     lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", 'SUN'))
     scene.collection.objects.link(lamp)

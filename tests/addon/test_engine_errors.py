@@ -2,7 +2,6 @@
 """What goes wrong ends in one sentence; what can be rendered is rendered; a stopped render stops."""
 import os
 import threading
-import time
 from concurrent.futures import CancelledError
 
 import bpy
@@ -133,20 +132,27 @@ def test_too_little_memory_is_said(scene, module, fg, make_model, model_file, sp
         render()
 
 
+GUARD = 120
+"""Seconds after which a test gives up waiting for what never comes; nothing else depends on it."""
+
+
 class Observer:
-    """Stands in for the RenderEngine instance where a test has to press Esc or watch the status line."""
+    """Stands in for the RenderEngine instance where a test has to press Esc or watch the status line.
+
+    stop  () -> whether Esc was pressed
+    """
 
     camera_override = None
 
-    def __init__(self, stop_after=float("inf")):
-        self.deadline = time.monotonic() + stop_after
+    def __init__(self, stop=lambda: False):
+        self.test_break = stop
         self.fractions, self.stats, self.results, self.memory, self.reports = [], [], [], [], []
-
-    def test_break(self):
-        return time.monotonic() > self.deadline
+        self.told = threading.Condition()
 
     def update_progress(self, fraction):
-        self.fractions.append(fraction)
+        with self.told:
+            self.fractions.append(fraction)
+            self.told.notify_all()
 
     def update_stats(self, left, right):
         self.stats.append(right)
@@ -163,71 +169,79 @@ class Observer:
 
 
 @pytest.fixture
-def busy(module, fg, make_model, model_file, splat_object, add_camera, monkeypatch):
-    """busy(what, seconds): "load" takes that long without a word, "render" reports its progress meanwhile."""
+def replaced(fg, make_model, model_file, splat_object, add_camera, monkeypatch):
+    """replaced("load" or "render", before): a scene whose library first calls before(progress or None) in that function."""
     splat_object(model_file(make_model()))
     add_camera()
 
-    def make(what, seconds):
-        original, running = getattr(fg, what), threading.Event()
+    def make(what, before):
+        original = getattr(fg, what)
 
-        def slow(*arguments, **options):
-            running.set()
-            end = time.monotonic() + seconds
-            progress = options.pop("progress", None)
-            while time.monotonic() < end:
-                time.sleep(0.01)
-                if progress:
-                    progress(min(1, 1 - (end - time.monotonic()) / seconds))
-            running.clear()
+        def function(*arguments, **options):
+            before(options.pop("progress", None))
             return original(*arguments, **options)
 
-        monkeypatch.setattr(fg, what, slow)
-        return running
+        monkeypatch.setattr(fg, what, function)
 
     return make
 
 
 @pytest.mark.parametrize("what", ["load", "render"])
-def test_cancelling_takes_less_than_a_second(module, busy, what, caplog):
-    """Also while a file is read, which nobody can interrupt."""
-    running = busy(what, 3.0)
-    engine = Observer(stop_after=0.2)
-    begin = time.monotonic()
-    module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
-    assert 0.15 < time.monotonic() - begin < 1.0
-    assert running.is_set(), "it should have been in the middle of its work"
-    assert not engine.results and not engine.reports and not caplog.records
+def test_cancelling_waits_for_nothing(module, replaced, what, caplog):
+    """Also while a file is read, which nobody can interrupt: the work has not ended when the render has."""
+    running, released, ended = threading.Event(), threading.Event(), threading.Event()
+
+    def work(progress):
+        running.set()
+        released.wait(GUARD)
+        ended.set()
+
+    replaced(what, work)
+    engine = Observer(stop=running.is_set)
+    try:
+        module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
+        assert running.is_set() and not ended.is_set()
+        assert not engine.results and not engine.reports and not caplog.records
+    finally:
+        released.set()
+    assert ended.wait(GUARD)
 
 
 def test_a_stopped_worker_ends_by_itself(module):
-    worker, ended = module("engine.worker"), threading.Event()
+    worker, ended, stopped = module("engine.worker"), threading.Event(), threading.Event()
 
     def work(progress):
         try:
-            for _ in range(500):
-                time.sleep(0.01)
-                progress(0.5)
+            progress(0.5)
+            stopped.wait(GUARD)
+            progress(0.6)
         except CancelledError:
             ended.set()
             raise
 
     with pytest.raises(CancelledError):
         worker.run(work, stopped=lambda: True, report=lambda fraction: None, interval=0.02)
-    assert ended.wait(2)
+    stopped.set()
+    assert ended.wait(GUARD)
 
 
-def test_progress_memory_and_status(module, busy):
-    busy("render", 0.5)
-    engine = Observer()
+def test_progress_memory_and_status(module, replaced):
+    engine, steps = Observer(), [0.25, 0.5, 0.75]
+
+    def work(progress):
+        for step in steps:
+            progress(step)
+            with engine.told:
+                assert engine.told.wait_for(lambda step=step: step in engine.fractions, GUARD)
+
+    replaced("render", work)
     module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
-    assert len(engine.fractions) >= 3 and engine.fractions == sorted(engine.fractions) and engine.fractions[-1] > 0.5
+    assert [fraction for fraction in engine.fractions if fraction] == steps
     assert engine.memory[0] > 40 * 64 * 48 / 2**20
     assert "Reading" in engine.stats[0] and "40 Gaussians" in engine.stats[-1] and "ViewLayer" in engine.stats[-1]
 
 
-def test_a_compilation_under_way_is_waited_for(module, busy, monkeypatch):
-    busy("render", 0)
+def test_a_compilation_under_way_is_waited_for(module, replaced, monkeypatch):
     waited = []
     monkeypatch.setattr(module("engine.compiling"), "is_running", lambda: True)
     monkeypatch.setattr(module("engine.compiling"), "wait", lambda: waited.append(threading.current_thread().name))

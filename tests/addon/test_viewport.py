@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,8 +74,13 @@ def psnr(a, b):
     return -10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20)
 
 
-def settle(view, timeout=30):
-    end = time.monotonic() + timeout
+GUARD = 120
+"""Seconds after which a test gives up waiting for what never comes; nothing else depends on it."""
+
+
+def settle(view):
+    """Wait until the thread has answered."""
+    end = time.monotonic() + GUARD
     while view.waiting:
         assert time.monotonic() < end, "the thread never answered"
         time.sleep(0.005)
@@ -157,13 +163,14 @@ def test_time_needs_no_new_data(module, fg, make_model, model_file, snapshot, ey
 
 
 def test_density_while_moving_and_everything_when_still(module, fg, make_model, model_file, snapshot, eye, draw, view, monkeypatch):
-    monkeypatch.setattr(module("engine.viewport.view"), "RESTING", 0.05)
+    now = [100.0]
+    monkeypatch.setattr(module("engine.viewport.view"), "time", SimpleNamespace(monotonic=lambda: now[0]))
     path = model_file(make_model(300))
     draw(snapshot(path), eye(), wait=True, density=0.25)
     assert view._order[1].count > 200
     draw(snapshot(path), eye(0.3), wait=True, density=0.25)
     assert view.coarse and view._order[1].count <= 75
-    time.sleep(0.06)
+    now[0] += 2 * module("engine.viewport.view").RESTING
     draw(snapshot(path), eye(0.3), wait=True, density=0.25)
     assert not view.coarse and view._order[1].count > 200
     draw(snapshot(path), eye(0.3), wait=True, density=0.25, playing=True)
@@ -238,14 +245,14 @@ def test_the_latest_wish_wins(worker):
             self.errors.append(error)
 
     owner, other, gate, begun = Owner(), Owner(), threading.Event(), threading.Event()
-    worker.ask(owner, lambda: (begun.set(), gate.wait(10), "first")[2])
-    assert begun.wait(10)
+    worker.ask(owner, lambda: (begun.set(), gate.wait(GUARD), "first")[2])
+    assert begun.wait(GUARD)
     worker.ask(owner, lambda: "second")
     worker.ask(owner, lambda: "third")
     worker.ask(other, lambda: 1 / 0)
     assert worker.busy(owner) and worker.busy(other)
     gate.set()
-    end = time.monotonic() + 10
+    end = time.monotonic() + GUARD
     while not (other.errors and len(owner.answers) == 2) and time.monotonic() < end:
         time.sleep(0.005)
     while worker.busy(other) and time.monotonic() < end:
