@@ -77,16 +77,17 @@ def test_diagnostics_name_versions_objects_and_messages(module, make_model, mode
 
 
 def test_enabling_imports_nothing_heavy(addon):
-    """In a fresh process: no numba, no torch, and quickly (a generous bound; 0.1 s is usual)."""
+    """In a fresh process: neither the heavy packages nor many modules of any (not the time, which depends on the machine)."""
     code = f"""
-import os, sys, time
+import os, sys
 import bpy, addon_utils
-begin = time.perf_counter()
+before = set(sys.modules)
 assert addon_utils.enable("{addon.__name__}")
-print(time.perf_counter() - begin, *(name for name in ("numba", "torch", "llvmlite", "OpenEXR", "PIL") if name in sys.modules), flush=True)
+others = [name for name in set(sys.modules) - before if not name.startswith("bl_ext")]
+print(len(others), *(name for name in ("numba", "torch", "llvmlite", "OpenEXR", "PIL") if name in sys.modules), flush=True)
 os._exit(0)  # Blender 4.2 as a module crashes in Python's own clean-up
 """
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()[-1]
-    seconds, *heavy = out.split()
+    others, *heavy = out.split()
     assert not heavy
-    assert float(seconds) < 2
+    assert int(others) < 400, "torch alone brings more than a thousand"
