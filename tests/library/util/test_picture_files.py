@@ -63,7 +63,7 @@ def test_mutations_of_exrs(tmp_path, rng):
     seeds = {}
     for name in ("NO_COMPRESSION", "ZIP_COMPRESSION"):
         header = {"compression": getattr(openexr, name), "type": openexr.scanlineimage}
-        parts = [openexr.Part(header, {c: rng.random((20, 7)).astype("f4")}, c) for c in ("a", "b")]
+        parts = [openexr.Part(dict(header), {c: rng.random((20, 7)).astype("f4")}, c) for c in ("a", "b")]
         openexr.File(parts).write(str(tmp_path / f"{name}.exr"))
         seeds[name] = {"a.exr": (tmp_path / f"{name}.exr").read_bytes()}
 
