@@ -18,6 +18,7 @@ from ..util.errors import FastGSError, LossWarning, printable
 from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
 from .base import Format, usable
+from .compressed_ply import CompressedPly
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
@@ -32,7 +33,7 @@ from .stg import SpacetimeGaussians
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), FourDGS(), Splat4d())
-STATIC: tuple[Format, ...] = (Spz(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
@@ -125,7 +126,9 @@ def _identify(path: Path) -> Format:
 
 
 def _writer(model: GaussianModel, path: Path) -> Format:
-    choices = [known for known in WRITERS if path.suffix.lower() in known.extensions]
+    name = path.name.lower()
+    extension = max((e for e in writable() if name.endswith(e) and name != e), key=len, default=None)
+    choices = [known for known in WRITERS if extension in known.extensions]
     if not choices:
         raise FastGSError(f"the extension {path.suffix!r} is unknown; use one of {', '.join(sorted(writable()))}.")
     return next(known for known in choices if known.suits(model))

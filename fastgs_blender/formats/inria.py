@@ -56,7 +56,7 @@ class Inria(Format):
         columns = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colour_columns(degree)})
         columns["opacity"] = columns["opacity"][:, 0]
-        kinds = {"raster": Raster(antialiased=_antialiased(header))} | from_comments(header.comments, KEYS)
+        kinds = {"raster": Raster(antialiased=says_antialiased(header))} | from_comments(header.comments, KEYS)
         return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
     def suits(self, model):
@@ -79,7 +79,8 @@ class Inria(Format):
         ply.write(targets[-1], [f"Written by {generator()}", *mode, *comments(model, KEYS)[0]], columns)
 
 
-def _antialiased(header: ply.Header) -> bool:
+def says_antialiased(header: ply.Header) -> bool:
+    """Whether a comment says that the model is antialiased (Mip-Splatting)."""
     said = {c.lower().replace(" ", "").replace(":", "") for c in header.comments}
     return not said.isdisjoint(("splatrendermodemip", "antialiased1"))
 

@@ -33,8 +33,6 @@ def explain(head: bytes, path: Path, known: Sequence[str]) -> str:
 
 def _explain_ply(header: ply.Header) -> str:
     names = header.names
-    if any(e.name == "chunk" for e in header.elements) or "packed_position" in names:
-        return "it is a compressed PLY (PlayCanvas, SuperSplat), which is not supported; export it as uncompressed .ply first"
     if is_2dgs(header):
         return "it holds flat 2DGS surfels, not 3D Gaussians; train it with a 3D method"
     if any(name.startswith("motion_") for name in names) or {"t", "t_scale"} & names:

@@ -146,7 +146,6 @@ def without(*names):
     (without("scale_2"), "2DGS"),
     (["x", "y", "z", "red", "green", "blue"], "point cloud.*no opacity, f_dc_0"),
     (without("rot_3", "opacity"), "incomplete.*no opacity, rot_3"),
-    (["packed_position", "packed_rotation"], "compressed"),
     ([*INRIA, "motion_0", "motion_1", "motion_2"], "4D model"),
     ([*INRIA, "f_rest_0"], "1 columns f_rest"),
     ([*INRIA, *(f"f_rest_{i}" for i in range(1, 10))], "9 columns f_rest"),

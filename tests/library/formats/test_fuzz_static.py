@@ -41,7 +41,11 @@ def spz(folder):
     return {"written": {"m.spz": saved(folder, "m.spz", appearance="sh2")}, **written}
 
 
-SEEDS = {"m.splat": splat, "m.spz": spz}
+def compressed_ply(folder):
+    return {f"sh{degree}": {"m.ply": saved(folder, "m.compressed.ply", appearance=f"sh{degree}")} for degree in (0, 1, 3)}
+
+
+SEEDS = {"m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
 
 
 @pytest.mark.parametrize("name", SEEDS)
