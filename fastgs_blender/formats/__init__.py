@@ -23,6 +23,7 @@ from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
 from .inria import Inria
+from .ksplat import Ksplat
 from .mediastorm import MediastormPly
 from .native import Native
 from .splat import Splat
@@ -33,7 +34,7 @@ from .stg import SpacetimeGaussians
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), FourDGS(), Splat4d())
-STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
@@ -64,7 +65,7 @@ def load(path: str | os.PathLike) -> GaussianModel:
     be computed with are left out, with a LossWarning.  Raises FastGSError.
     """
     path = Path(os.fsdecode(path))
-    with _reading(path):
+    with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
         model = usable(known.load(path), path)
     if not model.provenance:

@@ -64,12 +64,11 @@ class CompressedPly(StaticFormat):
             raise FastGSError("the columns of its element sh fit no degree of spherical harmonics (0 to 3); export it again.")
         code = {name: vertex[name].astype(np.uint32) for name in PACKED}
         row = np.arange(len(vertex)) // CHUNK
-        with np.errstate(over="ignore", invalid="ignore"):
-            position = _between(chunk, POSITION, row, _triple(code["packed_position"]))
-            scale = _between(chunk, SCALE, row, _triple(code["packed_scale"]))
-            colour = np.stack([code["packed_color"] >> shift & 255 for shift in (24, 16, 8)], 1) / 255
-            if "min_r" in chunk.dtype.names:
-                colour = _between(chunk, COLOUR, row, colour)
+        position = _between(chunk, POSITION, row, _triple(code["packed_position"]))
+        scale = _between(chunk, SCALE, row, _triple(code["packed_scale"]))
+        colour = np.stack([code["packed_color"] >> shift & 255 for shift in (24, 16, 8)], 1) / 255
+        if "min_r" in chunk.dtype.names:
+            colour = _between(chunk, COLOUR, row, colour)
         features = [(colour - 0.5) / SH_C0]
         if names:
             levels = _levels()

@@ -48,10 +48,9 @@ class Splat(StaticFormat):
             raise FastGSError(f"the file is cut short: {size} bytes are no whole number of records of {RECORD.itemsize} bytes; "
                               "copy or export it again.")
         records = np.frombuffer(read_whole(path), RECORD)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return GaussianModel(
-                position=records["position"], scale=np.log(records["scale"]), rotation=_rotation(records),
-                opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())
+        return GaussianModel(
+            position=records["position"], scale=np.log(records["scale"]), rotation=_rotation(records),
+            opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())
 
     def fit(self, model):
         if not len(model):

@@ -27,11 +27,6 @@ def turned(model: GaussianModel, turn: np.ndarray) -> GaussianModel:
     """
     if np.array_equal(turn, np.eye(3)):
         return model
-    with np.errstate(invalid="ignore", over="ignore"):
-        return _turned(model, turn)
-
-
-def _turned(model: GaussianModel, turn: np.ndarray) -> GaussianModel:
     signs = np.diag(turn).astype(np.float32) if _only_signs(turn) else None
     position = model.position * signs if signs is not None else model.position.astype(np.float64) @ turn.T
     changed = {"position": position, "rotation": _turned_rotation(model.rotation, turn)}

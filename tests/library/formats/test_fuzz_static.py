@@ -45,7 +45,15 @@ def compressed_ply(folder):
     return {f"sh{degree}": {"m.ply": saved(folder, "m.compressed.ply", appearance=f"sh{degree}")} for degree in (0, 1, 3)}
 
 
-SEEDS = {"m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
+def ksplat(folder):
+    from test_formats_ksplat import file, gaussians
+
+    rng = np.random.default_rng(5)
+    return {f"level{level}": {"m.ksplat": file([gaussians(rng, 9, degree), gaussians(rng, 4, 1)], level)[0]}
+            for level, degree in ((0, 1), (1, 2), (2, 2))}
+
+
+SEEDS = {"m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
 
 
 @pytest.mark.parametrize("name", SEEDS)
