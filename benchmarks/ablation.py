@@ -167,15 +167,12 @@ def prepare(folder: Path, common):
 
 def one(capture: str, settings: dict) -> dict:
     """Train once and measure in the held-out views."""
-    import torch
-
     from fastgs_blender.captures.capture import Points
     from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.settings import settings as make
     from fastgs_blender.training.core.trainer import Trainer
     from fastgs_blender.training.initial.model import model_from_points
 
-    torch.set_num_threads(1)
     made = make(**settings)
     filmed = opened(capture)
     store = FrameStore(filmed)

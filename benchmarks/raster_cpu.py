@@ -29,8 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import fastgs_blender as fg  # noqa: E402
-from fastgs_blender.kernels.cpu import backend as cpu  # noqa: E402
-from fastgs_blender.kernels.cpu import raster  # noqa: E402
+from fastgs_blender.kernels.cpu import raster, rasterise, splats, tile_lists  # noqa: E402
 from fastgs_blender.kernels.cpu.project import SCALE  # noqa: E402
 from fastgs_blender.rendering.instances import Instance  # noqa: E402
 from fastgs_blender.rendering.layout import Layout  # noqa: E402
@@ -73,28 +72,29 @@ class Stage:
     """The rasterise stage of one frame, ready to run: everything before it is done."""
 
     def __init__(self, model, camera, t):
-        part = Instance(model, np.eye(4), t).viewed(camera)
-        layout = Layout([part], False)
+        instance = Instance(model, np.eye(4), t).viewed(camera)
+        layout = Layout([instance], False)
         self.size = (camera.height, camera.width)
-        cloud = cpu.project_parts([part], camera, layout)
-        self.channels, self.geometry, self.shade, self.order = cloud.channels, cloud.geometry, cloud.shade, cloud.order()
+        projected = splats.project_instances([instance], camera, layout)
+        self.channels, self.order = projected.channels, projected.order()
+        self.geometry, self.attributes = projected.geometry, projected.attributes
         self.columns, self.rows = -(-camera.width // raster.TILE), -(-camera.height // raster.TILE)
         grid = (0, 0, self.columns, self.rows)
-        segments, counts = cpu.list_spans(self.order, self.geometry, self.shade, grid)
-        self.starts, self.ids = cpu.list_tiles(segments, counts, 0, counts.shape[1])
+        segments, counts = tile_lists.list_spans(self.order, self.geometry, self.attributes, grid)
+        self.starts, self.ids = tile_lists.list_tiles(segments, counts, 0, counts.shape[1])
         self.out, self.alpha = np.zeros((*self.size, self.channels), np.float32), np.zeros(self.size, np.float32)
 
     def __call__(self):
         kernel, (height, width) = raster.rasteriser(self.channels, False), self.size
-        rest = (self.columns, 0, 0, width, height, 0, 0, self.starts, self.ids, self.geometry, self.shade, self.out, self.alpha,
+        rest = (self.columns, 0, 0, width, height, 0, 0, self.starts, self.ids, self.geometry, self.attributes, self.out, self.alpha,
                 np.empty((0, 0), np.float32))
-        threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, cpu.TILES))
+        threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, rasterise.TILES))
 
     def write(self, folder: Path) -> list[str]:
         """The same splats and lists as files for raster_limit.cpp."""
         a, b, c = self.geometry[:, 2:].T / SCALE  # the scaled triangle of the inverse covariance, back to conic A, B, C
         conic = np.stack([a * a, a * b, b * b + c * c], 1)
-        splats = np.concatenate([self.geometry[:, :2], conic, np.exp2(self.shade[:, :1]), self.shade[:, raster.CHANNEL:]], 1)
+        splats = np.concatenate([self.geometry[:, :2], conic, np.exp2(self.attributes[:, :1]), self.attributes[:, raster.CHANNEL:]], 1)
         files = [folder / f"{name}.bin" for name in ("splats", "starts", "ids")]
         for file, array in zip(files, (splats.astype(np.float32), self.starts, self.ids)):
             array.tofile(file)

@@ -18,16 +18,16 @@ import statistics
 from pathlib import Path
 
 import numpy as np
-import torch
 from raster_cpu import fg, scene, threads, timed
 
-from fastgs_blender.kernels.cpu import backend as cpu
-from fastgs_blender.kernels.cpu.loss import photometric as compare
+from fastgs_blender.kernels.cpu import decoder, rasterise, splats, training
+from fastgs_blender.kernels.cpu.loss import photometric
 from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.layout import Layout
-from fastgs_blender.training.core.differentiable import Statistics, render
-from fastgs_blender.training.core.losses import MotionPenalty, photometric
+from fastgs_blender.training.core.losses import motion_norm
 from fastgs_blender.training.core.optimiser import Optimiser
+from fastgs_blender.training.core.statistics import Statistics
+from fastgs_blender.util.backends import load_backend
 
 TIME = 0.4
 EXTENT = 6.0
@@ -43,53 +43,52 @@ class Step:
         self.optimiser = Optimiser({**arrays, "w1": look.w1.copy(), "w2": look.w2.copy()})
         self.rates = dict.fromkeys(self.optimiser.arrays, 1e-5)
         self.rates["motion"] = 1e-5 / np.repeat(np.arange(1.0, 6), 6)
-        self.statistics, self.penalty = Statistics(gaussians), MotionPenalty(self.model.basis, EXTENT)
+        self.backend = load_backend("cpu")
+        self.statistics, self.norm = Statistics.empty(self.backend, gaussians), motion_norm(self.model.basis, EXTENT)
         target = fg.render(self.model, self.camera, TIME + 0.01, backend="cpu")["rgb"]
         self.target = np.ascontiguousarray(target, np.float32)
-        self.part = Instance(self.model, np.eye(4), TIME).viewed(self.camera)
-        self.layout = Layout([self.part], False)
-        self.cloud = self.project()
-        self.order = self.cloud.order()
-        self.buffers, self.drawn = self.forward()
+        self.instance = Instance(self.model, np.eye(4), TIME).viewed(self.camera)
+        self.layout = Layout([self.instance], False)
+        self.projected = self.project()
+        self.order = self.projected.order()
+        self.picture, self.state = self.forward()
         numbers = np.random.default_rng(1)
-        self.grad = [numbers.normal(0, 1e-6, array.shape).astype(np.float32) for array in (self.buffers.channels, self.buffers.alpha)]
+        self.grad = [numbers.normal(0, 1e-6, array.shape).astype(np.float32) for array in (self.picture.channels, self.picture.alpha)]
         self.gradients = {name: numbers.normal(0, 1e-6, array.shape).astype(np.float32) for name, array in self.optimiser.arrays.items()}
-        self.splats = self.backward()
+        self.gradient = self.backward()
 
     def __call__(self):
-        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in self.optimiser.arrays.items()}
-        picture = render(tensors, self.model, self.camera, TIME, statistics=self.statistics)
-        loss, _, _ = photometric(picture.rgb, self.target)
-        loss.backward()
-        gradients = {name: tensor.grad.numpy() for name, tensor in tensors.items()}
-        rows = np.sort(picture.seen)
-        times = np.zeros(len(self.model), np.float32)
-        times[rows] = self.optimiser.waited(rows)
-        self.penalty.add(self.optimiser.arrays["motion"], gradients["motion"], 0.1, times)
+        backend, arrays, seen = self.backend, self.optimiser.arrays, self.backend.zeros((len(self.model),))
+        picture = backend.splat(arrays, self.model, self.camera, TIME)
+        difference = backend.compare(picture, self.target, None, None, 0.2, 0.0, 1.0)
+        gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics, seen=seen)
+        rows = backend.rows(seen)
+        backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, self.optimiser.waits(rows))
         self.optimiser.step(gradients, rows, self.rates)
 
     def project(self):
-        return cpu.project_parts([self.part], self.camera, self.layout)
+        return splats.project_instances([self.instance], self.camera, self.layout)
 
     def forward(self):
-        return cpu.rasterise_forward(self.order, self.cloud.geometry, self.cloud.shade, self.cloud.channels, self.camera)
+        projected = self.projected
+        return rasterise.rasterise_forward(self.order, projected.geometry, projected.attributes, projected.channels, self.camera)
 
     def backward(self):
-        return cpu.rasterise_backward(self.drawn, *self.grad)
+        return rasterise.rasterise_backward(self.state, *self.grad)
 
     def decode(self):
-        return cpu.decode_features(self.buffers.channels, self.buffers.alpha, self.part, self.camera)
+        return decoder.decode_features(self.picture.channels, self.picture.alpha, self.instance, self.camera)
 
     def parts(self) -> dict:
         """The parts of a step by name, each a function to time."""
-        motion = self.optimiser.arrays["motion"]
+        motion, every, picture = self.optimiser.arrays["motion"], np.ones(len(self.model), np.float32), self.picture
         return {
-            "project": self.project, "sort": self.cloud.order, "decode": self.decode,
-            "loss with gradient": lambda: compare(self.target, self.buffers.channels[..., :3]),
-            "decode backward": lambda: cpu.decode_backward(self.buffers.channels, self.buffers.alpha, self.part, self.camera, self.target),
-            "project backward": lambda: cpu.project_backward(self.part, self.camera, self.layout, self.cloud, self.splats),
-            "statistics": lambda: self.statistics.observe(self.cloud, self.splats, self.camera),
-            "motion penalty": lambda: self.penalty.add(motion, self.gradients["motion"], 0.1),
+            "project": self.project, "sort": self.projected.order, "decode": self.decode,
+            "loss with gradient": lambda: photometric(self.target, self.picture.channels[..., :3]),
+            "decode backward": lambda: decoder.decode_backward(picture.channels, picture.alpha, self.instance, self.camera, self.target),
+            "project backward": lambda: splats.project_backward(self.instance, self.camera, self.layout, self.projected, self.gradient),
+            "statistics": lambda: training.add_view(self.statistics, self.projected, self.gradient, self.camera),
+            "motion penalty": lambda: self.backend.motion_penalty(self.norm, motion, self.gradients["motion"], 0.1, every),
             "Adam": lambda: self.optimiser.step(self.gradients, np.sort(self.order), self.rates),
         }
 
@@ -102,7 +101,7 @@ def measure(gaussians: int, width: int, height: int, runs: int) -> dict:
     middle = statistics.median
     return {
         "rasterise stage": {
-            "Gaussians": gaussians, "visible": len(step.order), "tile entries": int(step.drawn.listing.counts.sum()),
+            "Gaussians": gaussians, "visible": len(step.order), "tile entries": int(step.state.listing.counts.sum()),
             "threads": threads.thread_count(), "forward ms": middle(forward), "backward ms": middle(backward),
             "backward / forward (at most 3)": middle(b / a for a, b in zip(forward, backward)),
         },

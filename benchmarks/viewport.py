@@ -61,7 +61,7 @@ def capture(fg, n: int):
 
 def sort_milliseconds(runs: int = 31) -> list[float]:
     """Sorting 1 M depths."""
-    order_by = module("fastgs_blender.kernels.cpu.parallel_sort").order_by
+    order_by = module("fastgs_blender.kernels.cpu.sort").order_by
     depth = np.random.default_rng(0).uniform(0.5, 40, 1_000_000).astype(np.float32)
     index = np.arange(len(depth), dtype=np.int32)
     order_by(depth, index)

@@ -54,7 +54,7 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
     atlas.pack({id(instance.model): instance.model for instance in instances}.values())
     total = sum(len(instance.model) for instance in instances)
     order = visibility.order([instance.viewed(camera) for instance in instances], camera, min(share, MOST / max(total, 1)), rank,
-                             numba=not compiling.is_running())
+                             "reference" if compiling.is_running() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
     return Sorted(instances, models, left_out, order.astype(np.float32))

@@ -93,7 +93,11 @@ def overview(model, width: int, height: int):
 
 def measure(model, camera, backend: str, repeat: int) -> dict:
     """Median milliseconds of the stages and of the whole frame, at the middle of the clip."""
+    import numpy as np
+
     from ..rendering.api import render
+    from ..rendering.instances import Instance
+    from ..util.backends import load_backend
     from ..util.threads import thread_count
 
     def frame():
@@ -102,7 +106,8 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
     first = _milliseconds(frame)
     stages, counts = {}, {}
     if backend != "reference":
-        stages, counts = _stages(model, camera, repeat)
+        stages, visible = load_backend("cpu").measure_stages(Instance(model, np.eye(4), 0.5).viewed(camera), camera, repeat)
+        counts = {"visible": visible}
     stages["whole frame"] = statistics.median(_milliseconds(frame) for _ in range(repeat))
     return {"gaussians": len(model), "width": camera.width, "height": camera.height, "backend": backend, "threads": thread_count(),
             **counts, "first_frame_ms": round(first, 3), "milliseconds": {name: round(ms, 3) for name, ms in stages.items()}}
@@ -112,27 +117,3 @@ def _milliseconds(work) -> float:
     start = time.perf_counter()
     work()
     return 1000 * (time.perf_counter() - start)
-
-
-def _stages(model, camera, repeat):
-    """What kernels.cpu.draw does, stage by stage."""
-    import numpy as np
-
-    from ..kernels.cpu import backend as cpu
-    from ..rendering.instances import Instance
-    from ..rendering.layout import Layout
-
-    part = Instance(model, np.eye(4), 0.5).viewed(camera)
-    layout = Layout([part], depth=False)
-    times = {"slice and project": [], "sort": [], "tiles and rasterise": []}
-    for _ in range(repeat):
-        clock = [time.perf_counter()]
-        cloud = cpu.project_parts([part], camera, layout)
-        clock.append(time.perf_counter())
-        order = cloud.order()
-        clock.append(time.perf_counter())
-        cpu.rasterise(order, cloud.geometry, cloud.shade, cloud.channels, camera, median=False)
-        clock.append(time.perf_counter())
-        for values, span in zip(times.values(), np.diff(clock), strict=True):
-            values.append(1000 * span)
-    return {name: statistics.median(values) for name, values in times.items()}, {"visible": len(order)}

@@ -52,10 +52,6 @@ def add_arguments(parser):
 
 
 def run(args):
-    try:
-        import torch  # noqa: F401 (training needs it; said here in one sentence)
-    except ImportError as error:
-        raise FastGSError("training needs PyTorch: pip install torch") from error
     from ..captures import open_capture
     from ..captures.pixels.checks import check
     from ..captures.pixels.store import FrameStore

@@ -2,24 +2,18 @@
 """render(): slice, project, rasterise, decode.  The one call that everything uses."""
 from __future__ import annotations
 
-import importlib
-import logging
 import warnings
-from functools import cache, reduce
 
 import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
+from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import Layout
 from .passes import PASSES, Blended
-
-BACKENDS = {"cpu": "..kernels.cpu.backend", "reference": ".oracle"}
-"""Module of each backend: draw(instances, camera, layout, median, progress) and decode_features(...)."""
-
 
 DECODER_LIMIT = 1e12
 """Weights of a decoder beyond which its colours may not fit into float32."""
@@ -45,7 +39,7 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
     entries = [PASSES[name] for name in passes]
     needs = {part for entry in entries for part in entry.needs}
-    kernels = _backend(backend)
+    kernels = load_backend(backend)
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
     blended = _blended(kernels, instances, camera, needs, progress) if instances else None
@@ -61,21 +55,13 @@ def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=(
     return out
 
 
-def _blended(kernels, instances, camera, needs, progress) -> Blended:
+def _blended(backend, instances, camera, needs, progress) -> Blended:
     """The instances drawn by a backend: what the passes that were asked for are computed from."""
     layout = Layout(instances, depth="depth" in needs)
-    buffers = kernels.draw(instances, camera, layout, "median" in needs, progress)
-    rgb = reduce(np.add, (_colour(group, buffers, camera, kernels) for group in layout.groups)) if "rgb" in needs else None
-    depth = None if layout.depth is None else buffers.channels[..., layout.depth]
-    return Blended(rgb, buffers.alpha, depth, buffers.median)
-
-
-def _colour(group, buffers, camera, kernels):
-    """The premultiplied colour [h, w, 3] of a group of channels."""
-    if group.instance is None:
-        return buffers.channels[..., group.offset:group.offset + 3]
-    weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
-    return kernels.decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
+    buffers = backend.draw(instances, camera, layout, "median" in needs, progress)
+    rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
+    depth, median = (None if array is None else backend.numpy(array) for array in (buffers.depth, buffers.median))
+    return Blended(rgb, backend.numpy(buffers.alpha), depth, median)
 
 
 def _instances(model, camera, t) -> list[ViewedInstance]:
@@ -99,16 +85,3 @@ def _instance(given) -> Instance:
     model, placement, t, *rest = given
     settings = rest[0] if rest else ObjectSettings()
     return Instance(model, placement, t, settings if isinstance(settings, ObjectSettings) else ObjectSettings(settings))
-
-
-@cache
-def _backend(name: str):
-    if name == "auto":
-        try:
-            return _backend("cpu")
-        except ImportError:
-            logging.getLogger(__package__).warning("numba is not installed: rendering with NumPy, which is slow.")
-            return _backend("reference")
-    if name not in BACKENDS:
-        raise FastGSError(f"the backend {name!r} is unknown; there are auto, {', '.join(BACKENDS)}.")
-    return importlib.import_module(BACKENDS[name], __package__)

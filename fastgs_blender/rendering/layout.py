@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Any
 
 from ..model.appearance import Features
 from .instances import ViewedInstance
@@ -54,8 +53,15 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """What a backend blends: channels [h, w, C] (premultiplied), alpha [h, w], median depth [h, w] or None."""
+    """What a backend blends, in arrays of its own.
 
-    channels: np.ndarray
-    alpha: np.ndarray
-    median: np.ndarray | None
+    channels  [h, w, C]  premultiplied, as the layout says
+    alpha     [h, w]
+    depth     [h, w]     sum of the splats' depths times their weights, or None
+    median    [h, w]     median depth, or None
+    """
+
+    channels: Any
+    alpha: Any
+    depth: Any
+    median: Any

@@ -7,6 +7,7 @@ a picture of a model is.  The kernels are tested against it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ..model.appearance import SH, Features, decode, sh_basis
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import kept_by
+from .culling import order_in_numpy
 from .instances import LIMIT, ViewedInstance
 from .layout import Buffers, Layout
 
@@ -104,8 +106,8 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
 
 
-def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> Buffers:
-    """Front-to-back compositing of sorted splats into the camera's window (rasterisers.md 3.2).
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Channels [h, w, C], alpha [h, w] and median depth [h, w]: front-to-back compositing into the camera's window (rasterisers.md 3.2).
 
     band: alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
     by differences, for checks of gradients; pictures have none.
@@ -142,15 +144,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> Buffers:
         out[box] += np.where(blended, alpha * t, 0)[..., None] * splats.channels[i]
         median[box] = np.where(blended & (t > 0.5), splats.depth[i], median[box])
         transmittance[box] = np.where(blended, after, t)
-    return Buffers(out, 1 - transmittance, median)
-
-
-def draw(instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
-    """All models as one cloud, composited into the layout's channels; band: see rasterise()."""
-    with np.errstate(all="ignore"):  # what overflows is not drawn
-        clouds = [project(instance, camera, layout) for instance in instances]
-    progress(0.1)
-    return rasterise(Splats(**{name: np.concatenate([vars(c)[name] for c in clouds]) for name in vars(clouds[0])}), camera, band)
+    return out, 1 - transmittance, median
 
 
 def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -166,3 +160,37 @@ def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedIn
     with np.errstate(over="ignore", invalid="ignore"):
         colour = decode(surface, centre, rays, appearance) * weight[..., None]
     return np.where(np.abs(colour) <= LIMIT, colour, 0)
+
+
+class Oracle:
+    """The backend "reference": protocol.PictureBackend in float64; its arrays are NumPy's."""
+
+    def array(self, values):
+        return np.asarray(values)
+
+    def numpy(self, array):
+        return array
+
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
+        """All instances together, composited into the layout's channels; band: see rasterise()."""
+        with np.errstate(all="ignore"):  # what overflows is not drawn
+            found = [project(instance, camera, layout) for instance in instances]
+        progress(0.1)
+        splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
+        channels, alpha, nearest = rasterise(splats, camera, band)
+        return Buffers(channels, alpha, None if layout.depth is None else channels[..., layout.depth], nearest if median else None)
+
+    def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> np.ndarray:
+        """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""
+        return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))
+
+    def _group_colour(self, buffers, group, camera):
+        if group.instance is None:
+            return buffers.channels[..., group.offset:group.offset + 3]
+        weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
+        return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
+
+    front_to_back = staticmethod(order_in_numpy)
+
+
+BACKEND = Oracle()

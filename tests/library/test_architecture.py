@@ -19,15 +19,18 @@ DOORS = {
 }
 """Modules that load another by its name, against the order, and why.  They are no exception from the rule against circles."""
 KNOWN = {
-    "fastgs_blender/rendering/api.py: fastgs_blender/kernels/cpu/backend.py",
-    "fastgs_blender/rendering/visibility.py: fastgs_blender/kernels/cpu/visible.py",
-    "fastgs_blender/rendering/visibility.py: fastgs_blender/kernels/cpu/clouds.py",
-    "fastgs_blender/rendering/visibility.py: fastgs_blender/kernels/cpu/parallel_sort.py",
     "scene/training/watch.py: operators/train.py",
-    "fastgs_blender/kernels/cpu/backend.py", "fastgs_blender/kernels/cpu/clouds.py",
     "operators/train.py", "tests/addon/test_cameras.py", "tests/library/mutations.py",
 }
 """Offenders that are being removed; none may be added."""
+BACKEND_USERS = {
+    "fastgs_blender/captures/pixels/framefiles.py": {"cache"},  # decoded frames are kept beside compiled kernels
+    "scene/settings.py": {"cache"},  # Blender's folder for caches
+    "engine/diagnostics.py": {"cache"},  # what is compiled
+    "engine/compiling.py": {"cache", "warm"},  # compiles the kernels ahead, in a process of its own
+    "operators/maintenance.py": {"cache"}, "ui/preferences.py": {"cache"},  # the cache's size; clearing it
+}
+"""Modules outside kernels/ that import one of a backend's modules, which of them, and why.  All others ask util/backends.py."""
 BLENDERS = {"bpy", "bmesh", "gpu", "gpu_extras", "mathutils", "bpy_extras", "bl_ui", "addon_utils", "blf", "imbuf", "aud"}
 LINES = 400
 """The most lines of a Python file."""
@@ -47,6 +50,14 @@ def against_the_order(path: str, source: str, files: dict[str, str]) -> set[str]
     """The modules that `path` imports, or whose operators it calls, though they come after it."""
     others = targets(path, source, files) | called(path, source, operators(files))
     return set() if path in DOORS else {f"{path}: {other}" for other in others if rank(other) > rank(path)}
+
+
+def beside_the_protocol(path: str, source: str, files: dict[str, str]) -> set[str]:
+    """A backend's own modules that a module outside kernels/ imports, and that BACKEND_USERS does not allow it."""
+    if path.startswith("fastgs_blender/kernels/") or path in DOORS:
+        return set()
+    used = {other for other in targets(path, source, files) if other.startswith("fastgs_blender/kernels/cpu/")}
+    return {f"{path}: {other}" for other in used if PurePosixPath(other).stem not in BACKEND_USERS.get(path, ())}
 
 
 def foreign(path: str, source: str) -> set[str]:
@@ -75,6 +86,13 @@ def test_the_library_knows_no_blender_and_imports_are_relative(files):
 def test_imports_and_operators_follow_the_order(files):
     assert any(path.startswith("engine/") for path in files)
     assert not set().union(*(against_the_order(path, source, files) for path, source in files.items())) - KNOWN
+
+
+def test_a_backend_is_reached_through_its_protocol_alone(files):
+    assert not set().union(*(beside_the_protocol(path, source, files) for path, source in files.items()))
+    for path, source in (("fastgs_blender/training/core/a.py", "def f():\n    from ...kernels.cpu import loss"),
+                         ("engine/a.py", "from ..fastgs_blender.kernels.cpu.backend import BACKEND")):
+        assert beside_the_protocol(path, source, {**files, path: source})
 
 
 def test_every_folder_of_the_library_has_its_place_in_the_order(files):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...cameras.lens import Intrinsics, Lens, inside, undistortion_map
-from ...util import threads
+from ...util.backends import load_backend
 from ..capture import Shot
 
 
@@ -18,13 +18,8 @@ def resample(image: np.ndarray, source_positions: np.ndarray) -> np.ndarray:
     Cubic (Catmull-Rom, kept within the values around) where pixels keep their size; where the picture shrinks, the mean over each
     pixel's area, exact for whole factors.  0 outside the source.
     """
-    from ...kernels.cpu.resample import resample_rows  # loads numba, which a capture that is only looked at does without
-
     image = np.ascontiguousarray(image if image.dtype in {np.dtype("uint8"), np.dtype("float32")} else image.astype(np.float32))
-    positions = np.ascontiguousarray(source_positions, np.float32)
-    out = np.zeros((*positions.shape[:2], image.shape[2]), np.float32)
-    threads.run(lambda first, last: resample_rows(image, positions, first, last, out), threads.ranges(len(positions), 32))
-    return out
+    return load_backend("cpu").resample(image, np.ascontiguousarray(source_positions, np.float32))
 
 
 def positions_of(shot: Shot) -> np.ndarray | None:

@@ -137,7 +137,7 @@ def _project_axis(axis, row0, row1, row2, a02, a12):
 
 
 @kernel
-def project(first, last, boxes, arrays, times, view, lens, constants, look, geometry, shade, depth, source):
+def project(first, last, boxes, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
     boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
@@ -147,8 +147,8 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
                its direction) in model space
     lens       [13] float64: fx, fy, cx, cy, near, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
     constants  (blur, alpha max, alpha cut, antialiased, orthographic)
-    look       (appearance code, degree, first channel, weight channel or -1, depth channel or -1)
-    geometry, shade, depth   of the splats, see raster.py
+    channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1)
+    geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
     crop_rows, crop_remove = boxes
@@ -156,7 +156,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, _, _, _, _, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
-    appearance, degree, channel, weight_channel, depth_channel = look
+    appearance, degree, channel, weight_channel, depth_channel = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut = math.log2(alpha_cut)
     out = first
@@ -201,32 +201,32 @@ def project(first, last, boxes, arrays, times, view, lens, constants, look, geom
             dx, dy, dz, _ = _direction(px, py, pz, eye, orthographic)
             sh_colour(features, n, degree, dx, dy, dz, terms, colour)
         good = True
-        for c in range(raster.CHANNEL, shade.shape[1]):
-            shade[out, c] = float32(0.0)
+        for c in range(raster.CHANNEL, attributes.shape[1]):
+            attributes[out, c] = float32(0.0)
         for c in range(9 if appearance == FEATURES else 3):
             value = colour[c] if appearance == SH else np.float64(features[n, c])
             if c >= 6:
                 value *= delta
             good = good and abs(value) <= LIMIT
-            shade[out, raster.CHANNEL + channel + c] = value
+            attributes[out, raster.CHANNEL + channel + c] = value
         if not good:
             continue
         if weight_channel >= 0:
-            shade[out, raster.CHANNEL + weight_channel] = float32(1.0)
+            attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
         if depth_channel >= 0:
-            shade[out, raster.CHANNEL + depth_channel] = z
+            attributes[out, raster.CHANNEL + depth_channel] = z
         root = math.sqrt(s11)
         geometry[out, raster.MEAN_X] = mx
         geometry[out, raster.MEAN_Y] = my
         geometry[out, raster.L11] = SCALE * root / math.sqrt(det)
         geometry[out, raster.L21] = -SCALE * s01 / (root * math.sqrt(det))
         geometry[out, raster.L22] = SCALE / root
-        shade[out, raster.LOG2_OPACITY] = log2_sigma
-        shade[out, raster.ALPHA_MAX] = alpha_max
-        shade[out, raster.LOG2_CUT] = log2_cut
-        shade[out, raster.DEPTH] = z
-        shade[out, raster.RADIUS_X] = radius_x + 1e-3
-        shade[out, raster.RADIUS_Y] = radius_y + 1e-3
+        attributes[out, raster.LOG2_OPACITY] = log2_sigma
+        attributes[out, raster.ALPHA_MAX] = alpha_max
+        attributes[out, raster.LOG2_CUT] = log2_cut
+        attributes[out, raster.DEPTH] = z
+        attributes[out, raster.RADIUS_X] = radius_x + 1e-3
+        attributes[out, raster.RADIUS_Y] = radius_y + 1e-3
         depth[out] = z
         source[out] = n
         out += 1

@@ -150,7 +150,7 @@ def _quaternion_slope(q, g0, g1, g2):
 
 
 @kernel
-def project_backward(first, last, row, end, source, slopes, detach_time, gradients, arrays, times, view, lens, constants, look):
+def project_backward(first, last, row, end, source, slopes, detach_time, gradients, arrays, times, view, lens, constants, channel_plan):
     """Gradients of the Gaussians first..last, of which the rows row..end were written; source as project.project gives it.
 
     slopes       gradients of the splats: geometry [M, 5], log2 of the opacity [M], channels [M, C]
@@ -164,7 +164,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
     blur, _, _, antialiased, orthographic = constants
-    appearance, degree, channel, _, depth_channel = look
+    appearance, degree, channel, _, depth_channel = channel_plan
     row0, row1, row2, shift, eye = rows_of(view)
     terms, colour = np.empty(25), np.empty(3)
     for n in range(first, last):
@@ -279,7 +279,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
 
 
 @kernel
-def observe(first, last, source, g_geometry, g_absolute, shade, size, gradient, absolute, seen, radius):
+def observe(first, last, source, g_geometry, g_absolute, attributes, size, gradient, absolute, seen, radius):
     """Add the rows first..last of one view to the statistics of training (training/statistics.py), one number per Gaussian each.
 
     size: of the whole image, in pixels.
@@ -291,4 +291,4 @@ def observe(first, last, source, g_geometry, g_absolute, shade, size, gradient, 
         gradient[n] += math.hypot(g_geometry[row, raster.MEAN_X] * half_x, g_geometry[row, raster.MEAN_Y] * half_y)
         absolute[n] += math.hypot(g_absolute[row, 0] * half_x, g_absolute[row, 1] * half_y)
         seen[n] += float32(1.0)
-        radius[n] = max(radius[n], float32(max(shade[row, raster.RADIUS_X], shade[row, raster.RADIUS_Y]) / longest))
+        radius[n] = max(radius[n], float32(max(attributes[row, raster.RADIUS_X], attributes[row, raster.RADIUS_Y]) / longest))

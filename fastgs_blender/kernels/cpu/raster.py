@@ -24,7 +24,7 @@ PIXELS = TILE * TILE
 # columns of a splat's geometry [., 5] float64: centre in pixels, and the triangle of the scaled inverse covariance, so that
 # log2(alpha) = LOG2_OPACITY - (L11 dx + L21 dy)^2 - (L22 dy)^2.  A sum of squares: long thin splats do not cancel.
 MEAN_X, MEAN_Y, L11, L21, L22 = range(5)
-# columns of a splat's shade [., 6 + C] float32; RADIUS: half the size of the box in which alpha reaches the cut
+# columns of a splat's attributes [., 6 + C] float32; RADIUS: half the size of the box in which alpha reaches the cut
 LOG2_OPACITY, ALPHA_MAX, LOG2_CUT, DEPTH, RADIUS_X, RADIUS_Y, CHANNEL = range(7)
 
 AHEAD = 8
@@ -45,7 +45,7 @@ def fade(alpha, log2_cut, band):
 
 
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, shade, splat, place, band, channels, median, trace, smooth):
+def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, channels, median, trace, smooth):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
     channels, median, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  trace: remember `place` as
@@ -55,15 +55,16 @@ def blend8(context, state, pixel, u, du, row, shade, splat, place, band, channel
         return None
     count = channels.literal_value
     number = types.float32
-    signature = types.void(state, types.intp, number, number, number, shade, types.intp, number, number, channels, median, trace, smooth)
+    signature = types.void(
+        state, types.intp, number, number, number, attributes, types.intp, number, number, channels, median, trace, smooth)
 
     def build(context, b, signature, args):
-        state, shade = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
+        state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
         pixel, row = args[1], simd.broadcast(b, args[4])
         first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + count))
 
         def column(i):
-            return simd.broadcast(b, shade.scalar(first, i))
+            return simd.broadcast(b, attributes.scalar(first, i))
 
         u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
         exponent = row - u * u
@@ -102,7 +103,7 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
     median, trace, smooth, band = int(median), int(trace), int(band > 0), float(band)
     planes = 1 + channels + (median or trace)
 
-    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, out, alpha, depth):
+    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, depth):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
         The window is x0..right, y0..bottom in pixels of the image; out [h, w, C], alpha [h, w], depth [h, w] are the window's.
@@ -126,10 +127,10 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
                 i = np.intp(ids[k])
                 ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
                 simd.prefetch(geometry, ahead)
-                simd.prefetch(shade, ahead)
+                simd.prefetch(attributes, ahead)
                 # in float64 up to the tile's corner, so that splats far off the screen keep their precision
                 mx, my = geometry[i, MEAN_X] - left - 0.5, geometry[i, MEAN_Y] - top - 0.5
-                rx, ry = shade[i, RADIUS_X], shade[i, RADIUS_Y]
+                rx, ry = attributes[i, RADIUS_X], attributes[i, RADIUS_Y]
                 xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
                 yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
                 if not (xl <= xh and yl <= yh):
@@ -139,11 +140,11 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
                 v0 = float32(-geometry[i, L22] * my)
                 for y in range(int(yl), int(yh) + 1):
                     v = v0 + c * float32(y)
-                    row = shade[i, LOG2_OPACITY] - v * v
+                    row = attributes[i, LOG2_OPACITY] - v * v
                     u = u0 + b * float32(y)
                     for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
                         x = half * simd.LANES
-                        blend8(state, y * TILE + x, u + a * float32(x), a, row, shade, i, float32(k - starts[tile]), float32(band),
+                        blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
                                channels, median, trace, smooth)
                 blended += 1
                 if blended % TILE == 0:

@@ -38,7 +38,7 @@ def columns(channels: int) -> int:
 
 
 @intrinsic(prefer_literal=True)
-def gather_splat(context, state, box, place, line, slopes, shade, splat, band, rows, entry, channels, smooth):
+def gather_splat(context, state, box, place, line, slopes, attributes, splat, band, rows, entry, channels, smooth):
     """One splat over its pixels of a tile: take it off their state and write its sums into rows[entry].
 
     box      (first and last half row, first and last row)
@@ -51,10 +51,10 @@ def gather_splat(context, state, box, place, line, slopes, shade, splat, band, r
         return None
     count = channels.literal_value
     signature = types.void(state, types.UniTuple(types.intp, 4), types.float32, types.UniTuple(types.float32, 4),
-                           types.UniTuple(types.float32, 3), shade, types.intp, types.float32, rows, types.intp, channels, smooth)
+                           types.UniTuple(types.float32, 3), attributes, types.intp, types.float32, rows, types.intp, channels, smooth)
 
     def build(context, b, signature, args):
-        state, shade, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5, 8))
+        state, attributes, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5, 8))
         half0, half1, row0, row1 = cgutils.unpack_tuple(b, args[1], 4)
         place = simd.broadcast(b, args[2])
         u0, v0, dx0, dy0 = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[3], 4))
@@ -63,7 +63,7 @@ def gather_splat(context, state, box, place, line, slopes, shade, splat, band, r
         first = b.mul(args[6], whole(raster.CHANNEL + count))
 
         def column(i):
-            return simd.broadcast(b, shade.scalar(first, i))
+            return simd.broadcast(b, attributes.scalar(first, i))
 
         def number(index):
             return simd.broadcast(b, b.sitofp(index, simd.ir.FloatType()))
@@ -127,7 +127,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
     smooth, band = int(band > 0), float(band)
     planes = GRADIENT + channels + 1
 
-    def rasterise_backward(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, shade, trace,
+    def rasterise_backward(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, trace,
                            grad_out, grad_alpha, ends, rows):
         """Tiles first..last as in raster.py.
 
@@ -157,9 +157,9 @@ def rasteriser_backward(channels: int, band: float = 0.0):
                 i = np.intp(ids[k])
                 ahead = np.intp(ids[max(k - AHEAD, starts[tile])])
                 simd.prefetch(geometry, ahead)
-                simd.prefetch(shade, ahead)
+                simd.prefetch(attributes, ahead)
                 mx, my = geometry[i, raster.MEAN_X] - left - 0.5, geometry[i, raster.MEAN_Y] - top - 0.5
-                rx, ry = shade[i, raster.RADIUS_X], shade[i, raster.RADIUS_Y]
+                rx, ry = attributes[i, raster.RADIUS_X], attributes[i, raster.RADIUS_Y]
                 xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
                 yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
                 if not (xl <= xh and yl <= yh):
@@ -169,7 +169,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
                 v0 = float32(-geometry[i, raster.L22] * my)
                 slopes = (float32(geometry[i, raster.L11]), float32(geometry[i, raster.L21]), float32(geometry[i, raster.L22]))
                 gather_splat(state, (int(xl) // simd.LANES, int(xh) // simd.LANES, int(yl), int(yh)), float32(k - starts[tile]),
-                             (u0, v0, float32(-mx), float32(-my)), slopes, shade, i, float32(band), rows, k, channels, smooth)
+                             (u0, v0, float32(-mx), float32(-my)), slopes, attributes, i, float32(band), rows, k, channels, smooth)
 
     return kernel(rasterise_backward)
 

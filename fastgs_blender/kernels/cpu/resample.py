@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ...util.threads import ranges, run
 from .jit import inline, kernel
 
 MOST = 64
@@ -105,3 +106,10 @@ def resample_rows(image, positions, first, last, out):
                 for n in range(across):
                     u = np.float32((n + 0.5) / across - 0.5)
                     _add_linear(image, x + u * ax + v * bx, y + u * ay + v * by, share, row, column, out)
+
+
+def resample(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """TrainingBackend.resample()."""
+    out = np.zeros((*positions.shape[:2], image.shape[2]), np.float32)
+    run(lambda first, last: resample_rows(image, positions, first, last, out), ranges(len(positions), 32))
+    return out

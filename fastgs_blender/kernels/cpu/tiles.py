@@ -32,7 +32,7 @@ def _grown(array):
 
 
 @kernel
-def spans(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, counts):
+def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, counts):
     """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
     The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them.  counts [columns * rows] counts the
@@ -45,9 +45,9 @@ def spans(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, co
         i = np.intp(order[k])
         ahead = np.intp(order[min(k + AHEAD, last - 1)])
         prefetch(geometry, ahead)
-        prefetch(shade, ahead)
+        prefetch(attributes, ahead)
         mx, my = geometry[i, raster.MEAN_X], geometry[i, raster.MEAN_Y]
-        rx, ry = np.float64(shade[i, raster.RADIUS_X]), np.float64(shade[i, raster.RADIUS_Y])
+        rx, ry = np.float64(attributes[i, raster.RADIUS_X]), np.float64(attributes[i, raster.RADIUS_Y])
         # pixel centres lie at + 0.5
         box_top = max(math.ceil(max(my - ry, -1e9) - 0.5), tile_y * TILE)
         box_bottom = min(math.floor(min(my + ry, 1e9) - 0.5), (tile_y + rows) * TILE - 1)
@@ -61,7 +61,7 @@ def spans(first, last, order, geometry, shade, tile_x, tile_y, columns, rows, co
         a, b, c, root, peak = 0.0, 0.0, 0.0, 0.0, 0.0
         if exact:
             a, b, c = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
-            reach = np.float64(shade[i, raster.LOG2_OPACITY]) - np.float64(shade[i, raster.LOG2_CUT])
+            reach = np.float64(attributes[i, raster.LOG2_OPACITY]) - np.float64(attributes[i, raster.LOG2_CUT])
             root = math.sqrt(reach)
             peak = b * root / (c * math.sqrt(b * b + c * c))
         for row in range(top, bottom + 1):

@@ -42,13 +42,22 @@ class Strategy:
         times = (self.last - iteration) // s.densify_every + 1
         return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
 
-    def penalty(self, arrays) -> dict[str, np.ndarray]:
-        """Gradients to add to those of the loss, by array."""
-        return {}
+    def acts(self, iteration: int) -> bool:
+        """Whether after_step() is to be called after this step (counted from 1)."""
+        return self.due(iteration)
 
     def after_step(self, iteration: int, optimiser, statistics, rates) -> bool:
-        """Change the optimiser's rows; returns whether statistics must be begun anew.  rates: the step's learning rates."""
+        """Change the optimiser's Rows; returns whether statistics must be begun anew.
+
+        statistics: Statistics in NumPy arrays; rates: the step's learning rates.
+        """
         raise NotImplementedError
+
+    def penalise(self, backend, arrays: dict, gradients: dict) -> None:
+        """Add to the gradients of every step what depends on no view; arrays and gradients are the backend's."""
+
+    def shake(self, backend, iteration: int, arrays: dict, rates: dict) -> None:
+        """Move the backend's arrays at random after every step (counted from 1)."""
 
 
 class Default(Strategy):
@@ -59,14 +68,20 @@ class Default(Strategy):
 
     name = "default"
 
+    def acts(self, iteration):
+        return self.due(iteration) or self._resets(iteration)
+
+    def _resets(self, iteration):
+        every = self.settings.reset_every
+        return bool(every) and self.first < iteration < self.last and iteration % every == 0
+
     def after_step(self, iteration, optimiser, statistics, rates):
-        s = self.settings
         changed = False
         if self.due(iteration):
             self._prune(optimiser, statistics)
             self._grow(iteration, optimiser, statistics)
             changed = True
-        if s.reset_every and self.first < iteration < self.last and iteration % s.reset_every == 0:
+        if self._resets(iteration):
             opacity = optimiser.arrays["opacity"]
             rows = np.flatnonzero(opacity > _logit(0.01))
             opacity[rows] = _logit(0.01)
@@ -132,12 +147,8 @@ class MCMC(Strategy):
     name = "mcmc"
     most = 51
 
-    def penalty(self, arrays):
-        s = self.settings
-        n = max(len(arrays["opacity"]), 1)
-        o = sigmoid(arrays["opacity"])
-        return {"opacity": (s.opacity_weight / n * o * (1 - o)).astype(np.float32),
-                "scale": (s.scale_weight / (3 * n) * np.exp(arrays["scale"]) / self.extent).astype(np.float32)}
+    def penalise(self, backend, arrays, gradients):
+        backend.shrink(arrays, gradients, self.settings.opacity_weight, self.settings.scale_weight, self.extent)
 
     def after_step(self, iteration, optimiser, statistics, rates):
         s, arrays = self.settings, optimiser.arrays
@@ -151,8 +162,6 @@ class MCMC(Strategy):
                 self._relocate(optimiser, dead, alive, rng)
                 self._add(iteration, optimiser, rng)
             changed = True
-        if s.noise and iteration <= self.last:
-            self._shake(iteration, arrays, rates)
         return changed
 
     def _relocate(self, optimiser, dead, alive, rng):
@@ -191,19 +200,11 @@ class MCMC(Strategy):
             if _per_gaussian(name):
                 optimiser.reset(name, rows)
 
-    def _shake(self, iteration, arrays, rates):
-        """Noise on the positions, in the shape of each Gaussian, for those that are nearly transparent."""
-        opacity = sigmoid(arrays["opacity"])
-        gate = 1 / (1 + np.exp(-100 * ((1 - opacity) - 0.995)))
-        rows = np.flatnonzero(gate > 1e-4)
-        if not len(rows):
-            return
-        rng = generator(self.settings.seed, NOISE, iteration)
-        reach = self.settings.noise * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
-        step = rng.standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]
-        axes = _axes(arrays, rows)
-        scale = np.exp(arrays["scale"][rows].astype(np.float64))
-        arrays["position"][rows] += np.einsum("nij,nj,nkj,nk->ni", axes, scale**2, axes, step).astype(np.float32)
+    def shake(self, backend, iteration, arrays, rates):
+        if self.settings.noise and iteration <= self.last:
+            # the authors' factor, where the extent is 1
+            reach = self.settings.noise * 5e5 * rates["position"] / self.extent**2
+            backend.shake(arrays, reach, (self.settings.seed, NOISE, iteration))
 
 
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}

@@ -21,13 +21,11 @@ def held_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
 
 
-def pull(arrays, gradients, rows: np.ndarray, votes: float, pixels: int) -> None:
-    """Add to the gradient of the features of the rows that are held.
+def hold(backend, arrays: dict, gradients: dict, rows, votes: float, pixels: int) -> None:
+    """Add the pull to the gradient of the features of those rows (of the backend) that are held.
 
     votes   how many pixels of a picture a difference of OFF is worth
     pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels
     """
-    if HELD not in arrays or not votes:
-        return
-    rows = rows[np.isfinite(arrays[HELD][rows, 0])]
-    gradients["features"][rows] += np.float32(votes / (3 * OFF * pixels)) * (arrays["features"][rows] - arrays[HELD][rows])
+    if HELD in arrays and votes:
+        backend.hold(arrays["features"], arrays[HELD], gradients["features"], rows, votes / (3 * OFF * pixels))

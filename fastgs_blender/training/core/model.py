@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...kernels.parameters import model_of
 from ...model import fitting
 from ...model.appearance import RGB, SH, Features
 from ...model.gaussians import Clip, GaussianModel, Raster
 from ...model.motion import Basis, Polynomial, Static, trained_motions
 from ...model.temporal import Always, Radial
 from ...util.errors import FastGSError
-from .hold import HELD
 
-DECODER = ("w1", "w2")
 PLACE = slice(6, 9)
 """The decoder's inputs that say where the camera is."""
 
@@ -59,10 +58,8 @@ def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:
 
 
 def with_arrays(template: GaussianModel, arrays: dict[str, np.ndarray], provenance: dict[str, str] | None = None) -> GaussianModel:
-    """The template with what an optimiser trains instead of its own arrays: float32, not copied; the decoder's matrices among them."""
-    fields = {name: array for name, array in arrays.items() if name != HELD}
-    decoder = {name: fields.pop(name) for name in DECODER if name in fields}
-    return replace(template, appearance=replace(template.appearance, **decoder), provenance=provenance or {}, **fields)
+    """The template with what an optimiser trains instead of its own arrays (kernels/parameters.py), and a provenance."""
+    return replace(model_of(template, arrays), provenance=provenance or {})
 
 
 def lasting(model: GaussianModel) -> GaussianModel:

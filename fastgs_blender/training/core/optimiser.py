@@ -1,65 +1,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The optimiser: the arrays that are trained, Adam's moments of them, and the changes of rows that density control asks for."""
+"""The optimiser: the arrays that are trained and Adam's moments of them, and the changes of rows that density control makes."""
 from __future__ import annotations
+
+from contextlib import contextmanager
 
 import numpy as np
 
-from ...kernels.cpu import adam
-from ...util.threads import ranges, run
+from ...kernels.parameters import DECODER as SHARED
+from ...util.backends import load_backend
 
-SHARED = ("w1", "w2")
-"""Arrays of the whole model; the others have a row for each Gaussian."""
-ROWS = 16_384
-"""Rows in one piece of work."""
 PARTS = {"value": "arrays", "mean": "means", "square": "squares", "count": "counts"}
 
 
-class Optimiser:
-    """Adam over arrays [N, ...] float32, of which a step moves only the rows that it has seen.
+class Rows:
+    """The optimiser's arrays as NumPy arrays, for density control: by name, with a row for each Gaussian but for those in SHARED.
 
-    A row that was not seen keeps its moments as they are, and corrects its bias by the steps that it has taken itself.
-
-    arrays   by name, trained in place; density control replaces them by longer or shorter ones
-    steps    taken so far
+    arrays, means, squares  [N, ...] float32    counts [N] int32    moved [N] int64    steps  taken so far
     """
 
-    def __init__(self, arrays: dict[str, np.ndarray], betas: tuple[float, float] = (0.9, 0.999)):
-        self.arrays = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
-        self.means = {name: np.zeros_like(array) for name, array in self.arrays.items()}
-        self.squares = {name: np.zeros_like(array) for name, array in self.arrays.items()}
-        self.counts = {name: np.zeros(len(array), np.int32) for name, array in self.arrays.items()}
-        self.betas, self.steps = betas, 0
-        self.moved = np.zeros(len(self), np.int64)
+    def __init__(self, arrays, means, squares, counts, moved, steps: int):
+        self.arrays, self.means, self.squares, self.counts = arrays, means, squares, counts
+        self.moved, self.steps = moved, steps
 
     def __len__(self) -> int:
         """N, the number of Gaussians."""
         return next(len(array) for name, array in self.arrays.items() if name not in SHARED)
-
-    def waited(self, rows) -> np.ndarray:
-        """How many steps, the coming one included, each row's next move stands for [rows] float32: 1 if it moved in the last one."""
-        return (self.steps + 1 - self.moved[rows]).astype(np.float32)
-
-    def step(self, gradients: dict[str, np.ndarray], rows: np.ndarray, rates: dict) -> None:
-        """Move the rows (distinct indices of Gaussians) and the shared arrays against their gradients, at most by about the rates.
-
-        gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
-        rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are
-        """
-        rows = np.ascontiguousarray(rows, np.int64)
-        table, pieces = adam.corrections(*self.betas), []
-        for name, rate in rates.items():
-            if name not in self.arrays or not self.arrays[name].size:
-                continue
-            n = len(self.arrays[name])
-            these = np.arange(n) if name in SHARED else rows
-            value, gradient, mean, square = (a.reshape(n, -1) for a in (
-                self.arrays[name], np.ascontiguousarray(gradients[name], np.float32), self.means[name], self.squares[name]))
-            columns = np.broadcast_to(np.asarray(rate, np.float32).reshape(-1), value.shape[1]).copy()
-            rest = (these, value, gradient, mean, square, self.counts[name], columns, *self.betas, table)
-            pieces += [(*piece, rest) for piece in ranges(len(these), ROWS)]
-        run(lambda first, last, rest: adam.adam(first, last, *rest), pieces)
-        self.steps += 1
-        self.moved[rows] = self.steps
 
     def take(self, index: np.ndarray) -> None:
         """Keep these Gaussians alone, in this order, with their moments."""
@@ -69,7 +34,7 @@ class Optimiser:
         self.moved = self.moved[index]
 
     def append(self, arrays: dict[str, np.ndarray]) -> None:
-        """Add Gaussians; their moments begin at nothing.  arrays: all but the shared ones."""
+        """Add Gaussians; their moments begin at zero.  arrays: all but the shared ones."""
         born = 0
         for name, array in arrays.items():
             born = len(array)
@@ -84,17 +49,70 @@ class Optimiser:
         for part in ("means", "squares", "counts"):
             getattr(self, part)[name][rows] = 0
 
+
+class Optimiser:
+    """Adam over arrays [N, ...] float32 of a backend, of which a step moves only the rows that it has seen.
+
+    A row that was not seen keeps its moments as they are, and corrects its bias by the steps that it has taken itself.
+
+    arrays   by name, trained in place; density control replaces them by longer or shorter ones
+    steps    taken so far
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray], betas: tuple[float, float] = (0.9, 0.999), backend=None):
+        self.backend = backend or load_backend("cpu")
+        self.betas, self.steps = betas, 0
+        arrays = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+        zeros = [{name: np.zeros_like(array) for name, array in arrays.items()} for _ in range(2)]
+        counts = {name: np.zeros(len(array), np.int32) for name, array in arrays.items()}
+        rows = Rows(arrays, *zeros, counts, None, 0)
+        rows.moved = np.zeros(len(rows), np.int64)
+        self._hand_over(rows)
+
+    def __len__(self) -> int:
+        """N, the number of Gaussians."""
+        return self._count
+
+    def _hand_over(self, rows: Rows) -> None:
+        for part in PARTS.values():
+            setattr(self, part, {name: self.backend.array(array) for name, array in getattr(rows, part).items()})
+        self.moved, self._count = self.backend.array(rows.moved), len(rows)
+        self._sizes = {name: array.size for name, array in rows.arrays.items()}
+
+    @contextmanager
+    def on_host(self):
+        """Gives the optimiser's Rows to change; at the end they are the backend's again."""
+        rows = Rows(*({name: self.backend.numpy(array) for name, array in getattr(self, part).items()} for part in PARTS.values()),
+                    self.backend.numpy(self.moved), self.steps)
+        yield rows
+        self._hand_over(rows)
+
+    def waits(self, rows):
+        """How many steps, the coming one included, each row's next move stands for, [N] of the backend; 0 for the other rows."""
+        return self.backend.waits(rows, self.moved, self.steps + 1)
+
+    def step(self, gradients: dict, rows, rates: dict) -> None:
+        """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates.
+
+        gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
+        rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are
+        """
+        self.steps += 1
+        tensors = [(self.arrays[name], gradients[name], self.means[name], self.squares[name], self.counts[name], rate, name in SHARED)
+                   for name, rate in rates.items() if self._sizes.get(name)]
+        self.backend.adam(rows, tensors, self.betas, self.moved, self.steps)
+
     def state(self) -> dict[str, np.ndarray]:
-        """Everything as plain arrays, the optimiser's own: copy them if it goes on."""
-        state = {f"{kind}.{name}": array for kind, part in PARTS.items() for name, array in getattr(self, part).items()}
-        return {**state, "moved": self.moved, "steps": np.array([self.steps]), "betas": np.array(self.betas)}
+        """Everything as NumPy arrays, the optimiser's own on the CPU: copy them if it goes on."""
+        state = {f"{kind}.{name}": self.backend.numpy(array) for kind, part in PARTS.items() for name, array in getattr(self, part).items()}
+        return {**state, "moved": self.backend.numpy(self.moved), "steps": np.array([self.steps]), "betas": np.array(self.betas)}
 
     @classmethod
-    def restored(cls, state: dict[str, np.ndarray]) -> Optimiser:
+    def restored(cls, state: dict[str, np.ndarray], backend=None) -> Optimiser:
         """The optimiser that state() describes."""
         names = [key.removeprefix("value.") for key in state if key.startswith("value.")]
-        optimiser = cls({name: state[f"value.{name}"] for name in names}, tuple(float(b) for b in state["betas"]))
-        for kind, part in PARTS.items():
-            getattr(optimiser, part).update({name: np.array(state[f"{kind}.{name}"]) for name in names})
-        optimiser.moved, optimiser.steps = np.array(state["moved"]), int(state["steps"][0])
+        optimiser = cls({name: state[f"value.{name}"] for name in names}, tuple(float(b) for b in state["betas"]), backend)
+        parts = ({name: np.array(state[f"{kind}.{name}"]) for name in names} for kind in PARTS)
+        optimiser.steps = int(state["steps"][0])
+        optimiser._hand_over(Rows(*parts, np.array(state["moved"]), optimiser.steps))
         return optimiser

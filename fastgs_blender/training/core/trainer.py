@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import torch
 
+from ...kernels.parameters import DECODER
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
-from ...rendering.api import render as render_model
+from ...rendering.api import render
+from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from . import schedule
 from .density import STRATEGIES
-from .differentiable import Statistics, render
 from .distributed import Group
-from .hold import HELD, held_features, pull
-from .losses import MotionPenalty, photometric
-from .model import DECODER, empty_model, lasting, with_arrays
+from .hold import HELD, held_features, hold
+from .losses import motion_norm
+from .model import empty_model, lasting, with_arrays
 from .optimiser import Optimiser
+from .statistics import Statistics
 from .targets import cover_of, target, use_of_mask
 
 
@@ -30,11 +31,13 @@ class Trainer:
     model           where to begin: a GaussianModel (initial.model.model_from_points), or None before restore()
     group           the processes that share the views
     decoder         a model whose decoder is used as it is; None: the decoder is trained
-    sizes           of the points that the model was made from (captures.base.Points.size): those that have one are held (hold.py)
+    sizes           [N] of the points that the model was made from (Points.size): those that have one are held (hold.py)
+    backend         the name of the backend that all arrays live on (util/backends.py)
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
-                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None):
+                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, backend: str = "cpu"):
+        self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
         self.iteration = 0
@@ -46,7 +49,7 @@ class Trainer:
         self.views = schedule.Views(self.shots, settings.seed)
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
-        self.penalty = MotionPenalty(self.template.basis, self.extent, settings.regulariser)
+        self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
             arrays = dict(model.arrays)
@@ -54,75 +57,83 @@ class Trainer:
                 arrays |= {name: getattr((decoder or model).appearance, name) for name in DECODER}
             if sizes is not None:
                 arrays[HELD] = held_features(model.features, sizes)
-            self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()})
-            self.statistics = Statistics(len(model))
+            self.optimiser = Optimiser({name: np.array(array) for name, array in arrays.items()}, backend=self.backend)
+            self.statistics = Statistics.empty(self.backend, len(model))
 
     def __len__(self) -> int:
-        return len(self.optimiser.arrays["opacity"])
+        return len(self.optimiser)
 
     def step(self) -> dict:
         """One step; returns its values for the log."""
-        s, i, group = self.settings, self.iteration, self.group
-        arrays, n = self.optimiser.arrays, len(self)
+        s, i, group, backend, n = self.settings, self.iteration, self.group, self.backend, len(self)
         count = s.batch * group.size
         chosen = self.views.at(i, count)
         reduction = schedule.reduction(s, i)
-        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in arrays.items() if name != HELD}
-        statistics = self.statistics if group.size == 1 else Statistics(n)
-        seen = np.zeros(n, np.float32)
-        sums = np.zeros(4)
+        statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
+        seen, gradients, values = backend.zeros((n,)), None, []
         for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
             goal = target(self.capture, self.store, self.shots[chosen[place]], s, reduction, i, place)
-            picture = render(tensors, self.template, goal.camera, goal.t, statistics=statistics, detach_time=not s.free_centre)
-            rgb = picture.rgb
-            if goal.background is not None:
-                rgb = rgb + (1 - picture.alpha)[..., None] * torch.from_numpy(goal.background)
-            loss, l1, ssim = photometric(rgb, goal.rgb, goal.weight, s.dssim)
-            if goal.opaque and s.opaque_weight:
-                loss = loss + s.opaque_weight * (1 - picture.alpha).mean()
-            (loss / count).backward()
-            seen[picture.seen] = 1
-            error = float(np.square(rgb.detach().numpy() - goal.rgb).mean())
-            sums += float(loss.detach()), l1, ssim, error
-        gradients = {name: np.zeros_like(arrays[name]) if tensor.grad is None else tensor.grad.numpy() for name, tensor in tensors.items()}
-        self._join(gradients, seen, sums, statistics)
-        rows = np.flatnonzero(seen)
+            weight = None if goal.weight is None else backend.array(goal.weight)
+            picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
+            difference = backend.compare(picture, backend.array(goal.rgb), weight, goal.background, s.dssim,
+                                         s.opaque_weight if goal.opaque else 0.0, 1 / count)
+            gradients = backend.backward(picture, difference.rgb, difference.alpha, into=gradients, statistics=statistics, seen=seen,
+                                         detach_time=not s.free_centre)
+            values.append(difference.values)
+        if group.size > 1:
+            gradients, seen, values = self._join(gradients, seen, values, statistics)
+        rows = backend.rows(seen)
         penalty = self._penalise(gradients, rows)
         rates = schedule.learning_rates(s, i, self.extent, self.template.basis)
         rates |= dict.fromkeys(self.fixed, 0.0)
         self.optimiser.step(gradients, rows, rates)
         self.iteration += 1
-        if self.strategy.after_step(self.iteration, self.optimiser, self.statistics, rates):
-            self.statistics = Statistics(len(self))
-        loss, l1, ssim, error = sums / count
+        self._control_density(rates)
+        drawn, penalty, *values = backend.read(backend.count(rows), penalty, *values)
+        loss, l1, ssim, error = (float(value) for value in np.sum(values, 0) / count)
         if not np.isfinite(loss):
             raise FastGSError(f"training diverged at step {self.iteration}: the loss is no number; use lower learning rates.")
+        penalty = s.motion_weight * float(penalty[0])
         return {"iteration": self.iteration, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
-                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": len(rows), "reduction": reduction}
+                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(drawn[0]), "reduction": reduction}
 
-    def _join(self, gradients, seen, sums, statistics):
-        """Make the sums of this process the sums of all."""
-        if self.group.size == 1:
-            return
-        self.group.total([*gradients.values(), seen, sums, statistics.gradient, statistics.absolute, statistics.seen])
-        self.group.largest(statistics.radius)
-        self.statistics.add(statistics)
+    def _join(self, gradients, seen, values, statistics):
+        """The sums over all processes of what each has: gradients by name, seen [N], [sum of values [4]]; and the statistics'."""
+        backend = self.backend
+        host = {name: backend.numpy(gradient) for name, gradient in gradients.items()}
+        seen, sums = backend.numpy(seen), np.sum(backend.read(*values), 0)
+        new = statistics.on_host(backend)
+        self.group.total([*host.values(), seen, sums, new.gradient, new.absolute, new.seen])
+        self.group.largest(new.radius)
+        total = self.statistics.on_host(backend)
+        total.add(new)
+        self.statistics = Statistics.restored(backend, vars(total))
+        return {name: backend.array(gradient) for name, gradient in host.items()}, backend.array(seen), [backend.array(sums)]
 
-    def _penalise(self, gradients, rows) -> float:
-        """Add the gradients of what does not depend on the views; returns lambda L_M-reg."""
-        s, value, motion = self.settings, 0.0, self.optimiser.arrays["motion"]
-        if s.motion_weight and motion.size:
-            times = np.zeros(len(self), np.float32)
-            times[rows] = self.optimiser.waited(rows)
-            value = s.motion_weight * self.penalty.add(motion, gradients["motion"], s.motion_weight, times)
-        pull(self.optimiser.arrays, gradients, rows, s.backdrop_hold, self.pixels // schedule.reduction(s, self.iteration) ** 2)
-        for name, gradient in self.strategy.penalty(self.optimiser.arrays).items():
-            gradients[name] += gradient
+    def _penalise(self, gradients, rows):
+        """Add the gradients of what does not depend on the views; returns L_M-reg, [1] of the backend."""
+        s, backend, arrays = self.settings, self.backend, self.optimiser.arrays
+        value = backend.zeros((1,), np.float64)
+        if s.motion_weight and self.template.basis.terms:
+            waits = self.optimiser.waits(rows)
+            value = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], s.motion_weight, waits)
+        hold(backend, arrays, gradients, rows, s.backdrop_hold, self.pixels // schedule.reduction(s, self.iteration) ** 2)
+        self.strategy.penalise(backend, arrays, gradients)
         return value
+
+    def _control_density(self, rates):
+        """Let the strategy change the Gaussians after a step."""
+        if self.strategy.acts(self.iteration):
+            with self.optimiser.on_host() as rows:
+                changed = self.strategy.after_step(self.iteration, rows, self.statistics.on_host(self.backend), rates)
+            if changed:
+                self.statistics = Statistics.empty(self.backend, len(self))
+        self.strategy.shake(self.backend, self.iteration, self.optimiser.arrays, rates)
 
     def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
         """The model as it is now; its arrays are those that are being trained."""
-        return with_arrays(self.template, self.optimiser.arrays, provenance)
+        arrays = {name: self.backend.numpy(array) for name, array in self.optimiser.arrays.items()}
+        return with_arrays(self.template, arrays, provenance)
 
     def final_model(self, provenance: dict[str, str]) -> GaussianModel:
         """The model without the Gaussians that can never be seen."""
@@ -130,12 +141,12 @@ class Trainer:
 
     def measure(self, shots):
         """measure() of the model as it is now."""
-        return measure(self.model(), self.capture, self.store, self.settings, shots)
+        return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict]:
         """Everything that the rest of the run depends on: arrays, and JSON values."""
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
-        arrays |= {f"statistics.{name}": array for name, array in self.statistics.state().items()}
+        arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes}
@@ -150,19 +161,18 @@ class Trainer:
             return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
 
         self.iteration = about["iteration"]
-        self.optimiser = Optimiser.restored(part("optimiser"))
-        self.statistics = Statistics(len(self))
-        self.statistics.restore(part("statistics"))
+        self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
+        self.statistics = Statistics.restored(self.backend, part("statistics"))
 
 
-def measure(model, capture, store, settings, shots) -> tuple[float, float | None, list[tuple[np.ndarray, np.ndarray]]]:
-    """Mean PSNR of shots, that of their foreground where masks show it, and (picture, truth) of each, over black."""
+def measure(model, capture, store, settings, shots, backend: str = "cpu"):
+    """(mean PSNR of shots, that of their foreground where masks show it or None, [(picture, truth)] of each, over black)."""
     from ...evaluation.metrics import psnr
 
     whole, part, pictures = [], [], []
     for shot in shots:
         pixels = store.pixels(shot)
-        picture = render_model(model, shot.camera, shot.t, ("rgb",))["rgb"]
+        picture = render(model, shot.camera, shot.t, ("rgb",), backend)["rgb"]
         cover = cover_of(use_of_mask(settings, capture, shot, pixels.mask), pixels)
         truth = pixels.rgb if cover is None else pixels.rgb * cover[..., None]
         whole.append(psnr(picture, truth))

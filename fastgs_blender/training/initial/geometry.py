@@ -4,29 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...kernels.cpu.jit import kernel
+from ...util.backends import load_backend
 
 
 def project(camera, xyz) -> tuple[np.ndarray, np.ndarray]:
     """Pixels [n, 2] and depths [n] of world points [n, 3]."""
-    places, depths = np.empty((len(xyz), 2)), np.empty(len(xyz))
-    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
-    projected(np.asarray(xyz, np.float64), np.asarray(camera.world_to_camera, np.float64), *lens, places, depths)
-    return places, depths
-
-
-@kernel
-def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
-    """project() of points [n, 3] by a world-to-camera matrix, into places [n, 2] and depths [n]."""
-    for i in range(len(xyz)):
-        x = matrix[0, 0] * xyz[i, 0] + matrix[0, 1] * xyz[i, 1] + matrix[0, 2] * xyz[i, 2] + matrix[0, 3]
-        y = matrix[1, 0] * xyz[i, 0] + matrix[1, 1] * xyz[i, 1] + matrix[1, 2] * xyz[i, 2] + matrix[1, 3]
-        z = matrix[2, 0] * xyz[i, 0] + matrix[2, 1] * xyz[i, 1] + matrix[2, 2] * xyz[i, 2] + matrix[2, 3]
-        depths[i] = z
-        if abs(z) < 1e-9:
-            z = 1e-9
-        places[i, 0] = fx * x / z + cx
-        places[i, 1] = fy * y / z + cy
+    return load_backend("cpu").project_points(xyz, camera)
 
 
 def unproject(camera, places, depth) -> np.ndarray:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...kernels.cpu.jit import kernel
 from ...util import threads
+from ...util.backends import load_backend
 from .features import matrix
 from .geometry import project, sample, unproject
 
@@ -29,7 +29,7 @@ VAGUE = 1.3
 """Ratio of the depths about as good, above which there is nothing to tell where the surface is (smooth sky)."""
 AGREE = 0.02
 """Largest difference of two pictures' depths of one place, as a share."""
-OUTSIDE = np.float32(1.0)
+OUTSIDE = 1.0
 """Difference where a neighbour's picture ends."""
 
 
@@ -44,58 +44,6 @@ class Depths:
     depth: np.ndarray
     cost: np.ndarray
     range: np.ndarray
-
-
-@kernel
-def differences(image, other, turn, shift, depths, out):
-    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface at each depth [D].
-
-    turn [3, 3], shift [3]: the pixel (u, v) at depth z is seen by the other camera at turn @ (u, v, 1) z + shift (homogeneous).
-    """
-    height, width = image.shape[:2]
-    other_height, other_width = other.shape[:2]
-    for d in range(len(depths)):
-        z = depths[d]
-        for i in range(height):
-            for j in range(width):
-                u, v = j + 0.5, i + 0.5
-                w = (turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * z + shift[2]
-                out[d, i, j] = OUTSIDE
-                if w <= 0:
-                    continue
-                x = ((turn[0, 0] * u + turn[0, 1] * v + turn[0, 2]) * z + shift[0]) / w - 0.5
-                y = ((turn[1, 0] * u + turn[1, 1] * v + turn[1, 2]) * z + shift[1]) / w - 0.5
-                if not (x >= 0 and y >= 0 and x < other_width - 1 and y < other_height - 1):
-                    continue
-                a, b = int(x), int(y)
-                p, q = x - a, y - b
-                total = 0.0
-                for c in range(3):
-                    value = ((1 - q) * ((1 - p) * other[b, a, c] + p * other[b, a + 1, c])
-                             + q * ((1 - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
-                    total += abs(value - image[i, j, c])
-                out[d, i, j] = total / 3
-
-
-@kernel
-def averaged(cost, reach, row):
-    """Means of cost [D, h, w] over (2 reach + 1)^2 pixels, in place; row [h, w] is scratch."""
-    planes, height, width = cost.shape
-    for d in range(planes):
-        for i in range(height):
-            for j in range(width):
-                low, high = max(j - reach, 0), min(j + reach, width - 1)
-                total = 0.0
-                for k in range(low, high + 1):
-                    total += cost[d, i, k]
-                row[i, j] = total / (high - low + 1)
-        for i in range(height):
-            low, high = max(i - reach, 0), min(i + reach, height - 1)
-            for j in range(width):
-                total = 0.0
-                for k in range(low, high + 1):
-                    total += row[k, j]
-                cost[d, i, j] = total / (high - low + 1)
 
 
 def swept(pictures, near: float, far: float) -> list[Depths | None]:
@@ -118,13 +66,11 @@ def swept(pictures, near: float, far: float) -> list[Depths | None]:
 
 def _depths(picture, others, depths) -> Depths:
     image, camera, _ = picture
-    size = (len(depths), *image.shape[:2])
-    costs = np.empty((len(others), *size), np.float32)
-    for cost, (other, its, _) in zip(costs, others):
+    views = []
+    for other, its, _ in others:
         between = its.world_to_camera @ np.linalg.inv(camera.world_to_camera)
-        turn = matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera))
-        differences(image, other, turn, matrix(its) @ between[:3, 3], depths, cost)
-        averaged(cost, WINDOW, np.empty(size[1:], np.float32))
+        views.append((other, matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera)), matrix(its) @ between[:3, 3]))
+    costs = load_backend("cpu").sweep(image, views, depths, OUTSIDE, WINDOW)
     half = max(1, (len(others) + 1) // 2)
     cost = np.partition(costs, half - 1, axis=0)[:half].mean(0)
     best = cost.argmin(0)

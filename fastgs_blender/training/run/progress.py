@@ -6,6 +6,7 @@ Nothing here decides anything, and nothing here stops a run: what cannot be writ
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import os
 import sys
@@ -186,6 +187,8 @@ class Reporter(Silent):
 
     def _board(self):
         if os.environ.get("FASTGS_NO_TENSORBOARD"):
+            return None
+        if not importlib.util.find_spec("tensorboard"):  # torch is imported for nothing else here
             return None
         try:
             from torch.utils.tensorboard import SummaryWriter

@@ -105,11 +105,8 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
 
 
 def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
-    import torch
-
     from .segments import joined_model, part
 
-    torch.set_num_threads(1)  # the kernels have threads of their own; and sums do not depend on the machine
     reporter.status("preparing")
     group.first_does(lambda: reporter.fill(store, capture.shots))
     about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),

@@ -11,17 +11,16 @@ from random_cameras import random_pose
 from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import backend as cpu
-from fastgs_blender.kernels.cpu import clouds
+from fastgs_blender.kernels.cpu import rasterise, splats
 from fastgs_blender.model.slicing import slice_model
-from fastgs_blender.rendering import oracle as reference
 from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.layout import Layout
+from fastgs_blender.rendering.oracle import BACKEND as ORACLE
+from fastgs_blender.training.core.statistics import Statistics
 from fastgs_blender.util import threads
+from fastgs_blender.util.backends import load_backend
 
-torch = pytest.importorskip("torch")
-differentiable = pytest.importorskip("fastgs_blender.training.core.differentiable")
-
+CPU = load_backend("cpu")
 T = 0.37
 BAND = 0.01
 STEP = 1e-6
@@ -48,12 +47,12 @@ def small_camera(rng, orthographic=False, focal=20.0) -> fg.Camera:
                      orthographic=orthographic)
 
 
-def parameters_of(model) -> dict[str, torch.Tensor]:
+def parameters_of(model) -> dict[str, np.ndarray]:
     """What training differentiates by."""
     arrays = dict(model.arrays)
     if isinstance(model.appearance, fg.Features):
         arrays |= {"w1": model.appearance.w1, "w2": model.appearance.w2}
-    return {name: torch.from_numpy(array.copy()).requires_grad_() for name, array in arrays.items()}
+    return {name: array.copy() for name, array in arrays.items()}
 
 
 def in_float64(model, arrays) -> fg.GaussianModel:
@@ -74,26 +73,22 @@ class Functional:
         self.rgb, self.alpha, self.deep = (rng.normal(size=shape).astype(np.float32) for shape in
                                            ((height, width, 3), (height, width), (height, width)))
 
-    def of_torch(self, parameters, model, t=T, **options):
-        """Its value by the kernels, as a tensor, and the picture."""
-        picture = differentiable.render(parameters, model, self.camera, t, depth=self.depth, **{"band": BAND, **options})
-        value = (picture.rgb * torch.from_numpy(self.rgb)).sum() + (picture.alpha * torch.from_numpy(self.alpha)).sum()
-        return value + (picture.depth * torch.from_numpy(self.deep)).sum() if self.depth else value, picture
+    def gradients(self, parameters, model, t=T, band=BAND, **options) -> dict[str, np.ndarray]:
+        """Its gradients by the kernels."""
+        picture = CPU.splat(parameters, model, self.camera, t, self.depth, band)
+        return CPU.backward(picture, self.rgb, self.alpha, self.deep if self.depth else None, **options)
 
     def of_reference(self, model, t=T) -> float:
         """Its value by the oracle."""
-        part = Instance(model, np.eye(4), t).viewed(self.camera)
-        layout = Layout([part], self.depth)
-        out = reference.draw([part], self.camera, layout, False, lambda fraction: None, BAND)
-        rgb = out.channels[..., :3]
-        if isinstance(model.appearance, fg.Features):
-            rgb = reference.decode_features(out.channels[..., :9], out.alpha, part, self.camera)
-        value = (rgb * self.rgb).sum() + (out.alpha * self.alpha).sum()
-        return value + (out.channels[..., layout.depth] * self.deep).sum() if self.depth else value
+        instance = Instance(model, np.eye(4), t).viewed(self.camera)
+        layout = Layout([instance], self.depth)
+        out = ORACLE.draw([instance], self.camera, layout, False, lambda fraction: None, BAND)
+        value = (ORACLE.colour(out, layout, self.camera) * self.rgb).sum() + (out.alpha * self.alpha).sum()
+        return value + (out.depth * self.deep).sum() if self.depth else value
 
     def slopes(self, model, names) -> dict[str, np.ndarray]:
         """Central differences of the oracle by every element of the arrays named."""
-        arrays = {name: tensor.detach().numpy().astype(np.float64) for name, tensor in parameters_of(model).items()}
+        arrays = {name: array.astype(np.float64) for name, array in parameters_of(model).items()}
         out = {name: np.zeros_like(arrays[name]) for name in names}
         model = in_float64(model, arrays)
         for name in names:
@@ -112,9 +107,7 @@ class Functional:
 
 def gradients_of(model, functional, **options) -> dict[str, np.ndarray]:
     """By the kernels."""
-    parameters = parameters_of(model)
-    functional.of_torch(parameters, model, **options)[0].backward()
-    return {name: tensor.grad.numpy() for name, tensor in parameters.items()}
+    return functional.gradients(parameters_of(model), model, **options)
 
 
 def compare(model, functional, names=NAMES):
@@ -197,12 +190,12 @@ def test_pictures_are_the_renderers(rng, appearance):
     for camera in (whole, replace(whole, window=(13, 7, 40, 33))):
         wanted = fg.render(model, camera, T, ("rgb", "alpha", "depth"))
         for depth in (False, True):
-            got = differentiable.render(parameters_of(model), model, camera, T, depth=depth)
-            np.testing.assert_array_equal(got.rgb.detach().numpy(), wanted["rgb"])
-            np.testing.assert_array_equal(got.alpha.detach().numpy(), wanted["alpha"])
+            got = CPU.splat(parameters_of(model), model, camera, T, depth)
+            np.testing.assert_array_equal(got.rgb, wanted["rgb"])
+            np.testing.assert_array_equal(got.alpha, wanted["alpha"])
         covered = wanted["alpha"] > 0
         assert covered.any()
-        np.testing.assert_array_equal((got.depth.detach().numpy()[covered] / wanted["alpha"][covered]), wanted["depth"][covered])
+        np.testing.assert_array_equal(got.depth[covered] / wanted["alpha"][covered], wanted["depth"][covered])
 
 
 @pytest.mark.parametrize("appearance", ["sh2", "sigmoid"])
@@ -210,14 +203,14 @@ def test_gradients_have_the_same_bytes_for_any_number_of_threads(rng, appearance
     model = random_model(rng, 1500, "paper", "line", "radial", appearance)
     camera = fg.Camera(130, 100, 100, 100, 65, 50, random_pose(rng, 2.5))
     functional = Functional(rng, camera, depth=True)
-    for module, name, size in ((clouds, "CHUNK", 200), (cpu, "CHUNK", 150), (cpu, "TILES", 5)):
+    for module, name, size in ((splats, "CHUNK", 200), (rasterise, "CHUNK", 150), (rasterise, "TILES", 5)):
         monkeypatch.setattr(module, name, size)
     results = []
     try:
         for count in (1, 2, 3, 3):
             threads.set_threads(count)
-            statistics = differentiable.Statistics(len(model))
-            results.append(gradients_of(model, functional, statistics=statistics, band=0.0) | statistics.state())
+            statistics = Statistics.empty(CPU, len(model))
+            results.append(gradients_of(model, functional, statistics=statistics, band=0.0) | statistics.state(CPU))
     finally:
         threads.set_threads(0)
     for result in results[1:]:
@@ -231,10 +224,10 @@ def test_nothing_to_learn_from(rng, appearance):
     model, functional = small_model(rng, "paper", "line", "window", appearance), Functional(rng, small_camera(rng), depth=True)
     hidden = replace(model, opacity=np.full(len(model), -20))
     for unseen in (model.take(np.s_[:0]), hidden):
-        statistics = differentiable.Statistics(len(unseen))
+        statistics = Statistics.empty(CPU, len(unseen))
         got = gradients_of(unseen, functional, statistics=statistics)
         assert all(got[name].shape == array.shape for name, array in unseen.arrays.items())
-        assert not any(array.any() for array in (*got.values(), *statistics.state().values()))
+        assert not any(array.any() for array in (*got.values(), *statistics.state(CPU).values()))
 
 
 def test_what_is_behind_a_wall_does_not_move(rng):
@@ -272,7 +265,7 @@ def test_screen_statistics(rng):
     """Moving one splat by a pixel is moving the principal point; its radius is half the size of what it covers."""
     model, camera = small_model(rng, n=1), small_camera(rng)
     model.position[:], model.scale[:] = 0, np.log(0.12)
-    functional, statistics = Functional(rng, camera), differentiable.Statistics(1)
+    functional, statistics = Functional(rng, camera), Statistics.empty(CPU, 1)
 
     def shifted(**change):
         functional.camera = replace(camera, **change)
@@ -289,23 +282,43 @@ def test_screen_statistics(rng):
     columns = fg.render(model, camera, T)["alpha"].any(0).sum()
     assert abs(2 * statistics.radius * camera.width - columns) < 2.5
 
-    twice = differentiable.Statistics(1)
-    twice.restore(statistics.state())
+    twice = Statistics.restored(CPU, {name: array.copy() for name, array in statistics.state(CPU).items()})
     gradients_of(model, functional, statistics=twice)
-    both = differentiable.Statistics(1)
+    both = Statistics.empty(CPU, 1)
     both.add(statistics)
     both.add(statistics)
-    for name, array in twice.state().items():
-        np.testing.assert_array_equal(array, both.state()[name])
+    for name, array in twice.state(CPU).items():
+        np.testing.assert_array_equal(array, both.state(CPU)[name])
     both.take([])
     assert len(both.seen) == 0
 
 
-def test_parameters_that_changed_since_are_refused(rng):
-    model, functional = small_model(rng), Functional(rng, small_camera(rng))
-    parameters = parameters_of(model)
-    value, _ = functional.of_torch(parameters, model)
+def test_torch_gets_the_same_pictures_and_gradients(rng):
+    torch = pytest.importorskip("torch")
+    from fastgs_blender import differentiable
+
+    for appearance, depth in (("sh1", False), ("sigmoid", True)):
+        model, functional = small_model(rng, "cubic", "line", "radial", appearance), Functional(rng, small_camera(rng), depth)
+        wanted = gradients_of(model, functional)
+        tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in parameters_of(model).items()}
+        picture = differentiable.render(tensors, model, functional.camera, T, depth=depth, band=BAND)
+        np.testing.assert_array_equal(picture.rgb.detach(), CPU.splat(parameters_of(model), model, functional.camera, T, depth, BAND).rgb)
+        value = (picture.rgb * torch.from_numpy(functional.rgb)).sum() + (picture.alpha * torch.from_numpy(functional.alpha)).sum()
+        if depth:
+            value = value + (picture.depth * torch.from_numpy(functional.deep)).sum()
+        value.backward()
+        for name, tensor in tensors.items():
+            np.testing.assert_array_equal(tensor.grad, wanted[name], name)
+
+
+def test_tensors_that_changed_since_are_refused(rng):
+    torch = pytest.importorskip("torch")
+    from fastgs_blender import differentiable
+
+    model, camera = small_model(rng), small_camera(rng)
+    tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in parameters_of(model).items()}
+    value = differentiable.render(tensors, model, camera, T).rgb.sum()
     with torch.no_grad():
-        parameters["position"] += 1
+        tensors["position"] += 1
     with pytest.raises(RuntimeError):
         value.backward()

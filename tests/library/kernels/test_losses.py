@@ -7,11 +7,13 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import loss
+from fastgs_blender.kernels.cpu.steps import motion_penalty
+from fastgs_blender.kernels.protocol import Splatted
+from fastgs_blender.training.core import losses
 from fastgs_blender.util import threads
+from fastgs_blender.util.backends import load_backend
 
 torch = pytest.importorskip("torch")
-
-from fastgs_blender.training.core import losses  # noqa: E402
 
 
 def blurred(image):
@@ -44,15 +46,33 @@ def pictures(rng, height, width, weighted):
 @pytest.mark.parametrize("dssim", [0.0, 0.2, 1.0])
 def test_photometric_loss(rng, size, weighted, dssim):
     arrays = pictures(rng, *size, weighted)
-    image = torch.tensor(arrays[0], requires_grad=True)
-    loss_, l1, ssim = losses.photometric(image, *arrays[1:], dssim)
-    (2 * loss_).backward()
+    value, ours, l1, ssim = loss.photometric(*arrays, dssim)
     exact = [None if a is None else torch.tensor(a, dtype=torch.float64) for a in arrays]
     expected = plain(exact[0].requires_grad_(), *exact[1:], dssim)
-    (2 * expected[0]).backward()
-    np.testing.assert_allclose([loss_.item(), l1, ssim], [e.item() for e in expected], rtol=1e-6, atol=1e-7)
+    expected[0].backward()
+    np.testing.assert_allclose([value, l1, ssim], [e.item() for e in expected], rtol=1e-6, atol=1e-7)
     gradient = exact[0].grad.numpy()
-    assert np.abs(image.grad.numpy() - gradient).max() <= 2e-6 * np.abs(gradient).max()
+    assert np.abs(ours - gradient).max() <= 2e-6 * np.abs(gradient).max()
+
+
+@pytest.mark.parametrize(("background", "opaque_weight", "share"), [(None, 0.0, 1.0), (None, 0.3, 0.5), ((0.2, 0.9, 0.4), 0.0, 1 / 3),
+                                                                     ((0.2, 0.9, 0.4), 0.3, 0.5)])
+def test_the_loss_of_a_picture_over_a_background(rng, background, opaque_weight, share):
+    """And of what it leaves transparent where the target is opaque."""
+    rgb, target, weight = pictures(rng, 20, 31, True)
+    alpha = rng.uniform(0, 1, (20, 31)).astype(np.float32)
+    ground = None if background is None else np.array(background, np.float32)
+    got = load_backend("cpu").compare(Splatted(rgb, alpha, None, None), target, weight, ground, 0.2, opaque_weight, share)
+    tensors = [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (rgb, alpha)]
+    shown = tensors[0] if ground is None else tensors[0] + (1 - tensors[1])[..., None] * torch.tensor(ground, dtype=torch.float64)
+    value, l1, ssim = plain(shown, torch.tensor(target, dtype=torch.float64), torch.tensor(weight, dtype=torch.float64), 0.2)
+    value = value + opaque_weight * (1 - tensors[1]).mean()
+    error = ((shown - torch.tensor(target)) ** 2).mean()
+    np.testing.assert_allclose(got.values, [v.item() for v in (value, l1, ssim, error)], rtol=1e-5)
+    (share * value).backward()
+    assert np.abs(got.rgb - tensors[0].grad.numpy()).max() <= 2e-6 * np.abs(tensors[0].grad.numpy()).max()
+    by_alpha = np.zeros_like(alpha) if tensors[1].grad is None else tensors[1].grad.numpy()
+    assert np.abs((0 if got.alpha is None else got.alpha) - by_alpha).max() <= 2e-6 * np.abs(by_alpha).max()
 
 
 def test_equal_pictures_lose_nothing(rng):
@@ -122,16 +142,16 @@ def written_out(motion, basis, extent, reading):
 def test_motion_penalty(rng, basis, reading):
     extent = 3.0
     motion = torch.tensor(extent * rng.normal(0, 10.0 ** rng.uniform(-5, -1, (40, basis.terms, 3))), dtype=torch.float32)
-    ours = losses.motion_penalty(motion.requires_grad_(), basis, extent, reading)
-    (3 * ours).backward()
-    exact = motion.detach().double().requires_grad_()
+    gradient = np.zeros(motion.shape, np.float32)
+    ours = motion_penalty(losses.motion_norm(basis, extent, reading), motion.numpy(), gradient, 3.0, np.ones(40, np.float32))[0]
+    exact = motion.double().requires_grad_()
     theirs = written_out(exact, basis, extent, reading)
     if not theirs.requires_grad or not theirs.item():
-        assert ours.item() == 0 and not motion.grad.any()
+        assert ours == 0 and not gradient.any()
         return
     (3 * theirs).backward()
-    assert ours.item() == pytest.approx(theirs.item(), rel=1e-5)
-    assert np.abs(motion.grad.numpy() - exact.grad.numpy()).max() <= 1e-5 * exact.grad.abs().max().item()
+    assert ours == pytest.approx(theirs.item(), rel=1e-5)
+    assert np.abs(gradient - exact.grad.numpy()).max() <= 1e-5 * exact.grad.abs().max().item()
 
 
 def test_curvature_is_the_greatest_acceleration():
@@ -150,10 +170,11 @@ def test_rows_that_move_seldom_are_pulled_as_much(rng):
     motion = rng.normal(0, 0.1, (30, 6, 3)).astype(np.float32)
     for basis in (fg.Fourier(3), fg.Keyframes((0.0, 0.2, 0.3, 0.5, 0.7, 1.0))):
         for reading in losses.READINGS:
-            penalty = losses.MotionPenalty(basis, 2.0, reading)
+            norm = losses.motion_norm(basis, 2.0, reading)
             whole, part = np.zeros_like(motion), np.ones_like(motion)
             times = np.zeros(30, np.float32)
             times[::3] = 4
-            assert penalty.add(motion, whole) == penalty.add(motion, part, 0.5, times)
+            every = np.ones(30, np.float32)
+            assert motion_penalty(norm, motion, whole, 1.0, every) == motion_penalty(norm, motion, part, 0.5, times)
             np.testing.assert_allclose(part[::3] - 1, 2 * whole[::3], rtol=1e-4, atol=1e-6)
             assert np.all(part[1::3] == 1) and np.all(part[2::3] == 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import backend as cpu
 from fastgs_blender.kernels.cpu import raster
+from fastgs_blender.kernels.cpu import rasterise as cpu
 from fastgs_blender.rendering.oracle import T_STOP
 from fastgs_blender.util import threads
 
@@ -20,9 +20,9 @@ WINDOWED = fg.Camera(53, 37, 40, 40, 26, 18, np.eye(4), window=(7, 5, 30, 21))
 
 
 def splats(rng, count, camera=CAMERA, opacity=(0.02, 0.95), size=(1.0, 7.0), channels=3, alpha_max=0.99):
-    """Random splats over and around a camera's image, some rows left out of the order: order, geometry, shade."""
+    """Random splats over and around a camera's image, some rows left out of the order: order, geometry, attributes."""
     rows = count + 3
-    geometry, shade = np.full((rows, 5), np.nan), np.full((rows, raster.CHANNEL + channels), np.nan, np.float32)
+    geometry, attributes = np.full((rows, 5), np.nan), np.full((rows, raster.CHANNEL + channels), np.nan, np.float32)
     order = rng.permutation(rows)[:count].astype(np.int32)
     angle, sizes = rng.uniform(0, np.pi, count), rng.uniform(*size, (count, 2))
     turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], -1).reshape(-1, 2, 2)
@@ -34,22 +34,22 @@ def splats(rng, count, camera=CAMERA, opacity=(0.02, 0.95), size=(1.0, 7.0), cha
                                 scale * root / np.sqrt(det), -scale * s01 / (root * np.sqrt(det)), scale / root], 1)
     sigma = rng.uniform(*opacity, count)
     reach = 2 * np.log(np.maximum(sigma / CUT, 1))
-    shade[order] = np.concatenate([
+    attributes[order] = np.concatenate([
         np.stack([np.log2(sigma), np.full(count, alpha_max), np.full(count, np.log2(CUT)), np.arange(count),
                   np.sqrt(reach * s00) + 1e-3, np.sqrt(reach * s11) + 1e-3], 1), rng.uniform(-0.3, 1, (count, channels))], 1)
-    return order, geometry, shade
+    return order, geometry, attributes
 
 
-def dense(order, geometry, shade, camera, band):
+def dense(order, geometry, attributes, camera, band):
     """The picture [h, w, C + 1] (alpha last) as a function of float64 tensors, and those: geometry and opacity [M, 6], channels [M, C].
 
     Plain compositing over all pixels; d mean_x and d mean_y of every splat and pixel come from shifts [M, 2, h, w], all zero.
     """
     x0, y0, width, height = camera.window
     px, py = torch.arange(x0, x0 + width, dtype=torch.float64) + 0.5, (torch.arange(y0, y0 + height, dtype=torch.float64) + 0.5)[:, None]
-    shade = shade[order].astype(np.float64)
-    shape = torch.tensor(np.concatenate([geometry[order], shade[:, :1]], 1), requires_grad=True)
-    channels = torch.tensor(shade[:, raster.CHANNEL:], requires_grad=True)
+    attributes = attributes[order].astype(np.float64)
+    shape = torch.tensor(np.concatenate([geometry[order], attributes[:, :1]], 1), requires_grad=True)
+    channels = torch.tensor(attributes[:, raster.CHANNEL:], requires_grad=True)
     shifts = torch.zeros(len(order), 2, height, width, dtype=torch.float64, requires_grad=True)
     out = torch.zeros(height, width, channels.shape[1] + 1, dtype=torch.float64)
     left, live = torch.ones(height, width, dtype=torch.float64), torch.ones(height, width, dtype=torch.bool)
@@ -57,9 +57,9 @@ def dense(order, geometry, shade, camera, band):
         mx, my, a, b, c, log2_opacity = shape[i]
         dx, dy = px - mx - shifts[i, 0], py - my - shifts[i, 1]
         alpha = torch.exp2(log2_opacity - (a * dx + b * dy) ** 2 - (c * dy) ** 2)
-        cut = 2.0 ** shade[i, raster.LOG2_CUT]
+        cut = 2.0 ** attributes[i, raster.LOG2_CUT]
         drawn = alpha.detach() >= cut * (1 - 1e-7)
-        alpha = alpha.clamp(max=shade[i, raster.ALPHA_MAX])
+        alpha = alpha.clamp(max=attributes[i, raster.ALPHA_MAX])
         if band:
             s = ((alpha - cut) / band).clamp(0, 1)
             alpha = alpha * s * s * (3 - 2 * s)
@@ -73,10 +73,10 @@ def dense(order, geometry, shade, camera, band):
     return out, shape, channels, shifts
 
 
-def both(rng, order, geometry, shade, camera=CAMERA, band=0.0):
+def both(rng, order, geometry, attributes, camera=CAMERA, band=0.0):
     """Gradients of a random linear function of the picture: [M, 6], [M, C], absolute [M, 2] of the kernels and of torch, in order."""
-    buffers, drawn = cpu.rasterise_forward(order, geometry, shade, shade.shape[1] - raster.CHANNEL, camera, band)
-    out, *tensors = dense(order, geometry, shade, camera, band)
+    buffers, drawn = cpu.rasterise_forward(order, geometry, attributes, attributes.shape[1] - raster.CHANNEL, camera, band)
+    out, *tensors = dense(order, geometry, attributes, camera, band)
     grad = rng.normal(size=out.shape)
     assert np.abs(np.concatenate([buffers.channels, buffers.alpha[..., None]], 2) - out.detach().numpy()).max() < 2e-5
     expected = [g.numpy() for g in torch.autograd.grad(out, tensors, torch.tensor(grad))]
@@ -117,9 +117,9 @@ def test_a_smooth_cut(rng):
         assert_close(*both(rng, *splats(rng, **case), band=1e-2))
 
 
-def gradients(order, geometry, shade, grad, camera=CAMERA):
+def gradients(order, geometry, attributes, grad, camera=CAMERA):
     """All gradients as one list of arrays."""
-    drawn = cpu.rasterise_forward(order, geometry, shade, shade.shape[1] - raster.CHANNEL, camera)[1]
+    drawn = cpu.rasterise_forward(order, geometry, attributes, attributes.shape[1] - raster.CHANNEL, camera)[1]
     return list(vars(cpu.rasterise_backward(drawn, grad[..., :-1], grad[..., -1])).values())
 
 
@@ -147,15 +147,15 @@ def test_pictures_in_bands(rng, monkeypatch, limit):
 
 
 def test_nothing_to_draw(rng):
-    order, geometry, shade = splats(rng, 5)
-    assert not any(g.any() for g in gradients(order[:0], geometry, shade, rng.normal(size=(37, 53, 4))))
+    order, geometry, attributes = splats(rng, 5)
+    assert not any(g.any() for g in gradients(order[:0], geometry, attributes, rng.normal(size=(37, 53, 4))))
     elsewhere = fg.Camera(53, 37, 40, 40, 26, 18, np.eye(4), window=(0, 0, 1, 1))
     geometry[order, :2] += 500
-    assert not any(g.any() for g in gradients(order, geometry, shade, rng.normal(size=(1, 1, 4)), elsewhere))
+    assert not any(g.any() for g in gradients(order, geometry, attributes, rng.normal(size=(1, 1, 4)), elsewhere))
 
 
 def test_a_traced_picture_is_the_picture(rng):
-    order, geometry, shade = splats(rng, 200)
-    plain = cpu.rasterise(order, geometry, shade, 3, CAMERA, False)
-    traced, _ = cpu.rasterise_forward(order, geometry, shade, 3, CAMERA)
+    order, geometry, attributes = splats(rng, 200)
+    plain = cpu.rasterise(order, geometry, attributes, 3, CAMERA, False)
+    traced, _ = cpu.rasterise_forward(order, geometry, attributes, 3, CAMERA)
     assert np.array_equal(plain.channels, traced.channels) and np.array_equal(plain.alpha, traced.alpha)

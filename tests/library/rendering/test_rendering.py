@@ -13,7 +13,7 @@ from random_cameras import hostile_scales, random_camera, random_pose
 from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import backend as cpu
+from fastgs_blender.kernels.cpu import rasterise
 from fastgs_blender.util import threads
 
 TOLERANCE = 2e-4
@@ -132,7 +132,7 @@ def test_a_window_has_the_pixels_of_the_whole(rng, backend):
 def test_bands_do_not_show(rng, monkeypatch):
     model, camera = cloud(rng), random_camera(rng, 200, 150, 3.0)
     whole = fg.render(model, camera, 0.3, PASSES, "cpu")
-    monkeypatch.setattr(cpu, "ENTRIES", 100)
+    monkeypatch.setattr(rasterise, "ENTRIES", 100)
     banded = fg.render(model, camera, 0.3, PASSES, "cpu")
     assert all(np.array_equal(whole[name], banded[name]) for name in PASSES)
 

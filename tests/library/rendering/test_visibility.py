@@ -2,29 +2,21 @@
 """What a viewport draws, and in which order: with numba, without, and against what a picture shows."""
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from random_cameras import hostile_scales, random_camera
 from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import parallel_sort
+from fastgs_blender.kernels.cpu import sort
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.instances import Instance
-
-
-def numpy_order(parts, camera, monkeypatch, **options):
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "fastgs_blender.kernels.cpu.parallel_sort", None)
-        return visibility.order(parts, camera, **options)
 
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize(("basis", "temporal"), [("paper", "radial"), ("cubic", "window"), ("smooth keys", "always"),
                                                    ("line", "radial-window")])
-def test_only_what_is_seen_in_the_right_order(seed, basis, temporal, monkeypatch):
+def test_only_what_is_seen_in_the_right_order(seed, basis, temporal):
     """A picture of the visible ones alone is the whole picture, and their depths ascend."""
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
@@ -33,7 +25,7 @@ def test_only_what_is_seen_in_the_right_order(seed, basis, temporal, monkeypatch
     placement[:3, :3] += rng.normal(0, 0.3, (3, 3))
     parts = [Instance(models[0], np.eye(4), 0.3).viewed(camera), Instance(models[1], placement, 0.6).viewed(camera)]
     order = visibility.order(parts, camera)
-    np.testing.assert_array_equal(order, numpy_order(parts, camera, monkeypatch))
+    np.testing.assert_array_equal(order, visibility.order(parts, camera, backend="reference"))
     seen = [(part.model.take(np.sort(order[(order >= 60 * k) & (order < 60 * (k + 1))] - 60 * k)), part.placement, part.t)
             for k, part in enumerate(parts)]
     everything = [(part.model, part.placement, part.t) for part in parts]
@@ -71,15 +63,15 @@ def test_ranks_leave_out_the_least_important():
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [2.0, 2.0, 2.0], [0.0, 1e-30, 1e30, 1.0]])
-def test_parallel_sort_of_odd_lists(values):
+def test_sort_of_odd_lists(values):
     depth = np.array(values, np.float32)
     index = np.arange(len(depth), dtype=np.int32)[::-1].copy()
-    np.testing.assert_array_equal(parallel_sort.order_by(depth, index), index[np.argsort(depth, kind="stable")])
+    np.testing.assert_array_equal(sort.order_by(depth, index), index[np.argsort(depth, kind="stable")])
 
 
 @pytest.mark.parametrize("spread", [1e-6, 1.0, 1e6])
-def test_parallel_sort_is_stable(spread):
+def test_sort_is_stable(spread):
     rng = np.random.default_rng(0)
     depth = (1 + spread * rng.integers(0, 5000, 100_000)).astype(np.float32)
     index = rng.permutation(len(depth)).astype(np.int32)
-    np.testing.assert_array_equal(parallel_sort.order_by(depth, index), index[np.argsort(depth, kind="stable")])
+    np.testing.assert_array_equal(sort.order_by(depth, index), index[np.argsort(depth, kind="stable")])

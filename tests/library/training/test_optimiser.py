@@ -65,10 +65,11 @@ def test_it_knows_how_long_a_row_has_waited(rng):
     optimiser = Optimiser(arrays(rng, 3))
     for rows in ([0, 1], [0], [0]):
         optimiser.step(gradients(rng, optimiser), np.array(rows), RATES)
-    assert optimiser.waited(np.arange(3)).tolist() == [1, 3, 4]
-    optimiser.append({name: optimiser.arrays[name][:1] for name in SHAPES})
-    optimiser.take(np.array([3, 1]))
-    assert optimiser.waited(np.arange(2)).tolist() == [1, 3]
+    assert optimiser.waits(np.arange(3)).tolist() == [1, 3, 4] and optimiser.waits(np.array([1])).tolist() == [0, 3, 0]
+    with optimiser.on_host() as host:
+        host.append({name: host.arrays[name][:1] for name in SHAPES})
+        host.take(np.array([3, 1]))
+    assert optimiser.waits(np.arange(2)).tolist() == [1, 3]
 
 
 def test_what_is_no_number_moves_nothing(rng):
@@ -84,13 +85,15 @@ def test_rows_come_and_go_with_their_moments(rng):
     optimiser = Optimiser(arrays(rng))
     optimiser.step(gradients(rng, optimiser), np.arange(50), RATES)
     mean, w1 = optimiser.means["motion"].copy(), optimiser.means["w1"].copy()
-    optimiser.take(np.array([7, 2, 2]))
-    optimiser.append({name: np.ones((2, *shape), np.float32) for name, shape in SHAPES.items()})
+    with optimiser.on_host() as rows:
+        rows.take(np.array([7, 2, 2]))
+        rows.append({name: np.ones((2, *shape), np.float32) for name, shape in SHAPES.items()})
     assert len(optimiser) == 5 and all(array.dtype == np.float32 and array.flags.c_contiguous for array in optimiser.arrays.values())
     assert np.array_equal(optimiser.means["motion"][:3], mean[[7, 2, 2]]) and not optimiser.means["motion"][3:].any()
     assert np.array_equal(optimiser.means["w1"], w1)
     assert optimiser.counts["position"].tolist() == [1, 1, 1, 0, 0]
-    optimiser.reset("motion", np.array([1]))
+    with optimiser.on_host() as rows:
+        rows.reset("motion", np.array([1]))
     assert not optimiser.squares["motion"][1].any() and optimiser.counts["motion"].tolist() == [1, 0, 1, 0, 0]
     assert optimiser.squares["position"][1].any()
     before = optimiser.arrays["position"].copy()

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What pictures hardly show keeps its colours in training, and what they show takes theirs."""
 import numpy as np
-import pytest
 from toy_captures import Pixels, toy_capture
 
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
-
-torch = pytest.importorskip("torch")
-
-from fastgs_blender.training.core import hold, settings  # noqa: E402
-from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
-from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
+from fastgs_blender.training.core import hold, settings
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.util.backends import load_backend
 
 FRINGE = 40
 
@@ -20,7 +17,7 @@ def test_the_pull_is_as_strong_as_so_many_pixels():
     features = np.array([[0.5, 0.5], [0.5, 0.5], [0.5, 0.5]], np.float32)
     arrays = {"features": features + np.float32(hold.OFF), hold.HELD: hold.held_features(features, np.array([1.0, np.nan, 1.0]))}
     gradients = {"features": np.ones((3, 2), np.float32)}
-    hold.pull(arrays, gradients, np.array([0, 1]), votes=30, pixels=1000)
+    hold.hold(load_backend("cpu"), arrays, gradients, np.array([0, 1]), votes=30, pixels=1000)
     np.testing.assert_allclose(gradients["features"], [[1 + 30 / 3000] * 2, [1, 1], [1, 1]], rtol=1e-6)
 
 

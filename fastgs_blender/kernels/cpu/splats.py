@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clouds: the splats of models at one time before one camera, on the CPU; forward and backward."""
+"""Projecting instances to splats (slice, crop, cull, project), and the gradients of that."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,8 @@ from ...rendering.layout import Layout
 from ...util.threads import ranges, run
 from . import project, raster
 from .project_backward import project_backward as project_rows_backward
+from .rasterise import RasterGradients
 from .sort import order_by
-
-if TYPE_CHECKING:
-    from .backend import RasterGradients
 
 CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
 CHUNK = 16_384
@@ -26,18 +23,18 @@ CHUNK = 16_384
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
-    """The splats of all parts in arrays with a row for every Gaussian, of which only some are written.
+class ProjectedSplats:
+    """The splats of all instances in arrays with a row for every Gaussian, of which only some are written.
 
-    geometry, shade  see raster.py
+    geometry, attributes  see raster.py
     depth   [rows] float32, along the view axis
-    source  [rows] int32: which Gaussian of its part each row is
-    runs    for each part, the first row and the number of rows written for each piece of it
+    source  [rows] int32: which Gaussian of its instance each row is
+    runs    for each instance, the first row and the number of rows written for each piece of it
     index   [V] int32: the rows written
     """
 
     geometry: np.ndarray
-    shade: np.ndarray
+    attributes: np.ndarray
     depth: np.ndarray
     source: np.ndarray
     runs: list[list[tuple[int, int]]]
@@ -46,58 +43,58 @@ class Cloud:
     @property
     def channels(self) -> int:
         """The number of channels, padded to one that the rasteriser has a kernel for."""
-        return self.shade.shape[1] - raster.CHANNEL
+        return self.attributes.shape[1] - raster.CHANNEL
 
     def order(self) -> np.ndarray:
         """The rows written [V] int32, front to back."""
         return order_by(self.depth[self.index], self.index)
 
 
-def project_parts(parts: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> Cloud:
-    """Slice, cull and project all parts."""
-    total = sum(len(part.model) for part in parts)
-    shade = np.empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32)
-    arrays = np.empty((total, 5)), shade, np.empty(total, np.float32), np.empty(total, np.int32)
+def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> ProjectedSplats:
+    """Slice, cull and project all instances."""
+    total = sum(len(instance.model) for instance in instances)
+    attributes = np.empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32)
+    arrays = np.empty((total, 5)), attributes, np.empty(total, np.float32), np.empty(total, np.int32)
     runs, done = [], 0
-    for part in parts:
-        count, inputs = len(part.model), (crop_arrays(part.settings.crops), *_inputs(part, camera, layout))
+    for instance in instances:
+        count, inputs = len(instance.model), (crop_arrays(instance.settings.crops), *_inputs(instance, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
         pieces = ranges(count, CHUNK)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
         counts = run(lambda first, last, rest=(*inputs, *rows): project.project(first, last, *rest), pieces, share)
         runs.append([(done + first, number) for (first, _), number in zip(pieces, counts)])
         done += count
-    index = [np.arange(first, first + number, dtype=np.int32) for part in runs for first, number in part]
-    return Cloud(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
+    index = [np.arange(first, first + number, dtype=np.int32) for pieces in runs for first, number in pieces]
+    return ProjectedSplats(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
 
 
-def project_backward(part: ViewedInstance, camera: Camera, layout: Layout, cloud: Cloud, gradients: RasterGradients,
+def project_backward(instance: ViewedInstance, camera: Camera, layout: Layout, splats: ProjectedSplats, gradients: RasterGradients,
                      detach_time: bool = False) -> dict[str, np.ndarray]:
-    """d loss / d the model's arrays by name, of the cloud of this part alone, from d loss / d splats.
+    """d loss / d the model's arrays by name, from d loss / d splats, where project_instances() projected this instance alone.
 
     detach_time: mu_tau's gradient comes through the temporal opacity alone, as STG trains.
     """
-    model = part.model
+    model = instance.model
     out = {name: np.empty_like(array) for name, array in model.arrays.items()}
     slopes = (gradients.geometry, gradients.log2_opacity, gradients.channels)
-    rest = (cloud.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(part, camera, layout))
-    pieces = ((first, min(first + CHUNK, len(model)), first, first + count) for first, count in cloud.runs[0])
+    rest = (splats.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(instance, camera, layout))
+    pieces = ((first, min(first + CHUNK, len(model)), first, first + count) for first, count in splats.runs[0])
     run(lambda *piece: project_rows_backward(*piece, *rest), pieces)
     return out
 
 
-def _inputs(part: ViewedInstance, camera: Camera, layout: Layout):
-    """arrays, times, view, lens, constants and look of a part, see project.project."""
-    model, group = part.model, layout.group_of(part)
-    to_camera, to_model = part.model_to_camera, part.camera_to_model
+def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
+    """arrays, times, view, lens, constants and channel plan of an instance, see project.project."""
+    model, group = instance.model, layout.group_of(instance)
+    to_camera, to_model = instance.model_to_camera, instance.camera_to_model
     x0, y0, width, height = camera.window
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy, part.near, *camera.tangent_limits(),
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r = model.raster
     return (
         tuple(plain(a) for a in model.arrays.values()),
-        (part.t, model.temporal_kind.code, weights_at(model.basis, part.t), weights_at(model.rotation_basis, part.t)),
+        (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t), weights_at(model.rotation_basis, instance.t)),
         np.ascontiguousarray(view), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
         (CODES[type(model.appearance)], getattr(model.appearance, "degree", 0), group.offset,

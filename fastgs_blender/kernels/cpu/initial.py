@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels for starting points: projected points, distances to neighbours, and the plane sweep."""
+from __future__ import annotations
+
+import numpy as np
+
+from .jit import kernel
+
+
+def project_points(xyz: np.ndarray, camera) -> tuple[np.ndarray, np.ndarray]:
+    """TrainingBackend.project_points()."""
+    places, depths = np.empty((len(xyz), 2)), np.empty(len(xyz))
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    projected(np.asarray(xyz, np.float64), np.asarray(camera.world_to_camera, np.float64), *lens, places, depths)
+    return places, depths
+
+
+@kernel
+def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
+    """Project points [n, 3] by a world-to-camera matrix, into places [n, 2] and depths [n]."""
+    for i in range(len(xyz)):
+        x = matrix[0, 0] * xyz[i, 0] + matrix[0, 1] * xyz[i, 1] + matrix[0, 2] * xyz[i, 2] + matrix[0, 3]
+        y = matrix[1, 0] * xyz[i, 0] + matrix[1, 1] * xyz[i, 1] + matrix[1, 2] * xyz[i, 2] + matrix[1, 3]
+        z = matrix[2, 0] * xyz[i, 0] + matrix[2, 1] * xyz[i, 1] + matrix[2, 2] * xyz[i, 2] + matrix[2, 3]
+        depths[i] = z
+        if abs(z) < 1e-9:
+            z = 1e-9
+        places[i, 0] = fx * x / z + cx
+        places[i, 1] = fy * y / z + cy
+
+
+def neighbour_distance(xyz: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> np.ndarray:
+    """TrainingBackend.neighbour_distance()."""
+    best = np.full(len(xyz), np.inf)
+    for turn in turns:
+        among_leaves(np.ascontiguousarray(xyz @ turn), count, leaf, best)
+    return best
+
+
+@kernel
+def among_leaves(points, count, leaf, best):
+    """Lower best [P] to the distances of points [P, 3] within the leaves, of at most `leaf` points, of one k-d tree."""
+    order = np.arange(len(points))
+    near = np.empty(count)
+    stack = [(0, len(points))]
+    while stack:
+        first, last = stack.pop()
+        inside = points[order[first:last]]
+        if last - first > leaf:
+            axis, widest = 0, -1.0
+            for k in range(3):
+                width = inside[:, k].max() - inside[:, k].min()
+                if width > widest:
+                    axis, widest = k, width
+            order[first:last] = order[first:last][np.argsort(inside[:, axis])]
+            middle = first + (last - first) // 2
+            stack.append((first, middle))
+            stack.append((middle, last))
+            continue
+        found = min(count, last - first - 1)
+        if found < 1:
+            continue
+        for i in range(last - first):
+            near[:] = np.inf
+            for j in range(last - first):
+                if i == j:
+                    continue
+                squared = 0.0
+                for k in range(3):
+                    squared += (inside[i, k] - inside[j, k]) ** 2
+                place = count - 1
+                if squared >= near[place]:
+                    continue
+                while place > 0 and near[place - 1] > squared:
+                    near[place] = near[place - 1]
+                    place -= 1
+                near[place] = squared
+            row = order[first + i]
+            best[row] = min(best[row], np.sqrt(near[:found].mean()))
+
+
+def sweep(image: np.ndarray, others, depths: np.ndarray, outside: float, reach: int) -> np.ndarray:
+    """TrainingBackend.sweep()."""
+    costs = np.empty((len(others), len(depths), *image.shape[:2]), np.float32)
+    for cost, (other, turn, shift) in zip(costs, others):
+        differences(image, other, turn, shift, depths, np.float32(outside), cost)
+        averaged(cost, reach, np.empty(image.shape[:2], np.float32))
+    return costs
+
+
+@kernel
+def differences(image, other, turn, shift, depths, outside, out):
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface at each depth [D].
+
+    turn [3, 3], shift [3]: the pixel (u, v) at depth z is seen by the other camera at turn @ (u, v, 1) z + shift (homogeneous).
+    outside: the difference where the other picture ends.
+    """
+    height, width = image.shape[:2]
+    other_height, other_width = other.shape[:2]
+    for d in range(len(depths)):
+        z = depths[d]
+        for i in range(height):
+            for j in range(width):
+                u, v = j + 0.5, i + 0.5
+                w = (turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * z + shift[2]
+                out[d, i, j] = outside
+                if w <= 0:
+                    continue
+                x = ((turn[0, 0] * u + turn[0, 1] * v + turn[0, 2]) * z + shift[0]) / w - 0.5
+                y = ((turn[1, 0] * u + turn[1, 1] * v + turn[1, 2]) * z + shift[1]) / w - 0.5
+                if not (x >= 0 and y >= 0 and x < other_width - 1 and y < other_height - 1):
+                    continue
+                a, b = int(x), int(y)
+                p, q = x - a, y - b
+                total = 0.0
+                for c in range(3):
+                    value = ((1 - q) * ((1 - p) * other[b, a, c] + p * other[b, a + 1, c])
+                             + q * ((1 - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
+                    total += abs(value - image[i, j, c])
+                out[d, i, j] = total / 3
+
+
+@kernel
+def averaged(cost, reach, row):
+    """Means of cost [D, h, w] over (2 reach + 1)^2 pixels, in place; row [h, w] is scratch."""
+    planes, height, width = cost.shape
+    for d in range(planes):
+        for i in range(height):
+            for j in range(width):
+                low, high = max(j - reach, 0), min(j + reach, width - 1)
+                total = 0.0
+                for k in range(low, high + 1):
+                    total += cost[d, i, k]
+                row[i, j] = total / (high - low + 1)
+        for i in range(height):
+            low, high = max(i - reach, 0), min(i + reach, height - 1)
+            for j in range(width):
+                total = 0.0
+                for k in range(low, high + 1):
+                    total += row[k, j]
+                cost[d, i, j] = total / (high - low + 1)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blending splats into a camera's window, and the gradients of that: tile lists, kernels, and pictures too large for one go."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...util.threads import ranges, run
+from . import raster, raster_backward
+from .tile_lists import TileLists, list_tiles, tile_cursors
+
+CHUNK = 16_384
+"""Splats in one piece of work."""
+TILES = 64
+"""Tiles in one piece of work."""
+ENTRIES = 48_000_000
+"""Tile entries held at once; a picture with more is rasterised in bands."""
+BACKWARD_BYTES = 24 << 20
+"""Bytes of tile entries' gradients held at once; a picture with more goes backward in bands.  Fresh memory costs more than bands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], median depth [h, w] or None."""
+
+    channels: np.ndarray
+    alpha: np.ndarray
+    median: np.ndarray | None
+
+
+def rasterise(order, geometry, attributes, channels: int, camera: Camera, median: bool, progress=None) -> Picture:
+    """Blend splats (raster.py) in the given order into the camera's window."""
+    _, _, width, height = camera.window
+    nearest = np.empty((height, width) if median else (0, 0), np.float32)
+    listing = TileLists.of(order, geometry, attributes, camera)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, median), nearest, progress)
+    return Picture(out, alpha, nearest if median else None)
+
+
+def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None):
+    """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
+    x0, y0, right, bottom = listing.window
+    out = np.zeros((bottom - y0, right - x0, channels), np.float32)
+    alpha = np.zeros((bottom - y0, right - x0), np.float32)
+    total = listing.counts.shape[1]
+    for first, last in listing.bands(ENTRIES):
+        lists = list_tiles(listing.segments, listing.counts, first, last)
+        rest = (*listing.frame, *lists, geometry, attributes, out, alpha, extra)
+        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last), share)
+    return out, alpha, lists
+
+
+def _tiles(first: int, last: int) -> list[tuple[int, int]]:
+    """The tiles first..last in pieces of work."""
+    return [(first + a, first + b) for a, b in ranges(last - first, TILES)]
+
+
+@dataclass(frozen=True, eq=False)
+class RasterState:
+    """What rasterise_backward() needs of a forward pass; lists: its tile lists if they were made in one go."""
+
+    order: np.ndarray
+    geometry: np.ndarray
+    attributes: np.ndarray
+    band: float
+    listing: TileLists
+    lists: tuple[np.ndarray, np.ndarray] | None
+    trace: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class RasterGradients:
+    """d loss / d splats, for the M rows of geometry and attributes; zeros where nothing was state.
+
+    geometry [M, 5] float64, log2_opacity [M] float32, channels [M, C] float32
+    absolute [M, 2] float32: sums over pixels of |d loss / d mean_x| and |d loss / d mean_y|
+    """
+
+    geometry: np.ndarray
+    log2_opacity: np.ndarray
+    channels: np.ndarray
+    absolute: np.ndarray
+
+
+def rasterise_forward(order, geometry, attributes, channels: int, camera: Camera, band: float = 0.0) -> tuple[Picture, RasterState]:
+    """rasterise(), and what rasterise_backward() needs of it; band: see raster.rasteriser."""
+    _, _, width, height = camera.window
+    trace = np.empty((height, 2 * width), np.float32)
+    listing = TileLists.of(order, geometry, attributes, camera)
+    kernel = raster.rasteriser(channels, False, True, float(band))
+    out, alpha, lists = _blend(listing, geometry, attributes, channels, kernel, trace)
+    whole = len(listing.bands(ENTRIES)) == 1
+    return Picture(out, alpha, None), RasterState(order, geometry, attributes, float(band), listing, lists if whole else None, trace)
+
+
+def rasterise_backward(state: RasterState, grad_channels, grad_alpha) -> RasterGradients:
+    """From d loss / d channels [h, w, C] and d loss / d alpha [h, w] to d loss / d splats (raster_backward.py).
+
+    The same bytes for any number of threads.  Besides the gradients it holds at most BACKWARD_BYTES of sums at a time.
+    """
+    rows, channels = len(state.geometry), state.attributes.shape[1] - raster.CHANNEL
+    width, listing = raster_backward.columns(channels), state.listing
+    grad_channels, grad_alpha = (np.ascontiguousarray(g, np.float32) for g in (grad_channels, grad_alpha))
+    sums = np.zeros((rows, width), np.float32)
+    ends = np.zeros(listing.counts.shape[1], np.int64)
+    kernel = raster_backward.rasteriser_backward(channels, state.band)
+    bands = listing.bands(min(BACKWARD_BYTES // (4 * width), ENTRIES))
+    totals = listing.counts.sum(0)
+    entries = np.empty((max(totals[first:last].sum() for first, last in bands), width), np.float32)
+    for first, last in bands:
+        starts, ids = state.lists or list_tiles(listing.segments, listing.counts, first, last)
+        begin, end = starts[first], starts[last]
+        rest = (*listing.frame, starts - begin, ids[begin:end], state.geometry, state.attributes, state.trace, grad_channels, grad_alpha,
+                ends, entries)
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last))
+        band_starts, cursors = tile_cursors(listing.counts, first, last)
+        rest = (band_starts, ends, entries, sums)
+        run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(*segment, *span, cursor, *rest),
+            zip(listing.segments, cursors))
+    result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
+                             np.zeros((rows, 2), np.float32))
+    rest = (np.sort(state.order), state.geometry, sums, result.geometry, result.log2_opacity, result.channels, result.absolute)
+    run(lambda a, b: raster_backward.finish(a, b, *rest), ranges(len(state.order), CHUNK))
+    return result

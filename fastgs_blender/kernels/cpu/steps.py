@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training step does to all parameters, on the CPU: penalties, random moves, Adam."""
+from __future__ import annotations
+
+import numpy as np
+
+from ...model.slicing import sigmoid
+from ...util import rotations
+from ...util.threads import ranges, run
+from ..protocol import MotionNorm
+from . import adam as kernels
+from . import penalty
+
+ROWS = 16_384
+"""Gaussians in one piece of work."""
+GATE, SHARPNESS, NEGLIGIBLE = 0.995, 100.0, 1e-4
+"""MCMC's noise (Kheradmand et al. 2024): Gaussians more transparent than GATE are moved; the edge's sharpness; the share from which on."""
+
+
+def motion_penalty(norm: MotionNorm, motion: np.ndarray, gradient: np.ndarray, scale: float, waits: np.ndarray) -> np.ndarray:
+    """TrainingBackend.motion_penalty()."""
+    n = len(motion)
+    if not n or not norm.weights.any():
+        return np.zeros(1)
+    if norm.matrix is None:
+        return np.array([_norms(norm, motion.reshape(n, -1), gradient.reshape(n, -1), scale, waits)])
+    matrix = norm.matrix.astype(np.float32)
+    rows = np.ascontiguousarray(np.einsum("rk,nkd->nrd", matrix, motion)).reshape(n, -1)
+    part = np.zeros_like(rows)
+    value = _norms(norm, rows, part, scale, waits)
+    gradient += np.einsum("rk,nrd->nkd", matrix, part.reshape(n, -1, 3))
+    return np.array([value])
+
+
+def _norms(norm: MotionNorm, values, gradient, scale, waits) -> float:
+    """The penalty of values [N, 3 R]; scale * waits * its gradient is added to gradient [N, 3 R]."""
+    n, columns = values.shape
+    pieces = [(sums, *piece) for sums, piece in zip(np.zeros((-(-n // ROWS), columns)), ranges(n, ROWS))]
+    share, smooth = norm.weights / (n * norm.extent), norm.smooth * norm.extent
+    if norm.reading == "mean":
+        factor = (scale * share).astype(np.float32)
+        run(lambda sums, a, b: penalty.magnitudes(a, b, values, smooth, factor, waits, gradient, sums), pieces)
+        return float(np.sum([sums for sums, _, _ in pieces], 0) @ share)
+    run(lambda sums, a, b: penalty.squares(a, b, values, sums), pieces)
+    size = np.sqrt(np.sum([sums for sums, _, _ in pieces], 0) / n + smooth**2)
+    factor = (scale * share / size).astype(np.float32)
+    run(lambda sums, a, b: penalty.scaled(a, b, values, factor, waits, gradient), pieces)
+    return float((size - smooth) @ norm.weights / norm.extent)
+
+
+def waits(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
+    """TrainingBackend.waits()."""
+    out = np.zeros(len(moved), np.float32)
+    out[rows] = step - moved[rows]
+    return out
+
+
+def hold(features: np.ndarray, held: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
+    """TrainingBackend.hold()."""
+    rows = rows[np.isfinite(held[rows, 0])]
+    gradient[rows] += np.float32(strength) * (features[rows] - held[rows])
+
+
+def shrink(parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
+    """TrainingBackend.shrink()."""
+    n = max(len(parameters["opacity"]), 1)
+    o = sigmoid(parameters["opacity"])
+    gradients["opacity"] += (opacity_weight / n * o * (1 - o)).astype(np.float32)
+    gradients["scale"] += (scale_weight / (3 * n) * np.exp(parameters["scale"]) / extent).astype(np.float32)
+
+
+def shake(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+    """TrainingBackend.shake()."""
+    opacity = sigmoid(parameters["opacity"])
+    gate = 1 / (1 + np.exp(-SHARPNESS * ((1 - opacity) - GATE)))
+    rows = np.flatnonzero(gate > NEGLIGIBLE)
+    if not len(rows):
+        return
+    step = np.random.default_rng(key).standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]
+    axes = rotations.to_matrices(rotations.unit(np.asarray(parameters["rotation"][rows], np.float64)))
+    scale = np.exp(parameters["scale"][rows].astype(np.float64))
+    parameters["position"][rows] += np.einsum("nij,nj,nkj,nk->ni", axes, scale**2, axes, step).astype(np.float32)
+
+
+def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarray, step: int) -> None:
+    """TrainingBackend.adam()."""
+    table, pieces = kernels.corrections(*betas), []
+    assert len(rows) == 0 or (rows.min() >= 0 and rows.max() < len(moved))
+    for value, gradient, mean, square, count, rate, shared in tensors:
+        n = len(value)
+        assert gradient.shape == mean.shape == square.shape == value.shape and len(count) == n and (shared or len(moved) == n)
+        these = np.arange(n) if shared else rows
+        arrays = [a.reshape(n, -1) for a in (value, np.ascontiguousarray(gradient, np.float32), mean, square)]
+        columns = np.broadcast_to(np.asarray(rate, np.float32).reshape(-1), arrays[0].shape[1]).copy()
+        rest = (these, *arrays, count, columns, *betas, table)
+        pieces += [(*piece, rest) for piece in ranges(len(these), ROWS)]
+    run(lambda first, last, rest: kernels.adam(first, last, *rest), pieces)
+    moved[rows] = step

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lists of the splats that touch each 16 x 16 tile of a camera's window, front to back."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...util.threads import ranges, run, thread_count
+from . import raster, tiles
+
+CHUNK = 16_384
+"""Splats in one piece of work, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class TileLists:
+    """Which splats touch which tile of a camera's window, as runs from which the lists of any band of tiles can be made.
+
+    window   x0, y0, right, bottom in pixels of the image
+    grid     first tile in x and y, columns, rows
+    segments, counts   the runs of tiles of each segment of the sorted splats, and its splats in each tile; see list_spans()
+    """
+
+    window: tuple[int, int, int, int]
+    grid: tuple[int, int, int, int]
+    segments: list
+    counts: np.ndarray
+
+    @classmethod
+    def of(cls, order, geometry, attributes, camera: Camera) -> TileLists:
+        """The tile lists of splats in the given order: order [V] int32, geometry [M, 5], attributes [M, 6 + C] (raster.py)."""
+        x0, y0, width, height = camera.window
+        tile_x, tile_y = x0 // raster.TILE, y0 // raster.TILE
+        grid = (tile_x, tile_y, (x0 + width - 1) // raster.TILE - tile_x + 1, (y0 + height - 1) // raster.TILE - tile_y + 1)
+        return cls((x0, y0, x0 + width, y0 + height), grid, *list_spans(order, geometry, attributes, grid))
+
+    def bands(self, limit: int) -> list[tuple[int, int]]:
+        """Runs of tiles, whole rows of them, with at most `limit` entries each (one row at least)."""
+        columns, rows = self.grid[2:]
+        bands, first, total = [], 0, 0
+        for row, entries in enumerate(self.counts.sum(0).reshape(rows, columns).sum(1)):
+            if row > first and total + entries > limit:
+                bands.append((first * columns, row * columns))
+                first, total = row, 0
+            total += entries
+        return [*bands, (first * columns, rows * columns)]
+
+    @property
+    def frame(self) -> tuple:
+        """columns, x0, y0, right, bottom, tile_x, tile_y, as the kernels take them."""
+        return (self.grid[2], *self.window, *self.grid[:2])
+
+
+def list_spans(order, geometry, attributes, grid):
+    """Runs of tiles for each segment of the sorted splats (tiles.spans), and how many splats of it each tile has.
+
+    grid: first tile in x and y, columns, rows.  Returns the segments' runs and counts [segments, tiles] int64.
+    """
+    pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
+    counts = np.zeros((max(len(pieces), 1), grid[2] * grid[3]), np.int64)
+    return run(lambda s, first, last: tiles.spans(first, last, order, geometry, attributes, *grid, counts[s]),
+               [(s, *piece) for s, piece in enumerate(pieces)]), counts
+
+
+def list_tiles(segments, counts, first: int, last: int):
+    """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
+    starts, cursors = tile_cursors(counts, first, last)
+    ids = np.empty(starts[-1], np.int32)
+    run(lambda s, segment: tiles.scatter(*segment, first, last, cursors[s], ids), enumerate(segments))
+    return starts, ids
+
+
+def tile_cursors(counts, first: int, last: int):
+    """Where each tile's list begins, and where in it each segment's splats begin, with the lists of the tiles first..last alone."""
+    counts = counts.copy()
+    counts[:, :first] = 0
+    counts[:, last:] = 0
+    starts = np.zeros(counts.shape[1] + 1, np.int64)
+    np.cumsum(counts.sum(0), out=starts[1:])
+    return starts, starts[:-1] + np.cumsum(counts, 0) - counts

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A training step on the CPU: the picture of one view, its loss, and the way back to the model's parameters."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...model.appearance import Features
+from ...model.gaussians import GaussianModel
+from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.layout import Layout
+from ...util.threads import run
+from ..parameters import DECODER, model_of
+from ..protocol import Comparison, Splatted
+from .decoder import decode_backward, decode_features
+from .loss import photometric
+from .project_backward import observe
+from .rasterise import RasterGradients, RasterState, rasterise_backward, rasterise_forward
+from .splats import ProjectedSplats, project_backward, project_instances
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What splat() leaves for backward(): the instance, its layout, its splats, the blended channels [h, w, C], and the rasteriser's
+    state."""
+
+    instance: ViewedInstance
+    layout: Layout
+    splats: ProjectedSplats
+    channels: np.ndarray
+    raster: RasterState
+
+
+def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
+          band: float = 0.0) -> Splatted:
+    """TrainingBackend.splat()."""
+    instance = Instance(model_of(template, parameters), np.eye(4), t).viewed(camera)
+    layout = Layout([instance], depth)
+    splats = project_instances([instance], camera, layout)
+    picture, state = rasterise_forward(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, band)
+    channels, alpha = picture.channels, picture.alpha
+    if isinstance(instance.model.appearance, Features):
+        rgb = decode_features(channels, alpha, instance, camera)
+    else:
+        rgb = channels if channels.shape[2] == 3 else channels[..., :3]
+    deep = None if layout.depth is None else channels[..., layout.depth]
+    return Splatted(rgb, alpha, deep, View(instance, layout, splats, channels, state))
+
+
+def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,
+            opaque_weight: float, share: float) -> Comparison:
+    """TrainingBackend.compare()."""
+    rgb, alpha, share = picture.rgb, picture.alpha, np.float32(share)
+    if background is not None:
+        rgb = rgb + (1 - alpha)[..., None] * background
+    loss, grad_rgb, l1, ssim = photometric(rgb, target, weight, float(dssim))
+    if share != 1:
+        grad_rgb = grad_rgb * share
+    grad_alpha = None
+    if opaque_weight:
+        loss += opaque_weight * float((1 - alpha).mean(dtype=np.float64))
+        grad_alpha = np.full(alpha.shape, -(share * np.float32(opaque_weight) / np.float32(alpha.size)), np.float32)
+    if background is not None:
+        through = grad_rgb[..., 0] * background[0] + grad_rgb[..., 1] * background[1] + grad_rgb[..., 2] * background[2]
+        grad_alpha = -through if grad_alpha is None else grad_alpha - through
+    error = float(np.square(rgb - target).mean())
+    return Comparison(np.array([loss, l1, ssim, error]), grad_rgb, grad_alpha)
+
+
+def backward(picture: Splatted, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
+    """TrainingBackend.backward()."""
+    view: View = picture.state
+    camera, appearance = view.instance.camera, view.instance.model.appearance
+    gradients = {}
+    if isinstance(appearance, Features) and rgb is not None:
+        channels, by_weight, w1, w2 = decode_backward(view.channels, picture.alpha, view.instance, camera, rgb)
+        alpha = by_weight if alpha is None else alpha + by_weight
+        gradients = {"w1": w1, "w2": w2}
+    elif rgb is not None and view.channels.shape[2] == 3 and depth is None:
+        channels = rgb
+    else:
+        channels = np.zeros(view.channels.shape, np.float32)
+        if rgb is not None:
+            channels[..., :3] = rgb
+    if isinstance(appearance, Features) and rgb is None:
+        gradients = {name: np.zeros_like(getattr(appearance, name)) for name in DECODER}
+    if depth is not None and view.layout.depth is not None:
+        channels[..., view.layout.depth] += depth
+    alpha = np.zeros(picture.alpha.shape, np.float32) if alpha is None else alpha
+    splats = rasterise_backward(view.raster, channels, alpha)
+    if statistics is not None:
+        add_view(statistics, view.splats, splats, camera)
+    if seen is not None:
+        seen[view.splats.source[view.splats.index]] = 1
+    gradients = {**project_backward(view.instance, camera, view.layout, view.splats, splats, detach_time), **gradients}
+    if into is None:
+        return gradients
+    for name, gradient in gradients.items():
+        into[name] += gradient
+    return into
+
+
+def add_view(statistics, splats: ProjectedSplats, gradients: RasterGradients, camera: Camera) -> None:
+    """Add one view of one instance to the statistics of density control (ScreenStatistics)."""
+    rest = (splats.source, gradients.geometry, gradients.absolute, splats.attributes, (camera.width, camera.height),
+            statistics.gradient, statistics.absolute, statistics.seen, statistics.radius)
+    run(lambda first, count: observe(first, first + count, *rest), splats.runs[0])

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The interface of a backend: what rendering, viewports, training and its preparation ask of the kernels.
+
+Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
+them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a training
+step but a few numbers at its end, with one read().
+
+Rendering and viewports use PictureBackend, which the oracle (rendering/oracle.py) implements too; training uses TrainingBackend.
+Same inputs, same bytes: on one device, for any number of threads, without atomic sums of floats.
+
+N Gaussians, C channels, h x w pixels of a camera's window, K coefficients of the motion.  Where a shape has no type it is float32.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..model.gaussians import GaussianModel
+from ..rendering.instances import ViewedInstance
+from ..rendering.layout import Buffers, Layout
+
+Array = Any
+"""An array that a backend owns."""
+Rows = Any
+"""A set of Gaussians, in a form of the backend's own."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionNorm:
+    """The paper's penalty of quick motion, for one basis.
+
+    The coefficients motion [N, K, 3] of each Gaussian are turned into R rows, each with a weight: matrix [R, K], or None where they
+    stay as they are; weights [3 R].  The penalty is sum_r weights[r] |row_r| / extent, with norms that are rounded off below
+    smooth * extent, reading "mean": averaged over the Gaussians; "group": of the root mean square over the Gaussians.
+    """
+
+    matrix: np.ndarray | None
+    weights: np.ndarray
+    extent: float
+    smooth: float
+    reading: str
+
+
+class PictureBackend(Protocol):
+    """What render() and viewports need."""
+
+    def array(self, values: np.ndarray) -> Array:
+        """The values as an array of the backend; the caller no longer changes them."""
+
+    def numpy(self, array: Array) -> np.ndarray:
+        """The array's values; the caller does not change them, but may keep them as long as nothing writes to the array."""
+
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool,
+             progress: Callable[[float], None]) -> Buffers:
+        """Slice, crop, cull and project all instances, sort the splats, list them by tile and blend them (layout.Buffers).
+
+        median    whether the median depth is wanted
+        progress  called with 0..1 between pieces of work; what it raises ends the work and passes through
+        """
+
+    def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> Array:
+        """Premultiplied colour [h, w, 3] of what draw() gave: the sum over the layout's groups, features through their decoders."""
+
+    def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
+                      ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:
+        """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order()."""
+
+
+@dataclass(eq=False)
+class Splatted:
+    """A picture of a model in training, and what its backward pass needs, in `state`.
+
+    rgb [h, w, 3] premultiplied, alpha [h, w]; depth [h, w] sum of the splats' depths times their weights, or None
+    """
+
+    rgb: Array
+    alpha: Array
+    depth: Array | None
+    state: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How a picture differs from its target.
+
+    values  [4] float64: loss, mean absolute difference, SSIM, mean squared difference
+    rgb     d (share * loss) / d rgb [h, w, 3]
+    alpha   the same of alpha [h, w], beside what comes through rgb; None: zeros
+    """
+
+    values: Array
+    rgb: Array
+    alpha: Array | None
+
+
+class ScreenStatistics(Protocol):
+    """What density control knows of each Gaussian (training/core/statistics.py): four arrays [N], summed over views."""
+
+    gradient: Array
+    absolute: Array
+    seen: Array
+    radius: Array
+
+
+class TrainingBackend(PictureBackend, Protocol):
+    """What a training step, and its preparation, need beyond pictures.
+
+    parameters: the arrays of GaussianModel.arrays by name, and parameters.DECODER's of a model with a decoder.  Steps write to
+    them in place.
+    template: a model of the same kinds (bases, appearance, rasteriser constants), whose own arrays are ignored.
+    """
+
+    def zeros(self, shape: tuple[int, ...], dtype=np.float32) -> Array:
+        """An array of zeros."""
+
+    def read(self, *arrays: Array) -> list[np.ndarray]:
+        """The values of several small arrays at once: the one time that a step waits for the device."""
+
+    # one view, forward and backward
+
+    def splat(self, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
+              band: float = 0.0) -> Splatted:
+        """The model's picture at time t, for backward(); the parameters must not change in between.
+
+        band  alpha fades in over this width above the cut: 0 but for checks of the gradients by differences
+        """
+
+    def compare(self, picture: Splatted, target: Array, weight: Array | None, background: np.ndarray | None, dssim: float,
+                opaque_weight: float, share: float) -> Comparison:
+        """The loss of a picture over its background against a target, and its gradient.
+
+            loss = (1 - dssim) mean(weight |x - target|) + dssim mean(weight (1 - SSIM)) + opaque_weight mean(1 - alpha)
+
+        target      [h, w, 3]
+        weight      [h, w] >= 0, how much each pixel counts, or None; where it is below 1, the picture is first moved that far
+                    towards the target, so that a pixel without weight does not disturb its neighbours' SSIM
+        background  [3] on the host, or None for black
+        share       factor on the gradient: 1 / the number of views of the step
+        """
+
+    def backward(self, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
+                 into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, seen: Array | None = None,
+                 detach_time: bool = False) -> dict[str, Array]:
+        """d loss / d parameters by name, from d loss / d rgb [h, w, 3], alpha [h, w] and depth [h, w] (None: zeros).
+
+        into         the gradients of the step's earlier views, to which these are added; returned again
+        statistics   to which this view is added
+        seen         [N] in which the Gaussians that were drawn become 1
+        detach_time  mu_tau's gradient comes through the temporal opacity alone, as STG trains
+        """
+
+    # one step
+
+    def rows(self, seen: Array) -> Rows:
+        """The Gaussians whose value in seen [N] is not 0."""
+
+    def count(self, rows: Rows) -> Array:
+        """How many they are, [1] float64."""
+
+    def waits(self, rows: Rows, moved: Array, step: int) -> Array:
+        """[N]: for the rows, step - moved (the steps that their next move stands for); 0 for all others.
+
+        moved  [N] int64, the step in which each Gaussian moved last
+        """
+
+    def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
+        """The penalty of motion [N, K, 3], [1] float64; scale * waits[n] * its gradient is added to gradient [N, K, 3]."""
+
+    def hold(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
+        """Add strength * (features - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN (training/core/hold.py)."""
+
+    def shrink(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
+               extent: float) -> None:
+        """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC)."""
+
+    def shake(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...]) -> None:
+        """Move nearly transparent Gaussians at random, each in its own shape, by about reach (MCMC); key: whole numbers that decide
+        the random numbers."""
+
+    def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
+        """A step of Adam in place, against the gradients, for these rows alone; moved [N] int64 becomes `step` there.
+
+        tensors  (value, gradient, mean, square, count [len(value)] int32, rate, shared) each: mean and square are Adam's moments of
+                 the value's shape; count is how many steps each row has taken; rate is a number, or one for each column of a row;
+                 of a shared array all rows move.  A gradient that is not finite counts as zero
+        """
+
+    # before training; NumPy arrays in and out
+
+    def neighbour_distance(self, xyz: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> np.ndarray:
+        """Root mean squared distance [P] float64 of each point [P, 3] to its `count` nearest within the leaves, of at most `leaf`
+        points, of k-d trees of the points turned by each matrix [3, 3]; the least over the trees, inf without a neighbour."""
+
+    def project_points(self, xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels [P, 2] and depths [P] float64 of world points [P, 3]."""
+
+    def sweep(self, image: np.ndarray, others: list[tuple[np.ndarray, np.ndarray, np.ndarray]], depths: np.ndarray, outside: float,
+              reach: int) -> np.ndarray:
+        """Plane sweep: mean absolute differences of colour [O, D, h, w] between image [h, w, 3] and other pictures, were its surface
+        at each of the depths [D]; averaged over (2 reach + 1)^2 pixels.
+
+        others   (picture [h', w', 3], turn [3, 3], shift [3]): the pixel (u, v) at depth z is seen by the other camera at
+                 turn @ (u, v, 1) z + shift (homogeneous)
+        outside  the difference where another picture ends
+        """
+
+    def resample(self, image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y in its pixels, centres at +0.5):
+        [h, w, C]; 0 outside."""
+
+    # for measurements
+
+    def measure_stages(self, instance: ViewedInstance, camera: Camera, repeat: int) -> tuple[dict[str, float], int]:
+        """Milliseconds of each stage of draw() by name, the median of `repeat` runs, and the number of splats that are drawn."""
