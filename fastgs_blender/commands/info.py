@@ -81,7 +81,7 @@ def _basis(basis, clip) -> dict:
 
 
 def _appearance(appearance) -> dict:
-    values = {key: getattr(appearance, key) for key in ("degree", "activation") if hasattr(appearance, key)}
+    values = {key: getattr(appearance, key) for key in appearance.recorded}
     return {"kind": appearance.name, "columns": appearance.width, **values}
 
 

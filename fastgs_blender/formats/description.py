@@ -9,7 +9,7 @@ import json
 import math
 from dataclasses import MISSING, asdict, fields
 
-from ..model.appearance import RGB, SH, Features
+from ..model.appearance import APPEARANCES, Appearance
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.temporal import Always, Radial, temporal_by_name
@@ -21,11 +21,8 @@ MAX_PROVENANCE = 1 << 16
 
 def describe(model: GaussianModel) -> dict:
     """The model's kinds and constants as JSON values; a decoder's weights are arrays and not among them."""
-    appearance = {"name": model.appearance.name}
-    if isinstance(model.appearance, SH):
-        appearance["degree"] = model.appearance.degree
-    elif isinstance(model.appearance, Features):
-        appearance["activation"] = model.appearance.activation
+    look = model.appearance
+    appearance = {"name": look.name} | {key: getattr(look, key) for key in look.recorded}
     return {
         "basis": basis_to_dict(model.basis), "rotation_basis": basis_to_dict(model.rotation_basis),
         "temporal": model.temporal_kind.name, "appearance": appearance, "raster": asdict(model.raster),
@@ -129,15 +126,12 @@ def _basis(values) -> Basis:
     return basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
 
 
-def _appearance(values) -> RGB | SH | Features:
+def _appearance(values) -> Appearance:
     name = values.get("name") if isinstance(values, dict) else None
-    if name == "rgb":
-        return RGB()
-    if name == "sh":
-        return SH(_typed(values.get("degree"), 0, "the degree of spherical harmonics"))
-    if name == "features":
-        return Features(activation=_typed(values.get("activation"), "", "the decoder's activation"))
-    raise FastGSError(f"the appearance {_short(name)} is unknown; this version knows rgb, sh and features.")
+    if not isinstance(name, str) or name not in APPEARANCES:
+        raise FastGSError(f"the appearance {_short(name)} is unknown; this version knows {', '.join(APPEARANCES)}.")
+    kind = APPEARANCES[name]
+    return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded})
 
 
 def _provenance(values) -> dict[str, str]:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The appearance of Gaussians: RGB, spherical harmonics, or features that a small decoder turns into colour.
 
-A model holds one array `features` [N, F]; its appearance says what the columns mean.
+A model holds one array `features` [N, F]; its appearance says what the columns mean.  A new one is a dataclass here, listed in
+APPEARANCES; each backend computes its colour: rendering/oracle.py, kernels/, engine/viewport/glsl/.
 """
 from __future__ import annotations
 
@@ -25,8 +26,30 @@ ACTIVATIONS = ("sigmoid", "clamp", "none")
 """Output activations of STG's decoder: N3V, Technicolor, Immersive (`sandwich`, `sandwichnoact`, `sandwichnoactss`)."""
 
 
+class Appearance:
+    """What every appearance answers.
+
+    name, width    as files name it; F, the number of columns
+    recorded       the fields that a file records of it, beside arrays
+    """
+
+    name: ClassVar[str] = ""
+    width: ClassVar[int]
+    recorded: ClassVar[tuple[str, ...]] = ()
+
+    def features_of(self, rgb: np.ndarray) -> np.ndarray:
+        """Features [N, F] that show the display colours rgb [N, 3] from everywhere and at all times."""
+        features = np.zeros((len(rgb), self.width))
+        features[:, :3] = rgb
+        return features
+
+    def plain_colours(self, features: np.ndarray) -> np.ndarray:
+        """Colours [N, 3] of features [N, F], seen from no particular side."""
+        return features[:, :3]
+
+
 @dataclass(frozen=True)
-class RGB:
+class RGB(Appearance):
     """Columns: r, g, b as they are (STG lite)."""
 
     name: ClassVar[str] = "rgb"
@@ -34,13 +57,14 @@ class RGB:
 
 
 @dataclass(frozen=True)
-class SH:
+class SH(Appearance):
     """Real spherical harmonics: max(0, 0.5 + sum_b Y_b(direction) c_b).
 
     Columns: B = (degree + 1)^2 coefficients, each r, g, b; so features.reshape(N, B, 3)[:, 0] is INRIA's f_dc.
     """
 
     name: ClassVar[str] = "sh"
+    recorded: ClassVar[tuple[str, ...]] = ("degree",)
     degree: int = 0
 
     def __post_init__(self):
@@ -51,9 +75,16 @@ class SH:
     def width(self) -> int:
         return 3 * (self.degree + 1) ** 2
 
+    def features_of(self, rgb):
+        return super().features_of((rgb - 0.5) / SH_C0)
+
+    def plain_colours(self, features):
+        """The mean over all directions."""
+        return 0.5 + SH_C0 * features[:, :3]
+
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class Features(Appearance):
     """STG full and FAST-GS.  Columns: base (3), direction (3), time (3, multiplied by t - mu_tau).
 
     Per pixel, from the blended features f and the ray (camera centre, unit direction; both in the model's space):
@@ -62,6 +93,7 @@ class Features:
 
     name: ClassVar[str] = "features"
     width: ClassVar[int] = 9
+    recorded: ClassVar[tuple[str, ...]] = ("activation",)
     w1: np.ndarray = field(default_factory=lambda: np.zeros((6, 12), np.float32))
     w2: np.ndarray = field(default_factory=lambda: np.zeros((3, 6), np.float32))
     activation: str = "sigmoid"
@@ -74,6 +106,28 @@ class Features:
             object.__setattr__(self, key, value)
         if self.activation not in ACTIVATIONS:
             raise FastGSError(f"the decoder's activation must be one of {', '.join(ACTIVATIONS)}, not {self.activation!r}.")
+
+    def features_of(self, rgb):
+        """Base and direction: the first shows it as long as w2 is 0, the second gives the decoder a start."""
+        features = super().features_of(rgb)
+        features[:, 3:6] = rgb
+        if self.activation == "sigmoid":
+            inside = np.clip(rgb, 0.01, 0.99)
+            features[:, :3] = np.log(inside / (1 - inside))
+        return features
+
+    def plain_colours(self, features):
+        """The base, without what the decoder adds."""
+        return self.activated(features[:, :3])
+
+    def activated(self, rgb: np.ndarray) -> np.ndarray:
+        """The output activation of colours [..., 3]."""
+        if self.activation == "sigmoid":
+            return 0.5 * (1 + np.tanh(0.5 * rgb))  # the same function, and it cannot overflow
+        return np.clip(rgb, 0, 1) if self.activation == "clamp" else rgb
+
+
+APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features)}
 
 
 def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:
@@ -108,6 +162,4 @@ def decode(features: np.ndarray, centre: np.ndarray, ray: np.ndarray, appearance
     inputs = np.concatenate([f[..., 3:], np.broadcast_to(centre, f.shape[:-1] + (3,)), ray], -1)
     hidden = np.maximum(inputs @ appearance.w1.T.astype(f.dtype), 0)
     rgb = f[..., :3] + hidden @ appearance.w2.T.astype(f.dtype)
-    if appearance.activation == "sigmoid":
-        return 0.5 * (1 + np.tanh(0.5 * rgb))  # the same function, and it cannot overflow
-    return np.clip(rgb, 0, 1) if appearance.activation == "clamp" else rgb
+    return appearance.activated(rgb)

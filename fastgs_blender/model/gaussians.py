@@ -8,7 +8,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from ..util.errors import FastGSError
-from .appearance import RGB, SH, Features
+from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
 from .motion import Basis, Static
 from .temporal import KINDS, Always, Radial, Window, WindowedRadial
@@ -98,7 +98,7 @@ class GaussianModel:
     basis: Basis = field(default_factory=Static)
     rotation_basis: Basis = field(default_factory=Static)
     temporal_kind: Always | Radial | Window | WindowedRadial = field(default_factory=Always)
-    appearance: RGB | SH | Features = field(default_factory=RGB)
+    appearance: Appearance = field(default_factory=RGB)
     raster: Raster = field(default_factory=Raster)
     clip: Clip = field(default_factory=Clip)
     axes: str = "RDF"
@@ -129,8 +129,8 @@ class GaussianModel:
                 raise FastGSError(f"the basis of time {basis!r} has {basis.terms} terms but weights of the shape {shape} at one time.")
         if type(self.temporal_kind) not in KINDS.values():
             raise FastGSError(f"the model's temporal opacity must be one of {', '.join(KINDS)}, not {self.temporal_kind!r}.")
-        if not isinstance(self.appearance, (RGB, SH, Features)):
-            raise FastGSError(f"the model's appearance must be RGB, SH or Features, not {self.appearance!r}.")
+        if type(self.appearance) not in APPEARANCES.values():
+            raise FastGSError(f"the model's appearance must be one of {', '.join(APPEARANCES)}, not {self.appearance!r}.")
 
     def shapes(self, n: int) -> dict[str, tuple[int, ...]]:
         """The shape of every array for n Gaussians of this model's kinds."""

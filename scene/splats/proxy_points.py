@@ -5,11 +5,10 @@ Plain arrays, no Blender.  Everything is drawn without chance, so that the same 
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.appearance import SH, SH_C0, Features, decode
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
 from ..colour import srgb_to_linear
@@ -151,12 +150,5 @@ def _fair_order(s: Slice, box, limit: int) -> tuple[np.ndarray, float]:
 
 def _colour(s: Slice, model: GaussianModel) -> np.ndarray:
     """Linear colour [M, 3] from no particular side: of SH the constant term, of features the base without the decoder's rest."""
-    if isinstance(model.appearance, SH):
-        rgb = 0.5 + SH_C0 * s.features[:, :3]
-    elif isinstance(model.appearance, Features):
-        base = replace(model.appearance, w2=np.zeros((3, 6), np.float32))
-        rgb = decode(s.features, np.zeros(3), np.zeros((len(s.features), 3)), base)
-    else:
-        rgb = s.features
-    rgb = np.clip(rgb, 0, 100)
+    rgb = np.clip(model.appearance.plain_colours(s.features), 0, 100)
     return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...model.appearance import SH, SH_C0, Features
 from ...model.gaussians import Clip, GaussianModel
 from ...model.points import Points
 from ...model.temporal import Radial
@@ -37,20 +36,8 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     arrays["rotation"][:, 0] = 1
     arrays["scale"][:] = np.log(size)[:, None]
     arrays["opacity"][:] = np.log(settings.start_opacity / (1 - settings.start_opacity))
-    arrays["features"][:, :3] = first_colours(np.asarray(points.rgb, np.float64), empty.appearance)
-    if isinstance(empty.appearance, Features):
-        arrays["features"][:, 3:6] = np.asarray(points.rgb, np.float64)
+    arrays["features"][:] = empty.appearance.features_of(np.asarray(points.rgb, np.float64))
     arrays["mu_tau"][:] = np.where(timed, time, 0.5)
     if isinstance(empty.temporal_kind, Radial):
         arrays["temporal"][:, 0] = -2 * np.log(np.where(timed, settings.start_life, settings.static_life))
     return replace(empty, **arrays)
-
-
-def first_colours(rgb, appearance):
-    """The first three columns of the features that show the colours rgb [P, 3]."""
-    if isinstance(appearance, SH):
-        return (rgb - 0.5) / SH_C0
-    if isinstance(appearance, Features) and appearance.activation == "sigmoid":
-        inside = np.clip(rgb, 0.01, 0.99)
-        return np.log(inside / (1 - inside))
-    return rgb

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...captures.capture import Points
-from ...model.appearance import SH, SH_C0
-from ...model.slicing import sigmoid, slice_model
+from ...model.slicing import slice_model
 from ...util.errors import FastGSError
 from ..core.schedule import POINTS, generator
 from .dense import FEW, MOMENTS, depth_range, picture, spread, triangulated
@@ -87,16 +86,9 @@ def from_model(capture, store, settings):
         rows = generator(settings.seed, POINTS, 2, k).permutation(len(model))[:share]
         now = slice_model(model.take(np.sort(rows)), t or 0.0)
         moment = np.full(len(now.position), np.nan if t is None else t)
-        clouds.append((now.position @ turn, base_colour(now.features, model.appearance), moment))
+        clouds.append((now.position @ turn, model.appearance.plain_colours(now.features), moment))
     xyz, rgb, t = (np.concatenate(parts) for parts in zip(*clouds))
     return Points(xyz, rgb, t), f"{Path(settings.start_model).name}, {len(model)} Gaussians at {len(times)} moments"
-
-
-def base_colour(values, appearance) -> np.ndarray:
-    """Colours [n, 3] seen from nowhere in particular, of features [n, F]."""
-    if isinstance(appearance, SH):
-        return 0.5 + SH_C0 * values[:, :3]
-    return sigmoid(values[:, :3]) if getattr(appearance, "activation", "") == "sigmoid" else values[:, :3]
 
 
 def random_points(capture, store, settings):

@@ -224,7 +224,7 @@ BAD = {
     "unknown appearance": (value("model", "appearance", "name")("glow"), "appearance 'glow' is unknown"),
     "unknown activation": (value("model", "appearance", "activation")("relu"), "activation"),
     "sh of degree 9": (value("model", "appearance")({"name": "sh", "degree": 9}), "degree 0 to 4"),
-    "sh of degree true": (value("model", "appearance")({"name": "sh", "degree": True}), "degree of spherical"),
+    "sh of degree true": (value("model", "appearance")({"name": "sh", "degree": True}), "appearance sh's degree"),
     "another appearance": (value("model", "appearance")({"name": "sh", "degree": 4}), "'features' must be float32 of shape"),
     "negative blur": (value("model", "raster", "blur")(-1), "out of range"),
     "blur of nan": (value("model", "raster", "blur")(float("nan")), "blur cannot be"),
