@@ -51,8 +51,8 @@ def load(path: Path, options: Options) -> Capture:
     """The capture that cameras.json describes."""
     file = path / FILE if path.is_dir() else path
     folder, where = file.parent, f"{file}: "
-    values = poses.table(read_json(file), where + "it")
-    if values.get("format") != FORMAT:
+    values = read_json(file)
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise FastGSError(f'{file}: it does not say "format": "{FORMAT}", so it is another program\'s.')
     version = poses.whole(values.get("version", VERSION), where + "its version", 1, 10**6)
     if version > VERSION:

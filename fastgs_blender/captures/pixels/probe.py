@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...util.errors import FastGSError
-from ...util.reading import reading
+from ...util.reading import open_file, reading
 from ..sources import Source
 from . import exr
 from .pictures import opened
@@ -41,6 +41,7 @@ def picture_size(source: Source) -> tuple[int, int]:
 @lru_cache(maxsize=65_536)
 def _facts(path: Path, size: int, _changed: int) -> Facts:
     if not size:
+        open_file(path).close()  # a pipe has no size either
         raise FastGSError(f"{path}: the picture is empty; copy or export it again.")
     return _exr(path) if path.suffix.lower() == ".exr" else _pillow(path)
 
