@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What brings a shot to life: bullet time, following a region, a hand that holds the camera, keys from the view."""
+"""Bullet time, cameras that follow a region, handheld shake, and keys from the 3D view."""
 from __future__ import annotations
 
 import bpy
@@ -8,11 +8,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Matrix, Vector
 
 from .. import fastgs_blender as fg
-from ..scene import objects, snapshot
+from ..fastgs_blender.cameras import moves
+from ..scene import objects
 from ..scene.cameras import keys as camera_keys
+from ..scene.cameras.subjects import subject_of, target_camera
+from ..scene.cameras.tracking import region_track
 from ..scene.splats.splat_object import sentence
-from ..scene.time import clip_frame
-from .camera_moves import subject_of, target_camera
 
 
 def active_splat(context) -> bpy.types.Object | None:
@@ -110,11 +111,10 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
         for name in ("frame_start", "frame_end"):
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(scene, name))
-        if self.frame_end <= self.frame_start:
-            self.report({'ERROR'}, "The last frame must come after the first.")
-            return {'CANCELLED'}
         try:
-            places, frames = self._track(context, obj)
+            moves.check_range(self.frame_start, self.frame_end)
+            frames = np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64)
+            places = region_track(scene, obj, self._radius(context), frames, self.smooth)
         except fg.FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
@@ -140,38 +140,6 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
 
     def _radius(self, context):
         return self.radius or 0.1 * subject_of(context)[1]
-
-    def _track(self, context, obj) -> tuple[np.ndarray, np.ndarray]:
-        """The region's middle in the world [F, 3] on each frame [F]."""
-        scene = context.scene
-        model = objects.load_model(objects.abspath(obj))
-        fps = scene.render.fps / scene.render.fps_base
-        retime, world = snapshot.retime_of(obj), np.array(obj.matrix_world)
-
-        def seen(at, subset):
-            shown = clip_frame(at, fps, retime, model.clip)
-            s = fg.slice_model(subset, model.clip.t_of_frame(shown or 0.0), cull=False)
-            return s.position @ world[:3, :3].T + world[:3, 3], s.opacity
-
-        position, opacity = seen(scene.frame_current, model)
-        near = np.linalg.norm(position - np.array(scene.cursor.location), axis=1) <= self._radius(context)
-        near &= opacity >= 0.1
-        if not near.any():
-            raise fg.FastGSError("there are no visible Gaussians around the 3D cursor; place it on what is to be followed (Shift + right "
-                                 "click) or enlarge the radius.")
-        chosen = model.take(np.flatnonzero(near))
-        frames = np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64)
-        middles = []
-        for at in frames:
-            position, opacity = seen(at, chosen)
-            weight = opacity + 1e-6
-            middles.append((position * weight[:, None]).sum(0) / weight.sum())
-        places = np.array(middles)
-        if self.smooth > 0:
-            reach = np.arange(len(frames))
-            bell = np.exp(-0.5 * ((reach[:, None] - reach) / max(self.smooth / 2, 1e-3)) ** 2)
-            places = bell @ places / bell.sum(1, keepdims=True)
-        return places, frames
 
 
 class FASTGS_OT_handheld(bpy.types.Operator):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera moves that become ordinary keyframes: orbit, dolly, a smooth path through cameras."""
+"""Animates cameras by ordinary keyframes: orbit, dolly, a smooth path through cameras."""
 from __future__ import annotations
 
 import bpy
@@ -9,76 +9,13 @@ from mathutils import Vector
 
 from ..fastgs_blender.cameras import moves
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import objects
 from ..scene.cameras import keys as camera_keys
+from ..scene.cameras.subjects import capture_cameras, far_enough, subject_of, target_camera
 from ..scene.splats.splat_object import sentence
-
-USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
-SPREAD = 3.0
-"""A splat is part of what a move is about up to so many median distances from the middle."""
-
-
-def target_camera(context, make: bool) -> bpy.types.Object | None:
-    """The scene's camera; with `make`, a new one takes its place."""
-    scene = context.scene
-    if scene.camera and scene.camera.type == 'CAMERA' and not make:
-        return scene.camera
-    if not make:
-        return None
-    camera = bpy.data.objects.new("Camera Move", bpy.data.cameras.new("Camera Move"))
-    if scene.camera and scene.camera.type == 'CAMERA':
-        camera.data.lens, camera.data.sensor_width = scene.camera.data.lens, scene.camera.data.sensor_width
-    camera.rotation_mode = 'QUATERNION'
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    return camera
-
-
-def subject_of(context) -> tuple[Vector, float]:
-    """Middle and radius of what the move is about: the selected splats, else the active object, else the 3D cursor."""
-    chosen = [o for o in context.selected_objects if objects.is_splat(o)]
-    chosen = chosen or [o for o in [context.object] if o is not None and o.type != 'CAMERA']
-    chosen = chosen or [o for o in context.scene.objects if objects.is_splat(o)]
-    if chosen and all(objects.is_splat(o) and o.type == 'MESH' and len(o.data.vertices) for o in chosen):
-        return _most_of(chosen)
-    corners = [o.matrix_world @ Vector(c) for o in chosen for c in o.bound_box]
-    if not corners:
-        return context.scene.cursor.location.copy(), 2.0
-    low, high = (Vector(f(c[i] for c in corners) for i in range(3)) for f in (min, max))
-    return (low + high) / 2, max((high - low).length / 2, 1e-3)
-
-
-def _most_of(splats) -> tuple[Vector, float]:
-    """Middle and radius of what most of the splats are about: a few strays, or a far background, do not count."""
-    clouds = []
-    for obj in splats:
-        points = np.empty(3 * len(obj.data.vertices), np.float32)
-        obj.data.vertices.foreach_get("co", points)
-        matrix = np.array(obj.matrix_world)
-        clouds.append(points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
-    points = np.concatenate(clouds)
-    middle = np.median(points, axis=0)
-    away = np.linalg.norm(points - middle, axis=1)
-    near = points[away <= SPREAD * np.median(away)]
-    low, high = near.min(0), near.max(0)
-    return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-
-
-def far_enough(scene, size: float) -> float:
-    """The distance from which a camera with Blender's usual lens has nearly all of a subject of that radius in its picture."""
-    render = scene.render
-    sides = render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y
-    half = np.arctan(USUAL_SENSOR / 2 / USUAL_LENS * min(sides) / max(sides))
-    return 0.9 * size / float(np.sin(half))
-
-
-def capture_cameras(scene) -> list[bpy.types.Object]:
-    """The cameras of captures that were imported into the scene."""
-    return [o for o in scene.objects if o.type == 'CAMERA' and o.data.fastgs.view]
 
 
 class _Move:
-    """What all moves have in common: a range, an ease, a preview, keeping to what the capture saw."""
+    """The part that all moves share: a range, an ease, a preview, keeping to what the capture saw."""
 
     bl_options = {'REGISTER', 'UNDO'}
 
@@ -114,11 +51,9 @@ class _Move:
         for name, value in self.fitting(context).items():
             if not self.properties.is_property_set(name):
                 setattr(self, name, value)
-        if self.frame_end <= self.frame_start:
-            self.report({'ERROR'}, "The last frame must come after the first.")
-            return {'CANCELLED'}
         fresh = self.new_camera or not (context.scene.camera and context.scene.camera.type == 'CAMERA')
         try:
+            moves.check_range(self.frame_start, self.frame_end)
             move = self.move(context, target_camera(context, False))
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))

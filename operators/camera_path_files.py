@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera paths of other programs: into keyframes, and from any animated camera into a file."""
+"""Imports camera paths of other programs as keyframes, and exports any animated camera."""
 from __future__ import annotations
 
 import warnings
@@ -10,13 +10,14 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ..fastgs_blender.cameras.moves import MOST_FRAMES
 from ..fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, format_named, load_path, save_path
-from ..fastgs_blender.util.errors import FastGSError
+from ..fastgs_blender.util.errors import FastGSError, printable
 from ..scene import camera as cameras
 from ..scene.cameras import space as camera_space
+from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
 from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
-from .capture_cameras import animate, set_optics, set_pose, use_render_size
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""
@@ -25,13 +26,13 @@ NAMES = {item[0]: module.name for item, module in zip(FORMAT_ITEMS, FORMATS)}
 
 
 def picture_of(scene) -> Picture:
-    """What the scene gives to files that state no size or frame rate."""
+    """The scene's picture size and frame rate, for files that state none."""
     frame = cameras.render_area(scene.render)
     return Picture(frame.width, frame.height, scene.render.fps / scene.render.fps_base)
 
 
 def _reported(operator, work):
-    """What work() gives; what gets lost on the way is reported."""
+    """The result of work(); its warnings are reported."""
     with warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always")
         result = work()
@@ -41,7 +42,7 @@ def _reported(operator, work):
 
 
 class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
-    """Import a camera path as an animated camera: ours, Nerfstudio, instant-ngp, SuperSplat, cameras.json or COLMAP"""
+    """Import a camera path as an animated camera: FAST-GS, Nerfstudio, instant-ngp, SuperSplat, cameras.json or COLMAP"""
 
     bl_idname = "fastgs.import_camera_path"
     bl_label = "Import Camera Path"
@@ -94,7 +95,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
-        obj = self._camera(context, Path(file).stem)
+        obj = self._camera(context, printable(Path(file).stem))
         obj.animation_data_clear()
         obj.data.animation_data_clear()
         if obj.parent:
@@ -177,6 +178,8 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
                 raise FastGSError("no file was chosen; give the camera path a name.")
             if last < first:
                 raise FastGSError("the last frame must not come before the first.")
+            if last - first >= MOST_FRAMES:
+                raise FastGSError(f"the range has {last - first + 1} frames, and at most {MOST_FRAMES} are exported; choose a shorter one.")
             splat = camera_space.splat_of(context, self.space)
             axes = camera_space.axes_of(splat, AXES.get(name, "RDF"))
             shots = self._shots(context, splat, axes, range(first, last + 1))

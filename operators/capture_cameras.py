@@ -1,112 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cameras of a capture as Blender cameras, with what they filmed behind them."""
+"""Imports the cameras of a capture, with their films or pictures as backgrounds."""
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
-from mathutils import Quaternion
 
-from .. import fastgs_blender as fg
-from ..fastgs_blender.util import rotations
-from ..fastgs_blender.util.errors import FastGSError
-from ..scene import camera as cameras
-from ..scene.cameras import keys as camera_keys
+from ..fastgs_blender.util.errors import FastGSError, printable
 from ..scene.cameras import space as camera_space
 from ..scene.cameras import undistorted
+from ..scene.cameras.backgrounds import reel_of, show_behind
+from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
 from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
 """Pictures that an import undistorts unasked: more take minutes."""
-
-
-@dataclass(frozen=True)
-class Reel:
-    """A view's pictures as Blender plays them: a film, a numbered sequence, or a still."""
-
-    path: Path
-    source: str
-    count: int
-    offset: int
-
-
-def reel_of(shots: list) -> Reel:
-    """How to play these shots' files, one a frame, in order; a still where Blender could not."""
-    sources = [shot.image for shot in shots]
-    first, count = sources[0], len(sources)
-    together = all(shot.frame == shots[0].frame + i for i, shot in enumerate(shots))
-    if first.frame is not None:
-        even = together and all(s.path == first.path and s.frame == first.frame + i for i, s in enumerate(sources))
-        return Reel(first.path, 'MOVIE', count if even else 1, first.frame)
-    digits = re.search(r"(\d+)(?=\D*$)", first.path.name)
-    if digits is None or not together or count == 1:
-        return Reel(first.path, 'FILE', 1, 0)
-    number, width = int(digits[1]), len(digits[1])
-    names = (f"{first.path.name[:digits.start()]}{number + i:0{width}}{first.path.name[digits.end():]}" for i in range(count))
-    if any(source.path != first.path.with_name(name) for source, name in zip(sources, names)):
-        return Reel(first.path, 'FILE', 1, 0)
-    return Reel(first.path, 'SEQUENCE', count, number - 1)
-
-
-def show_behind(data: bpy.types.Camera, reel: Reel, start: int) -> None:
-    """Make a reel the camera's background, its first picture on frame `start` of the scene, filling the camera's frame."""
-    image = bpy.data.images.load(str(reel.path), check_existing=True)
-    if reel.source != 'FILE':
-        image.source = reel.source
-    background = data.background_images.new()
-    background.image = image
-    background.frame_method, background.display_depth, background.alpha = 'STRETCH', 'BACK', 1.0
-    user = background.image_user
-    user.frame_start, user.frame_duration, user.frame_offset = start, reel.count, reel.offset
-    user.use_auto_refresh, user.use_cyclic = True, False
-    data.show_background_images = True
-
-
-def set_optics(data: bpy.types.Camera, camera: fg.Camera) -> None:
-    """Give a Blender camera exactly these intrinsics; it remembers the picture size and pixel aspect that they hold for."""
-    optics = cameras.optics_of(camera)
-    data.type, data.lens_unit, data.sensor_fit = 'PERSP', 'MILLIMETERS', 'HORIZONTAL'
-    for name in ("lens", "sensor_width", "shift_x", "shift_y"):
-        setattr(data, name, getattr(optics, name))
-    remembered = data.fastgs
-    remembered.width, remembered.height = camera.width, camera.height
-    remembered.pixel_aspect_x, remembered.pixel_aspect_y = optics.pixel_aspect_x, optics.pixel_aspect_y
-
-
-def set_pose(obj: bpy.types.Object, camera: fg.Camera) -> None:
-    """Stand where the library camera stands, within the parent."""
-    pose = cameras.pose_of(camera)
-    obj.rotation_mode = 'QUATERNION'
-    obj.location = pose[:3, 3]
-    obj.rotation_quaternion = Quaternion(rotations.from_matrices(pose[:3, :3]))
-
-
-def animate(obj: bpy.types.Object, shots: list[fg.Camera], frames: np.ndarray) -> None:
-    """Key poses, and whatever of the intrinsics changes, on these frames; between them the curves are smooth."""
-    poses = np.array([cameras.pose_of(camera) for camera in shots])
-    optics = [cameras.optics_of(camera) for camera in shots]
-    obj.rotation_mode = 'QUATERNION'
-    turns = rotations.one_sign(rotations.from_matrices(poses[:, :3, :3]))
-    tracks = [(obj, "location", poses[:, :3, 3]), (obj, "rotation_quaternion", turns)]
-    tracks += [(obj.data, name, np.array([getattr(o, name) for o in optics])[:, None]) for name in ("lens", "shift_x", "shift_y")]
-    for owner, name, values in tracks:
-        if len(frames) > 1 and (owner is obj or np.ptp(values) > 1e-7 * max(abs(values).max(), 1e-3)):
-            camera_keys.write(owner, name, frames, values, np.gradient(values, frames, axis=0))
-
-
-def use_render_size(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
-    """Look through a capture's camera at its own picture size."""
-    own, render = obj.data.fastgs, scene.render
-    scene.camera = obj
-    render.resolution_x, render.resolution_y, render.resolution_percentage = own.width, own.height, 100
-    render.pixel_aspect_x, render.pixel_aspect_y = own.pixel_aspect_x, own.pixel_aspect_y
 
 
 class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
@@ -183,7 +96,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
 
     def _create(self, context, capture, reels) -> list[bpy.types.Object]:
         splat, start = camera_space.splat_of(context, self.space), self._start(context)
-        name = Path(capture.path).stem or "Capture"
+        name = printable(Path(capture.path).stem) or "Capture"
         collection = bpy.data.collections.new(name)
         context.scene.collection.children.link(collection)
         world = bpy.data.objects.new(name, None)

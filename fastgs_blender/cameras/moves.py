@@ -15,6 +15,10 @@ from ..util.errors import FastGSError
 
 TABLE = 2048
 """Samples of a spline from which lengths are read."""
+MOST_FRAMES = 50_000
+"""Frames of a move: more than half an hour at 24 frames per second."""
+BLOCK = 4096
+"""Places whose nearest ones in a region are found at once."""
 STEPS = 400
 """Steps in which the nearest place of a region is approached."""
 
@@ -31,6 +35,15 @@ class Path:
     position: np.ndarray
     rotation: np.ndarray
     focal: np.ndarray
+
+
+def check_range(first: int, last: int) -> None:
+    """Raises FastGSError for a range of frames that is empty, or longer than MOST_FRAMES."""
+    if last <= first:
+        raise FastGSError("the last frame must come after the first.")
+    if last - first >= MOST_FRAMES:
+        raise FastGSError(f"the range from frame {first} to {last} has {last - first + 1} frames, and a move has at most {MOST_FRAMES}; "
+                          "choose a shorter one.")
 
 
 def ease(u, amount: float) -> np.ndarray:
@@ -164,6 +177,8 @@ def _squad(u, q, closed):
 
 def _nearest(points, cameras):
     """The nearest places [M, 3] of the cameras' convex hull (Frank-Wolfe with pairwise steps, which ends in few)."""
+    if len(points) > BLOCK:
+        return np.concatenate([_nearest(points[i:i + BLOCK], cameras) for i in range(0, len(points), BLOCK)])
     rows, count = np.arange(len(points)), len(cameras)
     share = np.full((len(points), count), 1 / count)
     for _ in range(STEPS):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a smooth move to ordinary keyframes, and to a curve that shows it first."""
+"""Smooth camera moves as ordinary keyframes, or as a curve that shows them first."""
 from __future__ import annotations
 
 from collections.abc import Callable

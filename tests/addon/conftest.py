@@ -217,3 +217,20 @@ def paint():
         return material, shader
 
     return make
+
+
+@pytest.fixture
+def cameras(module):
+    return module("scene.camera")
+
+
+@pytest.fixture
+def now(scene, cameras):
+    """now(object): the library's camera of a Blender camera on the current frame, as the engine reads it."""
+    import bpy
+
+    def read(obj):
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        return cameras.camera_of(obj.evaluated_get(depsgraph), cameras.render_area(scene.render), depsgraph)
+
+    return read

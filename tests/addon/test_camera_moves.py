@@ -167,7 +167,7 @@ def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, mo
     sphere = rng.normal(size=(300, 3))
     model.position[600:] = 40 * sphere / np.linalg.norm(sphere, axis=1)[:, None]
     bpy.ops.import_scene.fastgs(filepath=model_file(model), orientation='KEEP')
-    middle, radius = module("operators.camera_moves").subject_of(bpy.context)
+    middle, radius = module("scene.cameras.subjects").subject_of(bpy.context)
     assert (middle - type(middle)((5, 0, 0))).length < 0.2 and 1.2 < radius < 2.2
     bpy.ops.fastgs.camera_orbit(new_camera=True)
     # all but a few of those that count are in the picture
@@ -178,3 +178,20 @@ def test_strays_and_a_far_background_are_not_what_a_move_is_about(bpy, scene, mo
     places = np.array(seen)
     inside = ((places[:, :2] > 0) & (places[:, :2] < 1)).all(1) & (places[:, 2] > 0)
     assert inside.mean() > 0.97 and np.ptp(places[:, 1]) > 0.3
+
+
+@pytest.mark.parametrize("operator", ["camera_orbit", "camera_dolly"])
+def test_a_range_too_long_is_refused_at_once(bpy, scene, add_camera, operator):
+    add_camera()
+    before = len(bpy.data.actions)
+    for first, last in ((-2**31, 2**31 - 1), (1, 50_001), (5, 5), (5, 4)):
+        with pytest.raises(RuntimeError, match="at most 50000|must come after") as error:
+            getattr(bpy.ops.fastgs, operator)(frame_start=first, frame_end=last)
+        assert len(str(error.value).strip().splitlines()) == 1
+    assert len(bpy.data.actions) == before
+
+
+def test_an_export_too_long_is_refused_at_once(bpy, scene, add_camera, tmp_path):
+    scene.camera = add_camera()
+    with pytest.raises(RuntimeError, match="at most 50000"):
+        bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "a.json"), use_range=True, frame_start=-2**31, frame_end=2**31 - 1)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras of captures and camera paths: in exactly, out again, with what was filmed behind them."""
+"""Cameras of captures: imported exactly, with their films and pictures as backgrounds in step."""
 from __future__ import annotations
 
-import json
 import os
 import threading
 
@@ -11,74 +10,17 @@ import by_hand
 import image_files
 import numpy as np
 import pytest
+from camera_checks import assert_same, in_world, make_camera, project, seen
 from mathutils import Matrix
 
 FRAMES = 6
-POSE, PIXELS = 1e-5, 1e-4
-"""What a round trip may lose: in poses, and at places of the picture."""
-
-
-@pytest.fixture
-def cameras(module):
-    return module("scene.camera")
-
-
-@pytest.fixture
-def camera_paths(module):
-    return module("fastgs_blender.cameras.paths")
-
-
-def make_camera(fg, rng, width=320, height=240, full=True):
-    """A camera that looks about; full: unequal focal lengths, principal point off the middle."""
-    eye = rng.uniform(-4, 4, 3)
-    focal = width * rng.uniform(0.6, 1.6)
-    centre, stretch = (rng.uniform(0.4, 0.6, 2), rng.uniform(0.9, 1.1)) if full else ((0.5, 0.5), 1.0)
-    return fg.Camera(width, height, focal, focal * stretch, centre[0] * width, centre[1] * height,
-                     by_hand.look_at(eye, eye + rng.normal(size=3), up=rng.normal(size=3)))
-
-
-def seen(camera, rng, count=30):
-    """Points of the world within the camera's picture."""
-    at, z = rng.uniform(0, 1, (count, 2)) * [camera.width, camera.height], rng.uniform(1, 8, count)
-    local = np.stack([(at[:, 0] - camera.cx) / camera.fx * z, (at[:, 1] - camera.cy) / camera.fy * z, z], 1)
-    return (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
-
-
-def project(camera, world):
-    x, y, z = (world @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
-    return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], 1)
-
-
-def assert_same(got, wanted, pixels=PIXELS):
-    assert (got.width, got.height) == (wanted.width, wanted.height)
-    np.testing.assert_allclose(got.world_to_camera, wanted.world_to_camera, atol=POSE)
-    points = seen(wanted, np.random.default_rng(0))
-    np.testing.assert_allclose(project(got, points), project(wanted, points), atol=pixels)
-
-
-def in_world(camera, matrix):
-    """The camera of a capture's world in Blender's, to which `matrix` leads."""
-    from dataclasses import replace
-
-    return replace(camera, world_to_camera=camera.world_to_camera @ np.linalg.inv(np.array(matrix, float)), window=None)
-
-
-@pytest.fixture
-def now(scene, cameras):
-    """now(object): the library's camera of a Blender camera on the current frame, through the engine's own eyes."""
-
-    def read(obj):
-        depsgraph = bpy.context.evaluated_depsgraph_get()
-        return cameras.camera_of(obj.evaluated_get(depsgraph), cameras.render_area(scene.render), depsgraph)
-
-    return read
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_optics_are_the_inverse_of_what_the_engine_reads(scene, fg, module, now, seed):
     rng = np.random.default_rng(seed)
     wanted = make_camera(fg, rng, *((320, 240), (240, 320))[seed % 2])
-    place = module("operators.capture_cameras")
+    place = module("scene.cameras.placing")
     obj = bpy.data.objects.new("C", bpy.data.cameras.new("C"))
     scene.collection.objects.link(obj)
     place.set_optics(obj.data, wanted)
@@ -90,7 +32,7 @@ def test_optics_are_the_inverse_of_what_the_engine_reads(scene, fg, module, now,
 
 def test_a_very_wide_lens(scene, fg, module, now):
     wanted = fg.Camera(640, 480, 12, 12, 300, 260, np.eye(4))
-    place = module("operators.capture_cameras")
+    place = module("scene.cameras.placing")
     obj = bpy.data.objects.new("C", bpy.data.cameras.new("C"))
     scene.collection.objects.link(obj)
     place.set_optics(obj.data, wanted)
@@ -330,143 +272,3 @@ def test_what_is_no_capture_leaves_nothing(tmp_path, capture):
     with pytest.raises(RuntimeError, match="No capture was chosen"):
         bpy.ops.fastgs.import_capture()
     assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
-
-
-# ---- camera paths --------------------------------------------------------------------------------------------------------
-
-FORMATS = {'FASTGS': True, 'NERFSTUDIO': False, 'INSTANT_NGP': False, 'SUPERSPLAT': False, 'CAMERAS_JSON': True, 'COLMAP': True}
-"""Each format, and whether it holds any intrinsics."""
-
-
-@pytest.fixture
-def flight(scene, fg, module):
-    """flight(full): a Blender camera with a key on each of ten frames from 7 on, animated focal length; full: shifted, oblong pixels."""
-
-    def fly(full):
-        scene.frame_start, scene.frame_end = 7, 16
-        scene.render.resolution_x, scene.render.resolution_y = 320, 240
-        scene.render.pixel_aspect_y = 1.25 if full else 1.0
-        obj = bpy.data.objects.new("Flight", bpy.data.cameras.new("Flight"))
-        scene.collection.objects.link(obj)
-        scene.camera = obj
-        obj.data.shift_x, obj.data.shift_y = (0.07, -0.04) if full else (0, 0)
-        obj.rotation_mode = 'QUATERNION'
-        for i, frame in enumerate(range(7, 17)):
-            eye = (3 * np.cos(0.2 * i), 3 * np.sin(0.2 * i), 1 + 0.1 * i)
-            obj.matrix_world = Matrix(by_hand.blender_matrix(by_hand.look_at(eye, (0, 0, 0.3))).tolist())
-            obj.data.lens = 30 + 2 * i
-            obj.keyframe_insert("location", frame=frame)
-            obj.keyframe_insert("rotation_quaternion", frame=frame)
-            obj.data.keyframe_insert("lens", frame=frame)
-        return obj
-
-    return fly
-
-
-def shots_of(scene, obj, now, first=7, last=16):
-    found = []
-    for frame in range(first, last + 1):
-        scene.frame_set(frame)
-        found.append(now(obj))
-    return found
-
-
-@pytest.mark.parametrize("splats", [False, True])
-@pytest.mark.parametrize("kind", FORMATS)
-def test_a_path_goes_out_and_comes_back(scene, flight, now, tmp_path, kind, splats, make_model, model_file, splat_object):
-    obj = flight(FORMATS[kind])
-    if splats:
-        matrix = Matrix.Translation((1, 2, 0)) @ Matrix.Rotation(0.3 if kind != 'SUPERSPLAT' else np.pi / 2, 4, 'Z')
-        matrix = matrix @ Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))) @ Matrix.Scale(2, 4)
-        splat_object(model_file(make_model()), matrix=np.array(matrix))
-    wanted = shots_of(scene, obj, now)
-    scene.frame_set(9)
-    file = tmp_path / ("model" if kind == 'COLMAP' else "path.json")
-    assert bpy.ops.fastgs.export_camera_path(filepath=str(file), format=kind) == {'FINISHED'}
-    assert scene.frame_current == 9
-    assert bpy.ops.fastgs.import_camera_path(filepath=str(file)) == {'FINISHED'}
-    assert scene.camera != obj and scene.frame_current == 9
-    for got, camera in zip(shots_of(scene, scene.camera, now), wanted, strict=True):
-        assert_same(got, camera)
-
-
-def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, camera_paths, module):
-    """Not only do export and import agree: the file itself is right, in the world of the capture's axes."""
-    wanted = shots_of(scene, flight(True), now)
-    bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "cameras.json"), format='CAMERAS_JSON')
-    upright = np.array(module("scene.objects").axes_matrix("RDF"))
-    for entry, camera in zip(json.loads((tmp_path / "cameras.json").read_text()), wanted, strict=True):
-        centre = np.linalg.inv(camera.world_to_camera)[:3, 3]
-        np.testing.assert_allclose(upright[:3, :3] @ entry["position"], centre, atol=1e-6)
-        np.testing.assert_allclose(upright[:3, :3] @ np.array(entry["rotation"])[:, 2], camera.world_to_camera[2, :3], atol=1e-6)
-        assert (entry["fx"], entry["fy"], entry["cx"]) == (camera.fx, camera.fy, camera.cx)
-
-
-def test_scaled_world_keeps_positions(scene, flight, now, tmp_path, make_model, model_file, splat_object):
-    obj = flight(False)
-    splats = splat_object(model_file(make_model()), matrix=np.diag([4.0, 4, 4, 1]))
-    scene.frame_set(7)
-    at = np.array(obj.matrix_world.translation)
-    bpy.context.view_layer.objects.active = splats
-    bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"), use_range=True, frame_start=7, frame_end=7)
-    (entry,) = json.loads((tmp_path / "p.json").read_text())["frames"]
-    np.testing.assert_allclose(np.linalg.inv(entry["world_to_camera"])[:3, 3], at / 4, atol=1e-6)
-    splats.scale = (1, 2, 1)
-    bpy.context.view_layer.update()
-    with pytest.raises(RuntimeError, match="stretched"):
-        bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"))
-
-
-def test_a_file_s_own_keys_are_fewer_and_editable(scene, fg, tmp_path, camera_paths, module):
-    rng = np.random.default_rng(0)
-    shots = [make_camera(fg, rng, 64, 48, full=False) for _ in range(21)]
-    path = camera_paths.CameraPath(shots, 12.0, 1, "RFU", [(0.0, shots[0]), (10.0, shots[10]), (20.0, shots[20])])
-    camera_paths.save_path(path, tmp_path / "p.json")
-    bpy.ops.fastgs.import_camera_path(filepath=str(tmp_path / "p.json"), keys='KEYS', keep_speed=True)
-    curves = list(module("scene.cameras.keys").curves(scene.camera))
-    assert len(curves) == 7
-    for curve in curves:
-        assert [round(point.co.x, 4) for point in curve.keyframe_points] == [1, 21, 41], "twice as long at 24 frames a second"
-    bpy.ops.fastgs.import_camera_path(filepath=str(tmp_path / "p.json"), set_scene=True)
-    assert (scene.render.fps, scene.frame_end) == (12, 21)
-    assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
-
-
-def test_the_scenes_camera_can_take_the_path(scene, flight, now, tmp_path):
-    obj = flight(False)
-    wanted = shots_of(scene, obj, now)
-    bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"))
-    rig = bpy.data.objects.new("Rig", None)
-    scene.collection.objects.link(rig)
-    obj.parent = rig
-    rig.location = (1, 1, 1)
-    count = len(bpy.data.objects)
-    bpy.ops.fastgs.import_camera_path(filepath=str(tmp_path / "p.json"), new_camera=False)
-    assert scene.camera == obj and len(bpy.data.objects) == count
-    for got, camera in zip(shots_of(scene, obj, now), wanted, strict=True):
-        assert_same(got, camera)
-
-
-def test_losses_and_errors_are_reported(scene, flight, add_camera, tmp_path, capfd):
-    flight(True)
-    bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"), format='NERFSTUDIO')
-    assert "shift" in capfd.readouterr().out
-    (tmp_path / "bad.json").write_text('{"camera_path": []}')
-    before = len(bpy.data.objects)
-    for path in ("bad.json", "absent.json"):
-        with pytest.raises(RuntimeError, match=path):
-            bpy.ops.fastgs.import_camera_path(filepath=str(tmp_path / path))
-    assert len(bpy.data.objects) == before
-    with pytest.raises(RuntimeError, match="absent"):
-        bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "absent" / "p.json"))
-    add_camera(type='ORTHO')
-    with pytest.raises(RuntimeError, match="Perspective"):
-        bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"))
-
-
-def test_menus():
-    def entries(menu):
-        return [f.__name__ for f in menu.draw._draw_funcs if "fastgs" in f.__module__]
-
-    assert entries(bpy.types.TOPBAR_MT_file_import) == ["draw_import"]
-    assert entries(bpy.types.TOPBAR_MT_file_export) == ["draw_export"]
