@@ -21,6 +21,7 @@ import fastgs_blender as fg
 from fastgs_blender.formats import identify
 
 pytestmark = pytest.mark.filterwarnings("error", "ignore::fastgs_blender.LossWarning")
+CAMERA = fg.Camera(20, 12, 8.0, 8.0, 10.0, 6.0, np.eye(4))
 KINDS = {
     "rgb.ply": {}, "sh3.ply": {"appearance": "sh3"},
     "lite.ply": {"basis": "cubic", "rotation_basis": "line", "temporal": "radial"},
@@ -69,6 +70,8 @@ def survives(path: Path) -> fg.GaussianModel:
     for t in (0.0, 0.4, 1.0):
         s = fg.slice_model(model, t, cull=False)
         assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features, s.velocity))
+    image = fg.render(model, CAMERA, 0.4, ("rgb", "alpha"), backend="cpu")
+    assert np.isfinite(image["rgb"]).all() and np.isfinite(image["alpha"]).all()
     return model
 
 
