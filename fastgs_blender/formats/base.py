@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError, LossWarning
 from ..util.version import VERSION
@@ -72,8 +73,10 @@ def usable(model: GaussianModel, path: Path) -> GaussianModel:
 
     Left out are those with NaN, infinite or absurd (> 1e18) numbers.  Infinities that have a meaning stay, as the finite
     number that means the same: opaque (logit inf), flat (ln 0) and unchanging (ln of an infinite time).
-    Raises FastGSError where nothing is left.
+    Raises FastGSError where nothing is left, and where the decoder, which all of them share, has absurd numbers.
     """
+    if isinstance(model.appearance, Features) and max(np.abs(w).max() for w in (model.appearance.w1, model.appearance.w2)) > LIMIT:
+        raise FastGSError(f"its decoder has weights above {LIMIT:.0e}; the training has probably diverged, so use an earlier checkpoint.")
     _tame(model)
     bad: dict[str, np.ndarray] = {}
     for name, array in model.arrays.items():

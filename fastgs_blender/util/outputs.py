@@ -6,6 +6,7 @@ A journal beside them, written before the first rename, names every rename; whoe
 """
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -88,8 +89,8 @@ def _aside(target: Path) -> Path:
 
 
 def _journal(target: Path) -> Path:
-    """Where the journal of a replacement lies whose last file is `target`."""
-    return target.with_name(f".{target.name}.fastgs-journal")
+    """Where the journal of a replacement lies whose last file is `target`; a hash, because names have a greatest length."""
+    return target.parent / f".fastgs-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}.journal"
 
 
 def _state(path: Path) -> list[int] | None:

@@ -242,6 +242,17 @@ def test_a_model_with_nan_is_written_without_complaint_of_numpy(model, tmp_path,
         assert len(fg.load(tmp_path / f"m{extension}")) in (38, 39)
 
 
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("extension", [".ply", ".safetensors"])
+@pytest.mark.parametrize("weight", [3e38, -1e19])
+def test_decoders_that_have_diverged_are_refused(rng, make_model, tmp_path, extension, weight):
+    model = make_model(rng, temporal="radial", appearance="sigmoid")
+    model.appearance.w2[1, 2] = weight
+    fg.save(model, tmp_path / f"m{extension}")
+    with pytest.raises(fg.FastGSError, match="decoder has weights above 1e\\+18.*diverged"):
+        fg.load(tmp_path / f"m{extension}")
+
+
 def test_a_long_provenance_is_left_out_of_ply_and_said(rng, make_model, tmp_path):
     model = make_model(rng, provenance={"log": "x" * 100_000})
     with pytest.warns(fg.LossWarning, match="provenance"):

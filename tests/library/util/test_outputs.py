@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from fastgs_blender.util.outputs import complete, replacing
 
 CALLS = ("replace", "unlink")
 FILES = ("m.pt", "m.ply")
+JOURNAL = re.compile(r"\.fastgs-\w+\.journal")
 
 
 def write_pair(folder, text: str) -> None:
@@ -72,7 +74,7 @@ def test_a_kill_at_any_step_leaves_both_old_or_both_new(tmp_path, before):
         assert found in ({before}, {"new"}), step
         seen |= found
         write_pair(folder, "newer")
-        assert pair(folder) == {"newer"} and not (folder / ".m.ply.fastgs-journal").exists()
+        assert pair(folder) == {"newer"} and not JOURNAL.search(str(os.listdir(folder)))
         step += 1
     assert step >= 3 and seen == {before, "new"} and pair(folder) == {"new"}
     assert sorted(os.listdir(folder)) == sorted(FILES)
@@ -159,7 +161,7 @@ def test_a_journal_from_a_stranger_touches_nothing_else(tmp_path, journal):
     folder.mkdir()
     for path in (tmp_path / "victim", folder / "victim", folder / ".fastgs-000000000000.tmp"):
         path.write_text("precious")
-    (folder / ".m.ply.fastgs-journal").write_text(journal)
+    outputs._journal(folder / "m.ply").write_text(journal)
     complete(folder / "m.ply")
     assert (tmp_path / "victim").read_text() == (folder / "victim").read_text() == "precious"
     assert sorted(os.listdir(folder)) == [".fastgs-000000000000.tmp", "victim"]
@@ -170,7 +172,7 @@ def test_a_rest_that_cannot_be_done_is_a_sentence(tmp_path, monkeypatch):
     part = tmp_path / ".fastgs-000000000000.tmp"
     part.write_text("new")
     step = [part.name, "m.ply", outputs._state(tmp_path / "m.ply")]
-    (tmp_path / ".m.ply.fastgs-journal").write_text(json.dumps({"steps": [step], "leftovers": []}))
+    outputs._journal(tmp_path / "m.ply").write_text(json.dumps({"steps": [step], "leftovers": []}))
 
     def refused(*_):
         raise PermissionError(13, "Permission denied")
@@ -189,3 +191,12 @@ def test_links_into_different_folders_are_refused(tmp_path):
     (tmp_path / "m.pt").symlink_to(tmp_path / "elsewhere" / "m.pt")
     with pytest.raises(fg.FastGSError, match="different folders"):
         write_pair(tmp_path, "new")
+
+
+def test_the_longest_names_are_replaced_together_too(tmp_path):
+    paths = [tmp_path / ("n" * 240 + end) for end in (".pt", ".ply")]
+    for text in ("old", "new"):
+        with replacing(paths) as parts:
+            for part in parts:
+                part.write_text(text)
+    assert [path.read_text() for path in paths] == ["new", "new"]
