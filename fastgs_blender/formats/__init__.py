@@ -26,6 +26,7 @@ from .inria import Inria
 from .ksplat import Ksplat
 from .mediastorm import MediastormPly
 from .native import Native
+from .sog import Sog
 from .splat import Splat
 from .splat4d import Splat4d
 from .splatv import Splatv
@@ -34,7 +35,7 @@ from .stg import SpacetimeGaussians
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), FourDGS(), Splat4d())
-STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)

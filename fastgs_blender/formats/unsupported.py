@@ -8,7 +8,7 @@ from pathlib import Path
 from . import ply
 
 MAGIC = {
-    b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .sog, .npz or plain .zip), not a model; open the .ply or .safetensors "
+    b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .npz or plain .zip), not a model; open the .ply or .safetensors "
                    "that belongs to it",
     b"\x1f\x8b": "it is a gzip file, but not .spz; unpack it first",
     b"glTF": "it is a glTF file, not a Gaussian model; in Blender use File > Import > glTF",

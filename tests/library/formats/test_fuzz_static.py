@@ -53,7 +53,22 @@ def ksplat(folder):
             for level, degree in ((0, 1), (1, 2), (2, 2))}
 
 
-SEEDS = {"m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
+def sog(folder):
+    from test_formats_sog import contents, zipped
+
+    rng = np.random.default_rng(5)
+    made = {f"v{version}-{degree}": {"m.sog": zipped(contents(rng, 9, degree, version)[0])} for version, degree in ((1, 0), (1, 2), (2, 1))}
+    return {"written": {"m.sog": saved(folder, "m.sog", appearance="sh2")}, **made}
+
+
+def sog_folder(folder):
+    from test_formats_sog import contents
+
+    rng = np.random.default_rng(6)
+    return {f"v{version}": contents(rng, 9, 1, version)[0] for version in (1, 2)}
+
+
+SEEDS = {"m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
 
 
 @pytest.mark.parametrize("name", SEEDS)
