@@ -14,7 +14,7 @@ from ..model.appearance import RGB, SH, SH_C0, Features
 from ..model.gaussians import GaussianModel
 from ..model.motion import Basis, Polynomial, Static
 from ..model.slicing import sigmoid
-from ..model.temporal import Always, Radial, Window, WindowedRadial
+from ..model.temporal import Always, Radial, Window
 from ..util import rotations
 
 CHUNK = 1 << 20
@@ -23,21 +23,8 @@ CHUNK = 1 << 20
 
 def lifetimes(model: GaussianModel) -> tuple[np.ndarray, np.ndarray]:
     """Begin and end [N] of the time in which each Gaussian can be seen, within the clip, never quite empty."""
-    n = len(model)
     visible = np.log(np.maximum(sigmoid(model.opacity) / model.raster.alpha_cut, 1))
-    if isinstance(model.temporal_kind, (Radial, WindowedRadial)):
-        reach = np.sqrt(visible * np.exp(-model.temporal[:, 0].astype(np.float64)))
-        low, high = model.mu_tau - reach, model.mu_tau + reach
-        if isinstance(model.temporal_kind, WindowedRadial):
-            _, begin, end, soft = model.temporal.T.astype(np.float64)
-            flank = np.exp(soft) * np.sqrt(visible)
-            low = np.clip(low, begin - flank, end + flank)
-            high = np.clip(high, begin - flank, end + flank)
-    elif isinstance(model.temporal_kind, Window):
-        begin, end, before, after = model.temporal.T.astype(np.float64)
-        low, high = begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
-    else:
-        low, high = np.zeros(n), np.ones(n)
+    low, high = model.temporal_kind.span(visible, model.mu_tau, model.temporal)
     low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
     short = np.maximum(0.5 / model.clip.frame_count - (high - low), 0) / 2
     return low - short, high + short

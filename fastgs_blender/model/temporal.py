@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Temporal opacity: the factor by which a Gaussian's opacity changes with time.
 
-The parameters are one array [N, P] per model, of which each kind says what its columns are.  `code` is how the
-kernels know the kind; `logarithms` says which columns are natural logarithms.
+The parameters are one array [N, P] per model; each kind says what its columns are.  `code` is how the kernels know the kind;
+`logarithms` says which columns are natural logarithms.  factor() is the opacity's factor at a time, span() the time in which the
+factor is at least exp(-visible).
 """
 from __future__ import annotations
 
@@ -27,6 +28,10 @@ class Always:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, P]."""
         return np.ones(len(mu_tau))
 
+    def span(self, visible, mu_tau, parameters):
+        """Begin and end [N] of the time in which the factor is at least exp(-visible [N]); the clip's where there is no end."""
+        return np.zeros(len(mu_tau)), np.ones(len(mu_tau))
+
 
 @dataclass(frozen=True)
 class Radial:
@@ -41,6 +46,11 @@ class Radial:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 1]."""
         delta = t - np.asarray(mu_tau, np.float64)
         return np.exp(-np.exp(np.asarray(parameters[:, 0], np.float64)) * delta**2)
+
+    def span(self, visible, mu_tau, parameters):
+        """As Always.span."""
+        reach = np.sqrt(visible * np.exp(-parameters[:, 0].astype(np.float64)))
+        return mu_tau - reach, mu_tau + reach
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,11 @@ class Window:
         early, late = np.maximum(begin - t, 0), np.maximum(t - end, 0)
         return np.exp(-((early / np.exp(before)) ** 2) - (late / np.exp(after)) ** 2)
 
+    def span(self, visible, mu_tau, parameters):
+        """As Always.span."""
+        begin, end, before, after = parameters.T.astype(np.float64)
+        return begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
+
 
 @dataclass(frozen=True)
 class WindowedRadial:
@@ -79,6 +94,13 @@ class WindowedRadial:
         _, begin, end, soft = np.asarray(parameters, np.float64).T
         outside = np.maximum(np.maximum(begin - t, t - end), 0)
         return Radial().factor(t, mu_tau, parameters) * np.exp(-((outside / np.exp(soft)) ** 2))
+
+    def span(self, visible, mu_tau, parameters):
+        """As Always.span; where both fade, a little more than that."""
+        _, begin, end, soft = parameters.T.astype(np.float64)
+        low, high = Radial().span(visible, mu_tau, parameters)
+        flank = np.exp(soft) * np.sqrt(visible)
+        return np.clip(low, begin - flank, end + flank), np.clip(high, begin - flank, end + flank)
 
 
 KINDS = {cls.name: cls for cls in (Always, Radial, Window, WindowedRadial)}

@@ -100,6 +100,18 @@ def test_temporal_opacity_is_between_0_and_1_and_window_is_flat(rng, temporal):
             assert (factor[inside] == 1).all() and (factor[~inside] < 1).all()
 
 
+@pytest.mark.parametrize("temporal", ["radial", "window", "radial-window"])
+def test_outside_its_span_a_gaussian_is_fainter(rng, temporal):
+    model = random_model(rng, 200, temporal=temporal)
+    visible = rng.uniform(0.1, 5, 200)
+    low, high = model.temporal_kind.span(visible, model.mu_tau, model.temporal)
+    for t in (low - 1e-4, high + 1e-4):
+        assert (model.temporal_kind.factor(t, model.mu_tau, model.temporal) < np.exp(-visible) * (1 + 1e-6)).all()
+    if temporal != "radial-window":
+        inside = model.temporal_kind.factor(0.5 * (low + high), model.mu_tau, model.temporal)
+        assert (inside >= np.exp(-visible)).all()
+
+
 def test_spherical_harmonics_are_orthonormal():
     """Gauss-Legendre in height, even steps around: exact for products of degree 4."""
     z, weight = np.polynomial.legendre.leggauss(8)
