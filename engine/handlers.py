@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What happens when a render job begins and when files are opened, saved and appended from."""
+"""Blender's handlers for the beginning of a render job and for opening, saving and appending files."""
 import bpy
 from bpy.app.handlers import persistent
 

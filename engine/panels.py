@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's own panels that make sense with our engine."""
+"""Shows those of Blender's own panels that make sense with our engine."""
 import bpy
 
 ENGINE = 'FASTGS'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What users do with 4D Gaussians in Blender: import, reload, fit the scene to a capture, bake, move cameras."""
+"""The operators: thin modules, one a menu entry, over what scene/ and engine/ do."""
 import bpy
 
 from . import (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Object > Bake to 4D Gaussians: animated objects become a model, without training."""
+"""Object > Bake to 4D Gaussians: turns animated objects into a model, without training."""
 from __future__ import annotations
 
 import time

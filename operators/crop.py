@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cropping a splat object with boxes, and writing what is left as a model of its own."""
+"""Operators that crop a splat object with boxes and write what is left as a model of its own."""
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reading the files of splat objects again, after they changed, came back or were chosen anew."""
+"""Reload: reads the files of splat objects again."""
 from __future__ import annotations
 
 import bpy

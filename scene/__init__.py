@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's scene as the library sees it: properties, objects, cameras, time; and what is made from it: splat objects, captures, runs."""
+"""Translates Blender's scene for the library: properties, objects, cameras, time; and makes splat objects, captures and training runs in it."""
 from . import properties, settings
 from .training import watch
 

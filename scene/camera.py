@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's camera as the library's: sensor fit, shift, pixel aspect, orthographic scale, clip start, border."""
+"""Converts Blender's camera to the library's and back: sensor fit, shift, pixel aspect, orthographic scale, clip start, border."""
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the library's colours to Blender's scene-linear ones, once, after blending.
+"""Converts the library's colours to Blender's scene-linear ones, once, after blending.
 
 Captures are display-referred: their Gaussians were fitted by blending sRGB numbers, so they are blended as such, and the
 blended colour of a pixel is decoded afterwards, without the alpha in it.  docs/colour.md says what that means for artists.

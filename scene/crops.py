@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crop boxes of splat objects: ordinary objects of the scene whose extent says which Gaussians are shown."""
+"""Reads and makes crop boxes of splat objects: ordinary objects of the scene whose extent says which Gaussians are shown."""
 from __future__ import annotations
 
 from pathlib import Path

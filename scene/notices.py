@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Messages to the user: a report in Blender and a line in the log."""
+"""Reports messages to the user in Blender and writes them to the log."""
 from __future__ import annotations
 
 import logging

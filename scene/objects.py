@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splat objects and the models that they show.
+"""Finds splat objects and holds the models that they show in memory.
 
 An object stores a path; the models live here, once for each file, and are dropped when no object shows them any more.
 """

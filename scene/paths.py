@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relative paths stay right when objects or .blend files move.  Blender does this for its own datablocks, not for an add-on's."""
+"""Keeps relative paths right when objects or .blend files move.  Blender does this for its own datablocks, not for an add-on's."""
 from __future__ import annotations
 
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The switch that hides proxies' points in viewports while the splats themselves are drawn there.
+"""Hides the points of proxies in viewports while the splats themselves are drawn there.
 
 It is one node of the Geometry Nodes group that all proxies of a .blend share (splats/proxy.py): the points stay for final
 renders of other engines, and their bounding box stays to be selected and framed.

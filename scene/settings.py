@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension's preferences say, for code that runs where Blender's context is out of bounds."""
+"""Holds the extension's preferences for code that must not use Blender's context, and sets up the log."""
 from __future__ import annotations
 
 import contextlib

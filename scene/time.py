@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a frame of the scene to a frame of a capture.  Nothing is ever rounded to a whole frame."""
+"""Maps a frame of the scene to a frame of a capture, for each object's retiming.  Nothing is ever rounded to a whole frame."""
 from __future__ import annotations
 
 from dataclasses import dataclass

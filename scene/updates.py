@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Update callbacks of properties: what Blender does when one of them changes.
+"""Update callbacks of properties: viewports and the compositor follow when one of them changes.
 
 This module does not hold bpy, because Blender 4.2 never lets go of such a function: one whose module holds bpy keeps the bpy
 wheel from closing down, which then crashes at exit.

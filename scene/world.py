@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colour behind the splats."""
+"""Finds the background colour of a view layer in its world."""
 from __future__ import annotations
 
 import bpy

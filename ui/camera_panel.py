@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera moves, in the sidebar of the 3D view."""
+"""The panel of camera moves in the sidebar of the 3D view."""
 import bpy
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Captures and camera paths, in the sidebar of the 3D view."""
+"""The panel of captures and camera paths in the sidebar of the 3D view."""
 import bpy
 
 

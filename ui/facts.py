@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the panels say about splat objects, as plain text.  Cheap enough for a redraw: no file is opened."""
+"""Facts about splat objects as plain text for panels.  Cheap enough for a redraw: no file is opened."""
 from __future__ import annotations
 
 import textwrap

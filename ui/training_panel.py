@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training, in the sidebar of the 3D view, and a line about it in the status bar."""
+"""The panels of training in the sidebar of the 3D view, and its line in the status bar."""
 from __future__ import annotations
 
 import bpy

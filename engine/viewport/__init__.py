@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splats in Blender's 3D viewports, drawn by the GPU."""
+"""Draws splats in Blender's 3D viewports on the GPU."""
 import bpy
 
 from ...scene import updates

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A 3D viewport's matrices as the library's camera."""
+"""Converts a 3D viewport's matrices to the library's camera."""
 from __future__ import annotations
 
 from dataclasses import dataclass

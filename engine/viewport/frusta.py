@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What cameras have filmed, shown on their frusta: the background images of cameras, at the current frame.
+"""Shows the background images of cameras (what they have filmed) on their frusta, at the current frame.
 
 Blender itself shows a background only to who looks through the camera.  Pictures are drawn where the frustum ends that Blender draws,
 and write depth, so that splats, which come after them, are hidden where they must be.

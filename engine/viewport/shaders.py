@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The compiled shaders and what they are drawn with."""
+"""Compiles the shaders, with the rectangle that each is drawn on."""
 from __future__ import annotations
 
 from functools import cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One thread that works for all viewports: of what a viewport asked for, only the latest is done."""
+"""A thread that works for all viewports: of the requests of a viewport only the latest is done."""
 from __future__ import annotations
 
 import logging

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From animated meshes to 4D Gaussians, without training."""
+"""Turns animated meshes into 4D Gaussians, without training."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""bake(): an animated mesh becomes 4D Gaussians, without training.
+"""bake() turns an animated mesh into 4D Gaussians, without training.
 
 Flat Gaussians are spread evenly over the surface; each follows its place on it through all frames, and its path and turning
 are written in a basis of time by least squares.

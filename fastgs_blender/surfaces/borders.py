@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a surface ends or bends sharply, and how near to that each sample lies: there a round Gaussian would stick out."""
+"""Finds where a surface ends or bends sharply, and each sample's distance from there: a round Gaussian would stick out."""
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points spread evenly over a triangle mesh: none in clumps, no holes, and no chance involved."""
+"""Spreads points evenly over a triangle mesh, without clumps or holes and without random numbers."""
 from __future__ import annotations
 
 import itertools

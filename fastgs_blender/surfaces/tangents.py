@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tangent frames of moving triangles: how a flat Gaussian on a surface lies, turns and must be sized."""
+"""Computes tangent frames of moving triangles: the rotation and the size of a flat Gaussian on a surface."""
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Places on a moving surface, and their paths and turnings as coefficients in time."""
+"""Fits the paths and rotations of places on a moving surface by coefficients in time."""
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes to bake: their surface, material colour and light."""
+"""Bakes meshes into 4D Gaussians: their surface, their materials' colour and their light."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light and shadow for baked Gaussians: Cycles measures the diffuse light that falls on each of them.
+"""Bakes light and shadow: Cycles measures the diffuse light that falls on each Gaussian of a baked surface.
 
 A small triangle stands for each Gaussian, just above the surface, in a temporary scene with the user's objects; Cycles
 bakes their light into the triangles' corners.  So light does not depend on how finely the objects are meshed, and

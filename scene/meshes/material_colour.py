@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colour of places on a surface from their materials, without a renderer: what the nodes say, as far as they can be read.
+"""Evaluates the colour of materials at places on a surface, without a renderer, as far as their nodes can be evaluated.
 
 A renderer's textures that only it can evaluate (noise, geometry, light paths) end in Unreadable, and the material's viewport
 colour takes their place.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The evaluated surface of objects, frame by frame: what rigs, shape keys and modifiers make of them, as arrays."""
+"""Records the evaluated surface of objects, frame by frame, as arrays: rigs, shape keys and modifiers are applied."""
 from __future__ import annotations
 
 import contextlib

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splat objects and their proxies: making and refreshing them."""
+"""Makes and refreshes splat objects and their proxies."""

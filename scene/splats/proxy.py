@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light mesh that stands for a 4D model in the scene: coloured points, never the Gaussians.
+"""Makes the small mesh that stands for a 4D model in the scene: coloured points, never the Gaussians.
 
 Points alone are drawn by no other engine, so one Geometry Nodes group (shared by all splat objects of a .blend) puts a small
 octahedron on each while Blender evaluates the scene.  What is stored stays the points.  Where viewports draw the splats

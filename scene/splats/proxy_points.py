@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which few points stand for a model: those that a proxy shows in Solid view and in other render engines.
+"""Chooses the few points that stand for a model in Solid view and in other render engines.
 
 Plain arrays, no Blender.  Everything is drawn without chance, so that the same file gives the same proxy.
 """

@@ -49,6 +49,23 @@ def test_a_rewrite_within_one_tick_of_the_clock_is_read(module, objects, make_mo
     np.testing.assert_array_equal(objects.load_model(path).position, changed.position)
 
 
+@pytest.mark.parametrize("harm", ["truncated", "overwritten"])
+def test_a_model_in_memory_survives_what_happens_to_its_file(objects, fg, make_model, model_file, harm):
+    """A page of a mapped file that is cut off under Blender kills it with SIGBUS, unsaved work included."""
+    made = make_model(20_000)
+    path = model_file(made)
+    model = objects.load_model(path)
+    with open(path, "r+b") as file:
+        if harm == "truncated":
+            file.truncate(0)
+        else:
+            file.write(b"\xff" * os.path.getsize(path))
+    for name, array in model.arrays.items():
+        np.testing.assert_array_equal(array, made.arrays[name])
+    with pytest.raises(fg.FastGSError, match="model.safetensors"):
+        objects.load_model(path)
+
+
 def test_threads_share_one_reading(objects, reads, make_model, model_file):
     path = model_file(make_model())
     models = []
