@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Translates Blender's scene for the library: properties, objects, cameras, time; and makes splat objects, captures and training runs in it."""
+"""Translates Blender's scene for the library (properties, objects, cameras, time), and makes splat objects, captures and runs in it."""
 from . import properties, settings
 from .training import watch
 

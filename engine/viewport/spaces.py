@@ -185,7 +185,7 @@ def _say_once(text):
 
 
 def _visible(obj, space) -> bool:
-    """Of an evaluated object: Blender 4.3 does not tell its original about local views."""
+    """Whether a viewport shows an evaluated object.  (In Blender 4.3 its original does not know about local views.)"""
     if obj.type == 'MESH' and not space.show_object_viewport_mesh:
         return False
     return obj.visible_in_viewport_get(space)

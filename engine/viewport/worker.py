@@ -44,7 +44,7 @@ class Worker:
             thread, self._thread, self._current = self._thread, None, None
             self._ready.notify_all()
         if thread is not None:
-            thread.join(10)  # it may compile; whatever it then says, nobody listens
+            thread.join(10)  # it may compile; its answer is then dropped
 
     def _run(self):
         own = threading.current_thread()

@@ -19,7 +19,7 @@ from .sampling import SurfaceSamples
 from .trajectories import MovingSurface, fit_paths, fit_turning
 
 THICKNESS = 0.1
-"""Standard deviation across the surface by the smaller one within it."""
+"""Standard deviation across the surface, as a share of the smaller one within it."""
 GREY = (0.906, 0.906, 0.906)
 """sRGB of Blender's default, linear 0.8."""
 OPAQUE = 0.99
@@ -31,7 +31,7 @@ Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class BakeReport:
-    """What a bake did.
+    """The result of a bake in figures.
 
     gaussians                    number of Gaussians
     basis, rotation_basis        of positions and of quaternions, with the orders that were chosen
@@ -194,7 +194,7 @@ def _numbers(name, values, triangles):
 
 
 def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
-    """What bake() makes of a function of colours: r, g, b and opacity [N, 4], to change them or to give them to it."""
+    """Evaluate a function of colours at the samples as bake() does: r, g, b and opacity [N, 4].  bake() takes the result, changed or not."""
     return _colours(colours, _checked(positions, triangles)[0], samples, True)
 
 

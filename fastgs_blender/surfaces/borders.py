@@ -11,7 +11,7 @@ from .sampling import near_pairs, triangle_normals
 SHARP = np.cos(np.radians(25.0))
 """Two triangles that meet at more than this angle meet at a border."""
 SAME_SIDE = 0.7
-"""Least cosine between the normals of a sample and of a border's triangle that may be one surface."""
+"""Least cosine between the normals of a sample and of a border's triangle for both to lie on one surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,12 @@ def welded(points: np.ndarray) -> np.ndarray:
 
 
 def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of samples (position, unit normal [N, 3]): the direction across the nearest border of their surface [N, 3], 0 where none is
-    within reach, and the distances [N, 2] to it and, along it, to the nearest other border (at most reach)."""
+    """(direction [N, 3], distance [N, 2]) of samples to the borders of their surface.
+
+    position, normal  [N, 3] of the samples, the normals of unit length
+    direction         across the nearest border, away from it; 0 where none is within reach
+    distance          to that border and, along it, to the nearest other border; at most `reach`
+    """
     n = len(position)
     direction, distance = np.zeros((n, 3)), np.full((n, 2), float(reach))
     if not len(borders.start):

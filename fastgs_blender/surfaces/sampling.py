@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 OVERSAMPLING = 2
-"""Candidates for each point that is kept."""
+"""Number of candidates for each point that is kept."""
 FOLDED = 64.0
 """A surface that is stretched by more than this at another time is folded up."""
 
@@ -52,7 +52,7 @@ def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: 
     candidates, weights = _stratified(corners.mean(1), area, OVERSAMPLING * count)
     # Distances count in the metric in which `area` is the surface's area.
     stretch = np.sqrt(np.divide(area, true_area, out=np.full_like(area, np.inf), where=true_area > 0))[candidates]
-    # What is folded up now, and large at another time, has no distances: every other candidate stays.
+    # A triangle that is folded up now, and large at another time, has no distances: every other candidate stays.
     folded = np.flatnonzero(stretch > FOLDED)
     left = np.delete(np.arange(len(candidates)), folded[::2])
     candidates, weights, stretch = candidates[left], weights[left], stretch[left]
@@ -109,7 +109,7 @@ def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
 def neighbours(position, normal, stretch, radius):
     """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1.
 
-    position, normal [M, 3]; stretch [M], by which distances count more.  Of very different stretch none are neighbours.
+    position, normal [M, 3]; stretch [M] multiplies distances.  Points of very different stretch are never neighbours.
     """
     level = np.where(stretch > FOLDED, 99, np.round(np.log2(np.maximum(stretch, 1e-9)))).astype(int)
     found = []

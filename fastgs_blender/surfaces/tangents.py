@@ -52,8 +52,12 @@ def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) ->
 
 
 def plane(edges: np.ndarray):
-    """Of triangles with edges [U, 2, 3]: axes [U, 2, 3] of their planes, the matrix [U, 2, 2] from coordinates along these to
-    factors of the two edges, and which triangles have no area."""
+    """(axes, inverse, flat) of the planes of triangles with edges [U, 2, 3].
+
+    axes     [U, 2, 3]  unit vectors
+    inverse  [U, 2, 2]  from coordinates along the axes to factors of the two edges
+    flat     [U]        whether the triangle has no area
+    """
     a, b = edges[:, 0], edges[:, 1]
     length = np.linalg.norm(a, axis=-1)
     x = a / np.where(length > 0, length, 1)[:, None]

@@ -15,25 +15,25 @@ from .sampling import SurfaceSamples, sample_surface, triangle_normals
 from .tangents import plane, tangents
 
 STILL = 1e-4
-"""Motion of less than this share of the object's size is none."""
+"""Motion of less than this share of the object's size counts as no motion."""
 FOLLOW = 0.1
 """However small the motion, the fit leaves at most this share of it: a breathing chest must not freeze within the tolerance."""
 TURN = np.radians(1.0)
-"""The mean error of rotations that their order is chosen for."""
+"""Mean error of rotations, in radians, that the order of their basis is chosen for."""
 MARGIN = 0.97
-"""Orders are chosen on some of the samples; this much below the tolerance all of them keep to it."""
+"""Orders are chosen on some of the samples for this share of the tolerance, so that all samples stay within the tolerance."""
 
 WIDTH = 0.85
-"""Standard deviation in the surface by the distance of neighbours.  Less leaves the gaps of an even sampling open (an opaque
+"""Standard deviation in the surface, as a multiple of the distance of neighbours.  Less leaves the gaps of an even sampling open (an opaque
 sheet has at least 96 % alpha everywhere at 0.85, 84 % at 0.7); more blurs texture and outline."""
 NARROWEST, WIDEST = 0.3, 3.0
-"""A Gaussian's width by the usual one, however the surface is stretched; and near a border."""
+"""Limits of a Gaussian's width, as multiples of the usual one, where the surface is stretched or ends."""
 TO_BORDER = 1.2
-"""Standard deviation across a border by the distance to it: alpha has fallen to 0.7 there.  The two sides of an edge, or the
+"""Standard deviation across a border, as a multiple of the distance to it: alpha has fallen to 0.7 there.  The two sides of an edge, or the
 layers of a solid, are opaque together, and little sticks out."""
 
 PROBES = 3000
-"""Samples that the orders are chosen by, of each part at least a tenth of them."""
+"""Number of samples that orders are chosen by; each part has at least a tenth of so many."""
 CHUNK = 16_000_000
 """Numbers held at once while fitting: 128 MB."""
 
@@ -87,7 +87,7 @@ class MovingSurface:
     def footprints(self, samples: SurfaceSamples) -> np.ndarray:
         """Barycentric weights [7, N, 3] of a Gaussian's centre and six places around it, over which its colour is the mean.
 
-        Of a large triangle none lies outside; small ones are seen as pieces of a smooth whole, which goes on around them.
+        None lies outside a large triangle; a small one is taken as a piece of a smooth surface that continues around it.
         """
         corners = self.corners(samples.triangle, self.pose)
         _, inverse, flat = plane(corners[:, 1:] - corners[:, :1])

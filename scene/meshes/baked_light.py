@@ -22,7 +22,7 @@ NAME = "FAST-GS light"
 LIFT = 0.05
 """Distance of the triangles from the surface, by the distance of neighbouring Gaussians, and their size."""
 BOUNCES = 3
-"""Light that was reflected more often no longer tells."""
+"""Reflections of light that Cycles follows; later ones hardly add any."""
 BLACK = 0.02
 """Less light than this comes from inside."""
 REACH = 2.5

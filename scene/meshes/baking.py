@@ -54,7 +54,7 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
         recorder = Recorder(context, objects)
         simulated = any(whole_frames_only(obj) for obj in objects)
         times = frame_times(settings.frame_start, settings.frame_end, 1 if simulated else settings.samples_per_frame)
-        if simulated:  # a simulation knows no frame to which it has not been played
+        if simulated:  # a simulation has no frame to which it was not played
             for frame in range(scene.frame_start, settings.frame_start):
                 go_to(scene, frame)
                 yield 0.0

@@ -15,7 +15,7 @@ from ..objects import is_splat
 
 MESHABLE = {'MESH', 'CURVE', 'SURFACE', 'FONT', 'META'}
 SIMULATED = {'CLOTH', 'SOFT_BODY', 'FLUID', 'DYNAMIC_PAINT', 'PARTICLE_SYSTEM', 'EXPLODE', 'OCEAN'}
-"""Modifiers that know whole frames only, or must be played from their first one."""
+"""Modifiers that can be evaluated on whole frames only, or must be played from their first frame."""
 
 
 @dataclass(eq=False)
@@ -103,7 +103,7 @@ class Recorder:
         finally:
             obj.to_mesh_clear()
         if not np.isfinite(points).all():
-            raise FastGSError(f'"{owner}" has vertices that are nowhere (not finite numbers) on frame {frame:g}; mend its mesh.')
+            raise FastGSError(f'"{owner}" has vertices whose positions are not finite numbers on frame {frame:g}; repair its mesh.')
         return (points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
     def _compare(self, owner, key, vertices, loops, frame):
@@ -153,7 +153,7 @@ def bakeable(obj: bpy.types.Object) -> bool:
 
 
 def whole_frames_only(obj: bpy.types.Object) -> bool:
-    """Whether an object is moved by a simulation, which must not be asked for half frames."""
+    """Whether an object is moved by a simulation, which cannot be evaluated on half frames."""
     while obj is not None:
         if obj.rigid_body or any(m.type in SIMULATED or (m.type == 'NODES' and _simulates(m.node_group)) for m in obj.modifiers):
             return True
@@ -174,7 +174,7 @@ def go_to(scene, frame: float) -> None:
 
 @contextlib.contextmanager
 def frame_kept(scene):
-    """Whatever happens in the block, the scene is at its frame again afterwards."""
+    """Restore the scene's frame after the block, also after an error."""
     frame, subframe = scene.frame_current, scene.frame_subframe
     try:
         yield
