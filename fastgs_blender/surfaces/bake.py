@@ -194,7 +194,7 @@ def _numbers(name, values, triangles):
 
 
 def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
-    """Evaluate a function of colours at the samples as bake() does: r, g, b and opacity [N, 4].  bake() takes the result, changed or not."""
+    """Evaluate a function of colours at the samples as bake(): r, g, b and opacity [N, 4].  bake() takes them back, changed or not."""
     return _colours(colours, _checked(positions, triangles)[0], samples, True)
 
 
