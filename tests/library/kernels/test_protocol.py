@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The protocol of backends suffices: rendering, viewports and training run through one whose arrays NumPy cannot touch."""
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_backend import METHODS, FakeBackend
+from random_cameras import random_pose
+from random_models import random_model
+from toy_captures import toy_capture
+
+import fastgs_blender as fg
+from fastgs_blender.kernels.protocol import PictureBackend, TrainingBackend
+from fastgs_blender.rendering import visibility
+from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.passes import PASSES
+from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.util import backends
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    backend = FakeBackend()
+    monkeypatch.setitem(backends.loaded, "fake", backend)
+    return backend
+
+
+@pytest.mark.parametrize(("name", "protocol"), [("cpu", TrainingBackend), ("reference", PictureBackend)])
+def test_backends_offer_what_the_protocol_says(name, protocol):
+    backend = backends.load_backend(name)
+    for method in (each for each in dir(protocol) if not each.startswith("_")):
+        wanted = list(inspect.signature(getattr(protocol, method)).parameters)[1:]
+        assert list(inspect.signature(getattr(backend, method)).parameters)[:len(wanted)] == wanted, method
+
+
+def test_a_picture_through_the_protocol(rng, fake):
+    """Models with and without decoders together, all passes; and what a viewport sorts."""
+    camera = fg.Camera(60, 44, 50, 50, 30, 22, random_pose(rng, 2.5))
+    scene = [(random_model(rng, 80, appearance=look), np.eye(4), 0.3) for look in ("rgb", "sigmoid", "sh1", "none")]
+    for models in (scene, scene[1:2], scene[:1]):
+        wanted, got = (fg.render(models, camera, passes=tuple(PASSES), backend=name) for name in ("cpu", "fake"))
+        assert wanted["alpha"].max() > 0.5
+        assert all(np.array_equal(got[name], wanted[name]) for name in PASSES)
+    seen = [Instance(*each).viewed(camera) for each in scene]
+    np.testing.assert_array_equal(visibility.order(seen, camera, backend="fake"), visibility.order(seen, camera, backend="cpu"))
+    assert set(fake.calls) == {"draw", "colour", "numpy", "front_to_back"}
+
+
+@pytest.mark.parametrize(("density", "mask", "options"), [
+    ("default", False, {"backdrop_hold": 5.0, "motion_weight": 0.1}),
+    ("mcmc", True, {"batch": 2, "appearance": "rgb", "motion": "keyframes", "regulariser": "group", "masks": "weight"}),
+])
+def test_training_through_the_protocol(fake, density, mask, options):
+    """The same bytes as on the CPU; within a step nothing is brought back but a few numbers at its end."""
+    capture, store, points = toy_capture(frames=3, views=3, mask=mask)
+    chosen = settings.settings(iterations=12, densify_every=5, densify_from=0.0, densify_until=1.0, threshold=1e-6, reset_every=4,
+                               density=density, preview_every=0, **options)
+    model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
+    ours, theirs = (Trainer(capture, store, chosen, model, sizes=sizes, backend=name) for name in ("cpu", "fake"))
+    used = set()
+    for number in range(1, 13):
+        fake.calls.clear()
+        assert ours.step() == theirs.step()
+        used |= set(fake.calls)
+        assert fake.calls.count("read") == 1
+        if not theirs.strategy.acts(number):
+            assert "numpy" not in fake.calls
+    assert len(ours) > len(points)
+    for mine, other in zip(ours.state()[0].items(), theirs.state()[0].items()):
+        assert mine[0] == other[0] and np.array_equal(mine[1], other[1], equal_nan=True), mine[0]
+    needed = {"splat", "compare", "backward", "rows", "count", "waits", "motion_penalty", "hold", "adam", "array", "zeros", "read"}
+    assert needed | ({"shrink", "shake"} if density == "mcmc" else set()) <= used <= METHODS
+    again = Trainer(capture, store, chosen, backend="fake")
+    again.restore(*theirs.state())
+    assert ours.step() == again.step()
+    assert theirs.measure(capture.held_out[:1])[0] > 0
+
+
+WITHOUT_TORCH = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        assert name.partition(".")[0] not in ("torch", "bpy"), name + " was imported"
+
+sys.meta_path.insert(0, Refuse())
+sys.path.insert(0, "tests/library")
+from pathlib import Path
+from toy_captures import write_capture
+from fastgs_blender import cli
+
+folder = Path(sys.argv[1])
+write_capture(folder / "toy", 2, 3)
+assert cli.main(["train", str(folder / "toy"), "--out", str(folder / "run"), "--quiet", "--iterations", "3", "--set", "start=file"]) == 0
+"""
+
+
+def test_training_needs_no_torch(tmp_path):
+    result = subprocess.run([sys.executable, "-c", WITHOUT_TORCH, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0 and (tmp_path / "run" / "model.safetensors").is_file(), result.stderr
