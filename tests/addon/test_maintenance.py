@@ -48,7 +48,7 @@ def test_compile_now_and_clear(module, empty_cache):
     assert not cache.is_filled()
     assert bpy.ops.fastgs.compile_kernels() == {'FINISHED'}
     names = {path.name.partition("-")[0] for path in empty_cache.rglob("*.nbi")}
-    assert {"project.project", "raster.rasteriser.locals.rasterise", "decode.decode", "sort._scatter"} <= names
+    assert {"project.project", "raster.rasteriser.locals.rasterise", "decode.decode", "sort.scatter"} <= names
     assert cache.size() > 100_000
     # a process that renders finds them: nothing is announced, nothing is added
     files = set(empty_cache.rglob("*.nbc"))

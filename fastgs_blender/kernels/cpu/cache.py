@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where compiled kernels are kept.  Light: says so without importing numba."""
+"""The folder of the compiled kernels, and whether it is filled; without importing numba."""
 from __future__ import annotations
 
 import hashlib
 import os
 import shutil
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+COMPLETE = "complete"
+"""Name of the file that says that a compilation ahead came to its end."""
 _chosen: Path | None = None
 
 
@@ -44,8 +47,20 @@ def folder() -> Path:
 
 
 def is_filled() -> bool:
+    """Whether all kernels that warm.py compiles have been compiled, by this version."""
+    return (folder() / COMPLETE).is_file()
+
+
+def is_begun() -> bool:
     """Whether any kernel of this version has been compiled."""
     return any(folder().rglob("*.nbi"))
+
+
+def mark_filled() -> None:
+    """Note that warm.py has come to its end; where the folder cannot be written, nothing is noted."""
+    with suppress(OSError):
+        folder().mkdir(parents=True, exist_ok=True)
+        (folder() / COMPLETE).touch()
 
 
 def size() -> int:

@@ -48,6 +48,6 @@ def announce():
     if _announced.is_set():
         return
     _announced.set()
-    if not cache.is_filled():
+    if not cache.is_begun():
         print("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.",
               file=sys.stderr, flush=True)

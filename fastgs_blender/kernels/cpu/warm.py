@@ -10,12 +10,13 @@ from ...model.gaussians import GaussianModel
 from ...rendering.api import render
 from ...rendering.instances import Instance
 from ...rendering.visibility import importance_rank, order
+from . import cache
 
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
 
 
 def compile_all(progress=lambda fraction: None) -> None:
-    """Render a few specks with every kind of colour and every common set of passes."""
+    """Render a few specks with every kind of colour and every common set of passes; at the end the cache counts as filled."""
     camera = Camera(16, 16, 16, 16, 8, 8, np.eye(4))
     models = [GaussianModel(position=np.diag([0.1, 0.2, 2.0]) + [0, 0, 1], rotation=np.eye(4)[:3], scale=np.full((3, 3), -2),
                             opacity=np.ones(3), features=np.ones((3, look.width)), appearance=look) for look in (RGB(), Features())]
@@ -26,6 +27,7 @@ def compile_all(progress=lambda fraction: None) -> None:
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
     order([instance], camera)
     order([instance], camera, 0.5, importance_rank)
+    cache.mark_filled()
 
 
 if __name__ == "__main__":
