@@ -9,7 +9,7 @@
 from .cameras.camera import Camera
 from .cameras.cameras_json import load_cameras
 from .formats import load, save
-from .model.appearance import RGB, SH, Features
+from .model.appearance import RGB, SH, Changing, Features
 from .model.gaussians import Clip, GaussianModel, Raster
 from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
 from .model.slicing import Slice, freeze, slice_model
@@ -21,7 +21,7 @@ from .util.version import VERSION
 
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Always", "BakeReport", "Camera", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes",
-    "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",
+    "RGB", "SH", "Always", "BakeReport", "Camera", "Changing", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel",
+    "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",
     "freeze", "load", "load_cameras", "render", "save", "slice_model",
 ]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.appearance import SH, SH_C0, Features
+from ...fastgs_blender.model.appearance import SH, SH_C0, Features, momentary
 from ...fastgs_blender.model.gaussians import GaussianModel
 
 RGB, HARMONICS, FEATURES = range(3)
@@ -54,10 +54,11 @@ class TexelLayout:
 def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
     colours, degree = RGB, 0
-    if isinstance(model.appearance, Features):
+    look = momentary(model.appearance)
+    if isinstance(look, Features):
         colours = FEATURES
-    elif isinstance(model.appearance, SH) and model.appearance.degree:
-        colours, degree = HARMONICS, model.appearance.degree
+    elif isinstance(look, SH) and look.degree:
+        colours, degree = HARMONICS, look.degree
     return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
                        colours, degree)
 
@@ -89,18 +90,19 @@ def write_geometry(model: GaussianModel, out: np.ndarray) -> None:
 
 
 def write_colour(model: GaussianModel, out: np.ndarray) -> None:
-    """Write the colour texels into out [N, layout.colour, 4]."""
+    """Write the colour texels into out [N, layout.colour, 4].  Colours that change in time stay at their constant terms."""
     p = layout_of(model)
     n = len(model)
     if not n:
         return
     out[:] = 0
-    features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
+    look = momentary(model.appearance)
+    features = np.nan_to_num(model.features[:, :look.width], nan=0, posinf=0, neginf=0)
     if p.colours == HARMONICS:
         out.reshape(n, -1)[:, :features.shape[1]] = features
     elif p.colours == FEATURES:
         out[:, :, :3] = features.reshape(n, 3, 3)
-    elif isinstance(model.appearance, SH):
+    elif isinstance(look, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)
     else:
         out[:, 0, :3] = features

@@ -19,6 +19,7 @@ from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
 from .base import Format, usable
 from .compressed_ply import CompressedPly
+from .dynamic3d import Dynamic3DGaussians
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
@@ -34,7 +35,8 @@ from .spz import Spz
 from .stg import SpacetimeGaussians
 from .unsupported import explain
 
-DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), FourDGS(), Splat4d())
+DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
+                               Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""

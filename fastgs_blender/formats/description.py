@@ -9,7 +9,7 @@ import json
 import math
 from dataclasses import MISSING, asdict, fields
 
-from ..model.appearance import APPEARANCES, Appearance
+from ..model.appearance import APPEARANCES, Appearance, Changing
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.temporal import Always, Radial, temporal_by_name
@@ -21,11 +21,9 @@ MAX_PROVENANCE = 1 << 16
 
 def describe(model: GaussianModel) -> dict:
     """The model's kinds and constants as JSON values; a decoder's weights are arrays and not among them."""
-    look = model.appearance
-    appearance = {"name": look.name} | {key: getattr(look, key) for key in look.recorded}
     return {
         "basis": basis_to_dict(model.basis), "rotation_basis": basis_to_dict(model.rotation_basis),
-        "temporal": model.temporal_kind.name, "appearance": appearance, "raster": asdict(model.raster),
+        "temporal": model.temporal_kind.name, "appearance": _described(model.appearance), "raster": asdict(model.raster),
         "clip": asdict(model.clip), "axes": model.axes, "colour_space": model.colour_space,
         "provenance": {str(k): str(v) for k, v in model.provenance.items()},
     }
@@ -126,11 +124,21 @@ def _basis(values) -> Basis:
     return basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
 
 
+def _described(look: Appearance) -> dict:
+    values = {"name": look.name} | {key: getattr(look, key) for key in look.recorded}
+    return values | {"look": _described(look.look), "basis": basis_to_dict(look.basis)} if isinstance(look, Changing) else values
+
+
 def _appearance(values) -> Appearance:
     name = values.get("name") if isinstance(values, dict) else None
     if not isinstance(name, str) or name not in APPEARANCES:
         raise FastGSError(f"the appearance {_short(name)} is unknown; this version knows {', '.join(APPEARANCES)}.")
     kind = APPEARANCES[name]
+    if kind is Changing:
+        look = values.get("look")
+        if not isinstance(look, dict) or look.get("name") == Changing.name:
+            raise FastGSError("colours that change in time are of nothing known; the file is damaged.")
+        return Changing(_appearance(look), _basis(values.get("basis")))
     return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded})
 
 

@@ -10,7 +10,7 @@ from math import comb, pi, sqrt
 
 import numpy as np
 
-from ..model.appearance import RGB, SH, SH_C0, Features
+from ..model.appearance import RGB, SH, SH_C0, Changing, Features
 from ..model.gaussians import GaussianModel
 from ..model.motion import Basis, Polynomial, Static
 from ..model.slicing import sigmoid
@@ -140,6 +140,10 @@ def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
 
 def plain_colour(model: GaussianModel, keep_features: bool) -> tuple[GaussianModel, list[str]]:
     """A model whose appearance is RGB (or Features, where these may stay)."""
+    if isinstance(model.appearance, Changing):
+        look = model.appearance.look
+        model, lost = plain_colour(replace(model, appearance=look, features=model.features[:, :look.width]), keep_features)
+        return model, ["its colours, which change in time, stay at their constant terms", *lost]
     look, f = model.appearance, model.features.astype(np.float64)
     if isinstance(look, SH):
         lost = [f"its view-dependent colour (SH degree {look.degree}) becomes its mean"] if look.degree else []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model.appearance import RGB, SH, SH_C0
+from ..model.appearance import RGB, SH, SH_C0, Changing
 from ..model.gaussians import GaussianModel, Raster
 from ..model.slicing import sigmoid
 from ..model.temporal import Always
@@ -56,7 +56,8 @@ class StaticFormat(Format):
 
 def static(model: GaussianModel, name: str) -> tuple[GaussianModel, list[str]]:
     """The model in the axes RDF without Gaussians that are not finite numbers, and clauses; refuses what changes over time."""
-    if model.basis.terms or model.rotation_basis.terms or not isinstance(model.temporal_kind, Always):
+    changes = model.basis.terms or model.rotation_basis.terms or isinstance(model.appearance, Changing)
+    if changes or not isinstance(model.temporal_kind, Always):
         raise FastGSError(f"the model changes over time and {name} cannot hold that; write one frame of it "
                           "(fastgs convert --at FRAME, or freeze(model, t)), or save it as .safetensors.")
     bad = np.zeros(len(model), bool)

@@ -13,6 +13,8 @@ from typing import ClassVar
 import numpy as np
 
 from ..util.errors import FastGSError
+from .basis import Basis
+from .motion import Static
 
 SH_C0 = 0.28209479177387814
 SH_C1 = 0.4886025119029199
@@ -127,7 +129,54 @@ class Features(Appearance):
         return np.clip(rgb, 0, 1) if self.activation == "clamp" else rgb
 
 
-APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features)}
+@dataclass(frozen=True)
+class Changing(Appearance):
+    """Plain colour or spherical harmonics whose columns change in time: f(t) = f_0 + sum_k w_k(t) f_k.
+
+    Columns: those of `look` for f_0, then for each coefficient f_k of `basis`.  At one time it is `look`: momentary(), features_at().
+    """
+
+    name: ClassVar[str] = "changing"
+    look: RGB | SH = field(default_factory=RGB)
+    basis: Basis = field(default_factory=Static)
+
+    def __post_init__(self):
+        if not isinstance(self.look, (RGB, SH)) or not isinstance(self.basis, Basis):
+            raise FastGSError(f"colours that change in time need RGB or SH and a basis of time, not {self.look!r} and {self.basis!r}.")
+
+    @property
+    def width(self) -> int:
+        return self.look.width * (1 + self.basis.terms)
+
+    def features_of(self, rgb):
+        features = np.zeros((len(rgb), self.width))
+        features[:, :self.look.width] = self.look.features_of(rgb)
+        return features
+
+    def plain_colours(self, features):
+        """Those of its look, of features at one time or of constant terms."""
+        return self.look.plain_colours(features[:, :self.look.width])
+
+
+APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features, Changing)}
+
+
+def momentary(appearance: Appearance) -> RGB | SH | Features:
+    """The appearance of a model at one time: that of the features which features_at() gives."""
+    return appearance.look if isinstance(appearance, Changing) else appearance
+
+
+def features_at(appearance: Appearance, features: np.ndarray, t: float, mu_tau: np.ndarray) -> np.ndarray:
+    """Features [N, momentary F] float64 at time t, of a model's features [N, F] and temporal centres [N].
+
+    Those of an appearance that does not change are as they are; the decoder's time features are not yet multiplied by t - mu_tau.
+    """
+    features = np.asarray(features, np.float64)
+    if not isinstance(appearance, Changing):
+        return features
+    width = appearance.look.width
+    coefficients = features[:, width:].reshape(len(features), appearance.basis.terms, width)
+    return features[:, :width] + appearance.basis.evaluate(coefficients, t, mu_tau)[0]
 
 
 def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:

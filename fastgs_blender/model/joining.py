@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..util.errors import FastGSError
-from .appearance import Features
+from .appearance import Changing, Features
 from .gaussians import Clip, GaussianModel
 from .motion import Basis
 from .temporal import Always, Radial, WindowedRadial
@@ -58,6 +58,8 @@ def _same(first: GaussianModel, other: GaussianModel):
     look, its = first.appearance, other.appearance
     if type(look) is not type(its) or first.raster != other.raster or first.axes != other.axes or first.colour_space != other.colour_space:
         raise FastGSError("the segments cannot be joined: their appearance, rasteriser constants, axes or colour space differ.")
+    if isinstance(look, Changing):
+        raise FastGSError("the segments cannot be joined: their colours change in time.")
     if isinstance(look, Features):
         same = np.array_equal(look.w1, its.w1) and np.array_equal(look.w2, its.w2) and look.activation == its.activation
     else:

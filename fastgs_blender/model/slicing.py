@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..util import rotations
-from .appearance import Features
+from .appearance import Features, features_at, momentary
 from .gaussians import GaussianModel
 from .motion import Static
 from .temporal import Always
@@ -51,7 +51,7 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     mu_tau = model.mu_tau[index].astype(np.float64)
     offset, velocity = model.basis.evaluate(model.motion[index], t, mu_tau)
     turn, _ = model.rotation_basis.evaluate(model.rotation_motion[index], t, mu_tau)
-    features = model.features[index].astype(np.float64)
+    features = features_at(model.appearance, model.features[index], t, mu_tau)
     if isinstance(model.appearance, Features):
         features[:, 6:9] *= (t - mu_tau)[:, None]
     return Slice(
@@ -77,6 +77,6 @@ def freeze(model: GaussianModel, t: float) -> GaussianModel:
     odds = np.clip(s.opacity, 1e-7, 1 - 1e-7)
     return replace(
         model, position=s.position, rotation=s.rotation, scale=np.log(s.scale), opacity=np.log(odds / (1 - odds)),
-        features=features, motion=None, rotation_motion=None, mu_tau=mu_tau, temporal=None,
+        features=features, appearance=momentary(model.appearance), motion=None, rotation_motion=None, mu_tau=mu_tau, temporal=None,
         basis=Static(), rotation_basis=Static(), temporal_kind=Always(), clip=replace(model.clip, frame_count=1),
     )

@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.appearance import SH, Features, decode, sh_basis
+from ..model.appearance import SH, Features, decode, momentary, sh_basis
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import kept_by
@@ -44,7 +44,7 @@ class Splats:
 
 def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
-    appearance = instance.model.appearance
+    appearance = momentary(instance.model.appearance)
     if not isinstance(appearance, SH):
         return s.features
     if camera.orthographic:

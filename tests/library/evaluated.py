@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 import fastgs_blender as fg
-from fastgs_blender.model.appearance import RGB, sh_basis
+from fastgs_blender.model.appearance import RGB, momentary, sh_basis
 
 TOLERANCE = 1e-4
 
 
 def colours(appearance, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Colours [N, 3] that a model's features [N, F] give in directions [N, 3]."""
+    appearance = momentary(appearance)
     if isinstance(appearance, RGB):
         return np.asarray(features, np.float64)
     basis = sh_basis(directions, appearance.degree)

@@ -18,7 +18,7 @@ BASES = {
 }
 TEMPORALS = {"always": fg.Always(), "radial": fg.Radial(), "window": fg.Window(),
              "radial-window": fg.WindowedRadial()}
-APPEARANCES = ("rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none")
+APPEARANCES = ("rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "changing rgb", "changing sh1")
 """SH by degree, features by the decoder's activation."""
 
 
@@ -26,6 +26,8 @@ def random_appearance(rng: np.random.Generator, name: str) -> fg.RGB | fg.SH | f
     """The appearance of a name in APPEARANCES; decoders get random weights."""
     if name == "rgb":
         return fg.RGB()
+    if name.startswith("changing"):
+        return fg.Changing(random_appearance(rng, name.split()[1]), BASES["fourier" if name.endswith("rgb") else "cubic"])
     if name.startswith("sh"):
         return fg.SH(int(name[2:]))
     return fg.Features(rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6)), name)
@@ -52,6 +54,8 @@ def random_model(rng: np.random.Generator, n: int = 40, basis="static", rotation
     elif isinstance(appearance, fg.SH):
         features = rng.normal(0, 0.3, (n, appearance.width))
         features[:, :3] = rng.normal(0, 1.0, (n, 3))
+    elif isinstance(appearance, fg.Changing):
+        features = rng.normal(0.3, 0.3, (n, appearance.width))
     else:
         features = rng.normal(0.3, 0.5, (n, 9))
     arrays = {

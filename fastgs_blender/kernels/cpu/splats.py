@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import RGB, SH, Features
+from ...model.appearance import RGB, SH, Changing, Features, features_at, momentary
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
@@ -75,12 +75,28 @@ def project_backward(instance: ViewedInstance, camera: Camera, layout: Layout, s
     detach_time: mu_tau's gradient comes through the temporal opacity alone, as STG trains.
     """
     model = instance.model
+    look = momentary(model.appearance)
     out = {name: np.empty_like(array) for name, array in model.arrays.items()}
+    out["features"] = np.empty((len(model), look.width), np.float32)
     slopes = (gradients.geometry, gradients.log2_opacity, gradients.channels)
     rest = (splats.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(instance, camera, layout))
     pieces = ((first, min(first + CHUNK, len(model)), first, first + count) for first, count in splats.runs[0])
     run(lambda *piece: project_rows_backward(*piece, *rest), pieces)
+    if isinstance(model.appearance, Changing):
+        _spread_colours(model, instance.t, out, detach_time)
     return out
+
+
+def _spread_colours(model, t: float, out: dict[str, np.ndarray], detach_time: bool) -> None:
+    """Turn the gradient of features at t into that of colours which change in time: constants, coefficients, and mu_tau."""
+    basis, now = model.appearance.basis, out["features"].astype(np.float64)
+    mu_tau = model.mu_tau.astype(np.float64)
+    weights = np.atleast_2d(basis.weights(t - mu_tau if basis.centred else t))
+    if basis.centred and not detach_time:
+        coefficients = model.features[:, now.shape[1]:].reshape(len(model), basis.terms, -1)
+        out["mu_tau"] -= np.einsum("nf,nf->n", now, basis.evaluate(coefficients, t, mu_tau)[1]).astype(np.float32)
+    slopes = (weights[:, :, None] * now[:, None]).reshape(len(model), -1)
+    out["features"] = np.concatenate([now, slopes], 1).astype(np.float32)
 
 
 def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
@@ -91,13 +107,15 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
-    r = model.raster
+    r, look, own = model.raster, momentary(model.appearance), model.arrays
+    if isinstance(model.appearance, Changing):
+        own = own | {"features": features_at(model.appearance, model.features, instance.t, model.mu_tau).astype(np.float32)}
     return (
-        tuple(plain(a) for a in model.arrays.values()),
+        tuple(plain(a) for a in own.values()),
         (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t), weights_at(model.rotation_basis, instance.t)),
         np.ascontiguousarray(view), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
-        (CODES[type(model.appearance)], getattr(model.appearance, "degree", 0), group.offset,
+        (CODES[type(look)], getattr(look, "degree", 0), group.offset,
          -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth),
     )
 

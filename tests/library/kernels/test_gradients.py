@@ -137,7 +137,8 @@ def test_every_temporal_opacity(rng, temporal):
     assert got["temporal"].any(0).all()
 
 
-@pytest.mark.parametrize("appearance", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none"])
+@pytest.mark.parametrize("appearance", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "changing rgb",
+                                        "changing sh1"])
 def test_every_appearance(rng, appearance):
     names = ("position", "opacity", "features", "mu_tau", "w1", "w2")
     compare(small_model(rng, "static", "static", "always", appearance), Functional(rng, small_camera(rng), depth=True), names)
