@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Putting a capture's world upright: rigid motions [4, 4] that make its ground the plane z = 0."""
+"""Rigid motions [4, 4] that put a capture's world upright, its ground on the plane z = 0."""
 from __future__ import annotations
 
 import numpy as np

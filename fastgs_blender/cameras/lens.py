@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lenses that are not pinholes, and pictures as a pinhole would have taken them.
+"""Lens distortion, its inverse, and the pinhole camera that replaces a lens.
 
 A lens maps a pinhole's image plane (x/z, y/z) to the distorted plane; the intrinsics then make pixels of it, centres at +0.5:
 u = fx (x' + skew y') + cx, v = fy y' + cy.  OpenCV documents its models with pixel centres at whole numbers: whoever reads such a

@@ -56,7 +56,7 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
     """The capture in a folder (or in a file of a layout that has one).
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
-    Raises FastGSError where it is none, or its description cannot be read; pixels.checks.check() tells what is wrong with its pictures.
+    Raises FastGSError where the folder is no capture, or its description cannot be read; pixels.checks.check() looks at its pictures.
     """
     path = _existing(path)
     options = Options(scale, frames, None if held_out is None else tuple(held_out))

@@ -21,7 +21,7 @@ MASKS = ("foreground", "valid")
 
 @dataclass(frozen=True)
 class Options:
-    """What open_capture() was asked for; None: as the layout has it.
+    """The options of open_capture(); None: as the layout has it.
 
     scale     factor on the pictures' size, in (0, 1]
     frames    the part of the time line to use, as a slice of frame numbers from 0
@@ -40,7 +40,7 @@ class Shot:
     view      the rig camera's name; a moving camera has one name and many poses
     frame     0 .. frame_count - 1
     camera    pinhole of the picture as FrameStore gives it, undistorted and scaled; None in a capture without poses
-    image     where its pixels come from
+    image     source of its pixels
     mask      a file that goes with the picture, white where the picture counts (see Capture.mask_means); None: there is none
     held_out  kept for evaluation, never trained on
     t         model time in [0, 1]
@@ -66,9 +66,9 @@ class Capture:
     axes        of its world, as in GaussianModel
     scale       of its pictures against their files
     points      points that the layout brings along, or None
-    mask_means  what mask files say: "foreground" (white: the subject) or "valid" (black: to be ignored)
+    mask_means  meaning of the mask files: "foreground" (white: the subject) or "valid" (black: to be ignored)
     notes       remarks on how it was read
-    faults      what was found wrong while reading it, a clause each; check() tells all
+    faults      problems found while the description was read, a clause each; pixels.checks.problems() lists all
     """
 
     path: Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Captures that a renderer makes: where the cameras stand, what of a picture the subject covers, points from depth."""
+"""Parts of a rendered capture: camera positions, the subject's coverage of a picture by Cryptomatte, points from depth."""
 from __future__ import annotations
 
 import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From what a layout found (a rig of cameras, or single pictures) to a Capture with the options applied."""
+"""Makes a Capture of the rig, or of the single pictures, that a layout found, with the options applied."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -78,11 +78,11 @@ def from_entries(
         raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
     chosen = _chosen(frame_count, options.frames, path)
     place = {frame: i for i, frame in enumerate(chosen)}
-    entries = [replace(entry, view=printable(entry.view)) for entry in entries if entry.frame in place]  # for messages, and for Blender
+    entries = [replace(entry, view=_name(entry.view)) for entry in entries if entry.frame in place]  # for messages, and for Blender
     if not entries:
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
-    kept = _held_out(path, entries, map(printable, held_out), options.held_out)
+    kept = _held_out(path, entries, map(_name, held_out), options.held_out)
     times = _times(entries, chosen, options.frames is not None)
     cameras: dict = {}
     shots = []
@@ -98,6 +98,11 @@ def from_entries(
     step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
     return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)])
+
+
+def _name(view: str) -> str:
+    """A view's name as it is shown, and asked for: printable, on one line."""
+    return printable(view).replace("\n", "\\n")
 
 
 def check_count(path, frames: int, cameras: int = 1) -> None:

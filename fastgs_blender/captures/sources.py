@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Source: the file, and the frame in it, that hold the pixels of one picture, and the lens they were taken with."""
+"""Source: the file of one picture, its frame where that is a video, and the lens it was taken with."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures to judge by: panels side by side under their titles, and errors as heat."""
+"""Side-by-side pictures with titles, and errors as a heat map."""
 from __future__ import annotations
 
 import numpy as np

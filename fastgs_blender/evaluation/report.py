@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What evaluate() found, as a table for people, JSON and CSV."""
+"""Writes the results of evaluate() as a table for people, as JSON and as CSV."""
 from __future__ import annotations
 
 import csv

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Copies of a capture's pictures without their lenses' distortion: Blender's cameras have none, so only these lie where they should."""
+"""Writes copies of a capture's pictures without the distortion of their lenses, because Blender's cameras have none."""
 from __future__ import annotations
 
 import re

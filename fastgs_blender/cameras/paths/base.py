@@ -49,7 +49,7 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class Picture:
-    """What files that leave it out are taken to mean: the picture's size in pixels and the frame rate."""
+    """The picture's size in pixels and the frame rate, for files that state none."""
 
     width: int = 1920
     height: int = 1080

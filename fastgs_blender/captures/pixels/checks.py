@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is wrong with a capture's files, found before training starts: missing, unreadable, unsynchronised, differently sized."""
+"""Checks a capture's files before training: are any missing, unreadable, unsynchronised or of another size?"""
 from __future__ import annotations
 
 from collections import Counter
@@ -33,7 +33,7 @@ def sentence(path, found: list[str]) -> str:
 
 
 def problems(capture: Capture) -> list[str]:
-    """A clause for each thing that is wrong, in the layout's order of views; files' headers are read, pixels are not decoded."""
+    """The problems of a capture, a clause each, in the layout's order of views; files' headers are read, pixels are not decoded."""
     found = list(capture.faults)
     sizes: dict[str, Counter] = {}
     for view, shots in _by_view(capture.shots).items():

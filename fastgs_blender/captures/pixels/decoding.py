@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a shot's files to its pixels as the cache keeps them: undistorted, scaled, with alpha and mask in one channel.
+"""Decodes shots to the pixels that the cache keeps: undistorted, scaled, with the product of alpha and mask in one channel.
 
-Where there are both, another channel has the alpha alone.
+Where a shot has both, another channel has the alpha alone.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .video import frames
 
 
 def shape(shot: Shot, scale: float) -> tuple[int, int, int]:
-    """(h, w, channels) of what decode() gives; scale is the capture's, for shots without a camera."""
+    """(h, w, channels) of the array that decode() makes; scale is the capture's, for shots without a camera."""
     found = facts(shot.image)
     width, height = (shot.camera.width, shot.camera.height) if shot.camera else (max(1, round(v * scale)) for v in found[:2])
     return height, width, 3 + bool(found.alpha) + (shot.mask is not None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from reprlib import repr as shortened
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def _choose(path, channels) -> dict[str, str]:
             return found
     if "Y" in names:
         return dict.fromkeys("RGB", "Y") | ({"A": "A"} if "A" in names else {})
-    raise FastGSError(f"{path}: the picture has no colours (R, G, B), only {', '.join(names[:6]) or 'nothing'}.")
+    raise FastGSError(f"{path}: the picture has no colours (R, G, B), only {', '.join(map(shortened, names[:6])) or 'nothing'}.")
 
 
 def _placed(plane, left, top, width, height, path):

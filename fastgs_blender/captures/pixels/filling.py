@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Decoding many shots at once, in threads, and stopping cleanly."""
+"""Decodes many shots in threads, and stops cleanly."""
 from __future__ import annotations
 
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How large a picture may be, whatever its file claims."""
+"""The largest picture that is read."""
 from __future__ import annotations
 
 from pathlib import Path

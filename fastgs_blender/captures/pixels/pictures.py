@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +17,6 @@ from ..sources import Source
 from . import exr
 from .limits import check_size
 
-FORMATS = ("PNG", "JPEG")
 BRIGHTEST = np.float32(65504)
 """Linear values beyond it are cut: they are white with any gain, and larger ones would overflow on their way there."""
 MOST_PIXELS_A_BYTE = 8 * 1032
@@ -69,6 +67,9 @@ def _pillow(path):
             plane = np.asarray(picture, np.float32) / (65535 if picture.mode.startswith("I") else 1)
             return np.repeat(plane[..., None], 3, 2), None
         alpha = "A" in picture.getbands() or "transparency" in picture.info
+        picture.load()
+        if not alpha:  # one that stands behind the pixels, where probe does not look
+            picture.info.pop("transparency", None)
         pixels = np.asarray(picture.convert("RGBA" if alpha else "RGB"))
     return pixels[..., :3], pixels[..., 3] if alpha else None
 
@@ -88,15 +89,16 @@ class _Bounded(io.BufferedReader):
 @contextmanager
 def opened(path: Path) -> Iterator:
     """A pillow Image of a PNG or JPEG file; raises FastGSError for whatever pillow raises while it is open."""
-    from PIL import Image
+    from PIL import JpegImagePlugin, PngImagePlugin  # Image.open() would try every format, and has a limit and a warning of its own
 
     with reading(path, "copy or export the picture again"), _Bounded(open_file(path).detach()) as file:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # check_size() knows the limit
-                picture = Image.open(file, formats=FORMATS)
-        except Image.UnidentifiedImageError as error:
-            raise FastGSError(f"{path}: the picture cannot be read (it is no PNG or JPEG); copy or export it again.") from error
+        head = file.peek(3)
+        if head.startswith(b"\x89PNG"):
+            picture = PngImagePlugin.PngImageFile(file)
+        elif head.startswith(b"\xff\xd8\xff"):
+            picture = JpegImagePlugin.jpeg_factory(file)
+        else:
+            raise FastGSError(f"{path}: the picture cannot be read (it is no PNG or JPEG); copy or export it again.")
         with picture:
             check_size(path, *picture.size, file.size * MOST_PIXELS_A_BYTE)
             yield picture

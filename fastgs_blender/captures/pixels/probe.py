@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the header of a picture or video says, without decoding it: size, depth, whether there is alpha."""
+"""Reads the size and depth of a picture or video, and whether it has alpha, from its header."""
 from __future__ import annotations
 
 from functools import lru_cache
@@ -30,7 +30,7 @@ def facts(source: Source) -> Facts:
         return Facts(found.width, found.height, False, False)
     with reading(source.path):
         stat = source.path.stat()
-    return _facts(source.path, stat.st_size, stat.st_mtime_ns)
+    return _facts(source.path, stat.st_size, (stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino))
 
 
 def picture_size(source: Source) -> tuple[int, int]:
@@ -39,7 +39,7 @@ def picture_size(source: Source) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=65_536)
-def _facts(path: Path, size: int, _changed: int) -> Facts:
+def _facts(path: Path, size: int, _version: tuple) -> Facts:
     if not size:
         open_file(path).close()  # a pipe has no size either
         raise FastGSError(f"{path}: the picture is empty; copy or export it again.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sequences of pictures on disk, as layouts look for them: the numbered files of a folder, the frames of a video."""
+"""Finds sequences of pictures on disk: the numbered files of a folder, the frames of a video."""
 from __future__ import annotations
 
 import re

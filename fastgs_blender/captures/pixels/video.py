@@ -49,11 +49,11 @@ def index(path: Path) -> Index:
     """The index of a video; raises FastGSError where it cannot be read or has no frames."""
     with reading(path):
         stat = path.stat()
-    return _index(path, stat.st_size, stat.st_mtime_ns)
+    return _index(path, (stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino))
 
 
 @lru_cache(maxsize=512)
-def _index(path: Path, _size: int, _changed: int) -> Index:
+def _index(path: Path, _version: tuple) -> Index:
     with _opened(path) as container:
         stream = container.streams.video[0]
         size = stream.codec_context.width, stream.codec_context.height

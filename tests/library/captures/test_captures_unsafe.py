@@ -167,7 +167,7 @@ def png(width=8, height=8, length=None) -> bytes:
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    (png(length=2**31 - 1), None), (png(length=2**32 - 1), None), (png(60_000, 60_000), "exceeds limit|more than is read"),
+    (png(length=2**31 - 1), None), (png(length=2**32 - 1), None), (png(60_000, 60_000), "more than is read"),
     (png(10_000, 10_000), "too short for the 10000 x 10000"), (b"GIF89a" + bytes(40), "no PNG or JPEG")])
 def test_pictures_that_claim_too_much(tmp_path, content, words):
     import resource
