@@ -143,6 +143,9 @@ class _Machine:
     MARK = object()
     VALUES = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
     LITERALS = ("BINUNICODE", "SHORT_BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
+    KNOWN = frozenset((*VALUES, *LITERALS, "MARK", "BINPUT", "LONG_BINPUT", "MEMOIZE", "BINGET", "LONG_BINGET", "EMPTY_DICT", "EMPTY_LIST",
+                       "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "APPEND", "APPENDS", "SETITEM", "SETITEMS", "GLOBAL",
+                       "STACK_GLOBAL", "BINPERSID", "REDUCE", "BUILD", "PROTO", "FRAME", "STOP"))
 
     def __init__(self, file: TorchFile):
         self.file, self.stack, self.memo = file, [], {}
@@ -150,14 +153,22 @@ class _Machine:
     def run(self, program: bytes):
         """What the pickle describes; raises FastGSError for any other instruction."""
         try:
-            for opcode, argument, _ in pickletools.genops(io.BytesIO(program)):
-                if opcode.name == "STOP":
-                    break
-                self._step(opcode.name, argument)
+            stream = io.BytesIO(program)
+            while (opcode := self._next(stream)).name != "STOP":
+                self._step(opcode.name, opcode.arg.reader(stream) if opcode.arg else None)
             _expect(len(self.stack) == 1)
             return self.stack[0]
         except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
             raise FastGSError("the pickle in it is damaged; copy the file again.") from error
+
+    def _next(self, stream: io.BytesIO):
+        """The next instruction; an unknown one is refused before its argument is parsed."""
+        code = stream.read(1)
+        if not code:
+            raise ValueError("the pickle does not stop")
+        opcode = pickletools.code2op.get(code.decode("latin-1"))
+        _expect(opcode is not None and opcode.name in self.KNOWN)
+        return opcode
 
     def _step(self, name: str, argument) -> None:
         stack, push = self.stack, self.stack.append
@@ -194,8 +205,6 @@ class _Machine:
         elif name == "BUILD":
             self._pop(1)  # attributes of a state dict: versions of modules
             _expect(type(stack[-1]) is dict)
-        else:
-            _expect(name in ("PROTO", "FRAME"))
 
     def _pop(self, count: int) -> list:
         items = self.stack[-count:]
