@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import pickletools
 import struct
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -154,8 +155,10 @@ class _Machine:
         """What the pickle describes; raises FastGSError for any other instruction."""
         try:
             stream = io.BytesIO(program)
-            while (opcode := self._next(stream)).name != "STOP":
-                self._step(opcode.name, opcode.arg.reader(stream) if opcode.arg else None)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of escapes in names, which are refused anyway
+                while (opcode := self._next(stream)).name != "STOP":
+                    self._step(opcode.name, opcode.arg.reader(stream) if opcode.arg else None)
             _expect(len(self.stack) == 1)
             return self.stack[0]
         except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
