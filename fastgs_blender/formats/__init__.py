@@ -23,6 +23,7 @@ from .dynamic3d import Dynamic3DGaussians
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
+from .gltf import Gltf
 from .inria import Inria
 from .ksplat import Ksplat
 from .mediastorm import MediastormPly
@@ -37,7 +38,7 @@ from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Splat4d())
-STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)

@@ -11,7 +11,7 @@ MAGIC = {
     b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .npz or plain .zip), not a model; open the .ply or .safetensors "
                    "that belongs to it",
     b"\x1f\x8b": "it is a gzip file, but not .spz; unpack it first",
-    b"glTF": "it is a glTF file, not a Gaussian model; in Blender use File > Import > glTF",
+    b"glTF": "it is a glTF file without Gaussians (KHR_gaussian_splatting); in Blender use File > Import > glTF",
     b"\x93NUMPY": "it is a numpy array, not a model",
     b"\x80\x02": "it is a Python pickle, which may run any program and is never opened; export the model as .ply",
     b"BLENDER": "it is a .blend file; open it in Blender",

@@ -68,7 +68,14 @@ def sog_folder(folder):
     return {f"v{version}": contents(rng, 9, 1, version)[0] for version in (1, 2)}
 
 
-SEEDS = {"m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
+def glb(folder):
+    from test_formats_gltf import random_file
+
+    return {"written": {"m.glb": saved(folder, "m.glb", appearance="sh1")}, "packed": {"m.glb": random_file(packed=True)[0]},
+            "short": {"m.glb": random_file(short=True)[0]}}
+
+
+SEEDS = {"m.glb": glb, "m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
 
 
 @pytest.mark.parametrize("name", SEEDS)

@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""glTF with KHR_gaussian_splatting (.glb, .gltf): static Gaussians as attributes of points, in the axes left, up, forward.
+
+All primitives with the extension are read, where the nodes of the scene put them; also those packed by
+KHR_gaussian_splatting_compression_spz_2.  A .glb is written, with floats: nothing is rounded.
+"""
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..model.appearance import SH, SH_C0
+from ..model.gaussians import GaussianModel, Raster
+from ..model.slicing import sigmoid
+from ..util import rotations
+from ..util.errors import FastGSError
+from .base import OPAQUE, generator
+from .description import read_json, whole_number
+from .spz import decoded
+from .static import StaticFormat, read_whole
+from .turning import into_rdf, turned
+
+EXTENSION = "KHR_gaussian_splatting"
+PACKED = "KHR_gaussian_splatting_compression_spz_2"
+AXES = "LUF"
+MAGIC, JSON, BINARY = b"glTF", 0x4E4F534A, 0x004E4942
+MAX_JSON = 1 << 26
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+COLOURS = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
+MAX_NODES = 100_000
+
+
+class Gltf(StaticFormat):
+    """See the module."""
+
+    name = "glTF KHR_gaussian_splatting"
+    extensions = (".glb",)
+    reads = (".glb", ".gltf")
+    linear = True
+
+    def sniff(self, head, path):
+        if not head.startswith(MAGIC) and head.lstrip()[:1] != b"{":
+            return False
+        try:
+            tree, _ = _parts(path)
+        except FastGSError:
+            return head.startswith(MAGIC)
+        return bool(_primitives(tree))
+
+    def load(self, path):
+        tree, binary = _parts(path)
+        found = _primitives(tree)
+        if not found:
+            raise FastGSError("there are no Gaussians in this glTF file (KHR_gaussian_splatting); in Blender use File > Import > glTF.")
+        buffers = _Buffers(tree, binary, path.parent)
+        models = []
+        for place, primitive in found:
+            models.append(_placed(_primitive(tree, primitive, buffers), place))
+        return turned(_together(models), into_rdf(AXES))
+
+    def fit(self, model):
+        if not len(model):
+            raise FastGSError("the model has no Gaussians, and glTF has no attributes of none.")
+        return super().fit(model)
+
+    def write(self, model, targets):
+        targets[-1].write_bytes(_glb(model))
+
+
+def _parts(path: Path) -> tuple[dict, bytes]:
+    """The JSON, and the binary chunk (empty in a .gltf).  Raises FastGSError."""
+    if read_whole(path, 4) != MAGIC:
+        if path.stat().st_size > MAX_JSON:
+            raise FastGSError("it is too large for a .gltf file of Gaussians; save it as .glb.")
+        tree, binary = read_json(read_whole(path)), b""
+    else:
+        data, chunks, at = read_whole(path), {}, 12
+        if len(data) < 20 or int.from_bytes(data[4:8], "little") != 2:
+            raise FastGSError("it is a damaged .glb file, or of another version than 2; export it again.")
+        while at + 8 <= len(data):
+            size, kind = struct.unpack_from("<II", data, at)
+            if size > len(data) - at - 8:
+                raise FastGSError("the file is cut short; copy or export it again.")
+            chunks.setdefault(kind, data[at + 8:at + 8 + size])
+            at += 8 + size + -size % 4
+        tree, binary = read_json(chunks.get(JSON, b"")), chunks.get(BINARY, b"")
+    if not isinstance(tree, dict):
+        raise FastGSError("its JSON is no table; the file is damaged.")
+    return tree, binary
+
+
+def _list(tree: dict, key: str) -> list:
+    """A list of tables; wherever it is anything else, empty."""
+    values = tree.get(key)
+    return values if isinstance(values, list) and all(isinstance(v, dict) for v in values) else []
+
+
+def _at(tree: dict, key: str, index) -> dict:
+    values = _list(tree, key)
+    if type(index) is not int or not 0 <= index < len(values):
+        raise FastGSError(f"it names one of its {key} that is not there; the file is damaged.")
+    return values[index]
+
+
+def _table(value) -> dict:
+    return value if isinstance(value, dict) else {}
+
+
+def _is_splat(primitive) -> bool:
+    return EXTENSION in _table(_table(primitive).get("extensions"))
+
+
+def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
+    """Primitives of Gaussians with the matrix [4, 4] of their node; without a scene, all of them as they are."""
+    nodes, meshes, scenes = _list(tree, "nodes"), _list(tree, "meshes"), _list(tree, "scenes")
+    if not any(_is_splat(p) for mesh in meshes for p in _list(mesh, "primitives")):
+        return []
+    start = tree.get("scene", 0)
+    roots = scenes[start].get("nodes") if type(start) is int and 0 <= start < len(scenes) else None
+    if not isinstance(roots, list):
+        return [(np.eye(4), p) for mesh in meshes for p in _list(mesh, "primitives") if _is_splat(p)]
+    found, seen, stack = [], set(), [(index, np.eye(4)) for index in reversed(roots)]
+    while stack:
+        index, above = stack.pop()
+        if type(index) is not int or not 0 <= index < len(nodes) or index in seen or len(seen) > MAX_NODES:
+            raise FastGSError("its tree of nodes is damaged; export it again.")
+        seen.add(index)
+        place = above @ _matrix(nodes[index])
+        if "mesh" in nodes[index]:
+            primitives = _list(_at(tree, "meshes", nodes[index]["mesh"]), "primitives")
+            found += [(place, p) for p in primitives if _is_splat(p)]
+        children = nodes[index].get("children", [])
+        stack += [(child, place) for child in reversed(children if isinstance(children, list) else [None])]
+    return found
+
+
+def _vector(values, count: int, default) -> np.ndarray:
+    if values is None:
+        return np.array(default, np.float64)
+    good = isinstance(values, list) and len(values) == count and all(type(v) in (int, float) and abs(v) < 1e15 for v in values)
+    if not good:
+        raise FastGSError("a node's place makes no sense; the file is damaged.")
+    return np.array(values, np.float64)
+
+
+def _matrix(node: dict) -> np.ndarray:
+    if "matrix" in node:
+        return _vector(node["matrix"], 16, ()).reshape(4, 4).T
+    out = np.eye(4)
+    turn = rotations.to_matrices(rotations.unit(_vector(node.get("rotation"), 4, (0, 0, 0, 1))[[3, 0, 1, 2]]))
+    out[:3, :3] = turn * _vector(node.get("scale"), 3, (1, 1, 1))
+    out[:3, 3] = _vector(node.get("translation"), 3, (0, 0, 0))
+    return out
+
+
+class _Buffers:
+    """The bytes of buffers, read once."""
+
+    def __init__(self, tree: dict, binary: bytes, folder: Path):
+        self.tree, self.binary, self.folder, self.known = tree, binary, folder, {}
+
+    def view(self, index) -> bytes:
+        view = _at(self.tree, "bufferViews", index)
+        number = view.get("buffer")
+        buffer = _at(self.tree, "buffers", number)
+        if number not in self.known:
+            self.known[number] = self._buffer(buffer, number)
+        begin, size = whole_number(view.get("byteOffset", 0), "a view's offset"), whole_number(view.get("byteLength"), "a view's length")
+        if begin + size > len(self.known[number]):
+            raise FastGSError("the file is cut short, or a view lies outside its buffer; copy or export it again.")
+        return self.known[number][begin:begin + size]
+
+    def _buffer(self, buffer: dict, number: int) -> bytes:
+        uri = buffer.get("uri")
+        if uri is None and number == 0:
+            return self.binary
+        if not isinstance(uri, str):
+            raise FastGSError("one of its buffers says not where it is; the file is damaged.")
+        if uri.startswith("data:"):
+            try:
+                return base64.b64decode(uri.partition(",")[2], validate=True)
+            except (binascii.Error, ValueError) as error:
+                raise FastGSError("one of its buffers is damaged; export it again.") from error
+        if any(c in uri for c in "/\\:%\0") or uri in ("", ".", ".."):
+            raise FastGSError(f"its buffer {uri[:60]!r} is not a file beside it; put it there, or save it as .glb.")
+        if not (self.folder / uri).is_file():
+            raise FastGSError(f"its buffer {uri[:60]!r} is missing; put it beside the file.")
+        return read_whole(self.folder / uri)
+
+
+def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
+    """Numbers [N, width] of an accessor, normalised ones as their shares."""
+    accessor = _at(tree, "accessors", index)
+    kind = COMPONENTS.get(accessor.get("componentType")) if type(accessor.get("componentType")) is int else None
+    if kind is None or not isinstance(accessor.get("type"), str) or WIDTHS.get(accessor["type"]) != width:
+        raise FastGSError("an attribute of its Gaussians has another type than it should; export it again.")
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise FastGSError("an attribute of its Gaussians is sparse, or packed in a way that is not known; export it without compression.")
+    count = whole_number(accessor.get("count"), "the number of Gaussians")
+    data = buffers.view(accessor["bufferView"])
+    begin, item = whole_number(accessor.get("byteOffset", 0), "an attribute's offset"), np.dtype(kind).itemsize * width
+    step = whole_number(_at(tree, "bufferViews", accessor["bufferView"]).get("byteStride", item), "an attribute's stride")
+    if step < item or (count and begin + step * (count - 1) + item > len(data)):
+        raise FastGSError("the file is cut short: an attribute is longer than its buffer; copy or export it again.")
+    values = np.ndarray((count, width), kind, data, begin, (step, np.dtype(kind).itemsize)) if count else np.zeros((0, width))
+    values = values.astype(np.float64)
+    if accessor.get("normalized") is True and kind != "<f4":
+        values = np.maximum(values / np.iinfo(kind).max, -1)
+    return values
+
+
+def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
+    """The model of one primitive, in glTF's axes."""
+    about, attributes = _table(primitive["extensions"][EXTENSION]), _table(primitive.get("attributes"))
+    packed = _table(about.get("extensions")).get(PACKED)
+    colours = about.get("colorSpace", "srgb_rec709_display")
+    if about.get("kernel", "ellipse") != "ellipse" or not isinstance(colours, str) or colours not in COLOURS:
+        raise FastGSError("its Gaussians have a kernel or a colour space that is not known; export it as ellipses in sRGB.")
+    if packed is not None:
+        draft = "kernel" not in about and "colorSpace" not in about
+        model = decoded(buffers.view(_table(packed).get("bufferView")), raw=draft)  # drafts hold glTF's own axes, as Cesium reads them
+        return replace(model if draft else turned(model, into_rdf(AXES).T), colour_space=COLOURS[colours])
+
+    def read(name: str, width: int) -> np.ndarray:
+        name = name if name == "POSITION" else f"{EXTENSION}:{name}"
+        if name not in attributes:
+            raise FastGSError(f"its Gaussians have no attribute {name}; export it again.")
+        return _accessor(tree, attributes[name], width, buffers)
+
+    degree = next((d for d in (3, 2, 1) if f"{EXTENSION}:SH_DEGREE_{d}_COEF_0" in attributes), 0)
+    features = [read(f"SH_DEGREE_{d}_COEF_{k}", 3) for d in range(degree + 1) for k in range(2 * d + 1)]
+    opacity = read("OPACITY", 1)[:, 0]
+    logit = np.clip(np.log(opacity) - np.log1p(-opacity), -OPAQUE, OPAQUE)
+    arrays = {"position": read("POSITION", 3), "rotation": read("ROTATION", 4)[:, [3, 0, 1, 2]], "scale": np.log(read("SCALE", 3)),
+              "opacity": logit, "features": np.concatenate(features, 1)}
+    if len({len(array) for array in arrays.values()}) > 1:
+        raise FastGSError("its attributes differ in length; the file is damaged.")
+    return GaussianModel(**arrays, appearance=SH(degree), raster=Raster(), colour_space=COLOURS[colours])
+
+
+def _placed(model: GaussianModel, place: np.ndarray) -> GaussianModel:
+    """The model moved, turned and scaled by a node's matrix; a scale that differs by axis becomes the Gaussians' own."""
+    if np.array_equal(place, np.eye(4)) or not len(model):
+        return model
+    linear = place[:3, :3]
+    left, sizes, right = np.linalg.svd(linear)
+    if not sizes.min() > 1e-12 * max(sizes.max(), 1e-30):
+        raise FastGSError("a node flattens its Gaussians; give it a scale other than 0 and export it again.")
+    turn = left @ right
+    out = replace(turned(replace(model, position=np.zeros_like(model.position)), turn), position=model.position @ linear.T + place[:3, 3])
+    if np.allclose(sizes, sizes[0], rtol=1e-6):
+        return replace(out, scale=model.scale + np.log(sizes.mean()))
+    own = rotations.to_matrices(rotations.unit(model.rotation.astype(np.float64)))
+    frame = linear @ (own * np.exp(model.scale.astype(np.float64))[:, None])
+    frame[~np.isfinite(frame).all((1, 2))] = 0  # load() leaves these Gaussians out
+    axes, lengths, _ = np.linalg.svd(frame)
+    axes = axes * np.sign(np.linalg.det(axes))[:, None, None]
+    return replace(out, rotation=rotations.from_matrices(axes), scale=np.log(lengths))
+
+
+def _together(models: list[GaussianModel]) -> GaussianModel:
+    """One model of all; those with fewer harmonics get zeros."""
+    if len({(m.colour_space, m.raster) for m in models}) > 1:
+        raise FastGSError("its Gaussians are in several colour spaces; export them one by one.")
+    degree = max(m.appearance.degree for m in models)
+    width = SH(degree).width
+    features = [np.pad(m.features, ((0, 0), (0, width - m.features.shape[1]))) for m in models]
+    arrays = {name: np.concatenate([getattr(m, name) for m in models]) for name in ("position", "rotation", "scale", "opacity")}
+    return replace(models[0], **arrays, features=np.concatenate(features), mu_tau=None, motion=None, rotation_motion=None, temporal=None,
+                   appearance=SH(degree))
+
+
+def _glb(model: GaussianModel) -> bytes:
+    """A .glb of one primitive."""
+    model = turned(model, into_rdf(AXES).T)
+    n, degree = len(model), model.appearance.degree
+    alpha = sigmoid(model.opacity)
+    shown = np.clip(0.5 + SH_C0 * model.features[:, :3].astype(np.float64), 0, 1)
+    if model.colour_space == "srgb":  # COLOR_0, for programs that only know points, is linear
+        shown = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    attributes = [("POSITION", model.position), ("COLOR_0", np.rint(np.concatenate([shown, alpha[:, None]], 1) * 255).astype(np.uint8)),
+                  (f"{EXTENSION}:ROTATION", rotations.unit(model.rotation.astype(np.float64))[:, [1, 2, 3, 0]]),
+                  (f"{EXTENSION}:SCALE", np.exp(model.scale.astype(np.float64))), (f"{EXTENSION}:OPACITY", alpha[:, None])]
+    coefficients = model.features.reshape(n, (degree + 1) ** 2, 3)
+    attributes += [(f"{EXTENSION}:SH_DEGREE_{d}_COEF_{k}", coefficients[:, d * d + k]) for d in range(degree + 1) for k in range(2 * d + 1)]
+    views, accessors, parts, at = [], [], [], 0
+    for name, values in attributes:
+        code = 5121 if values.dtype == np.uint8 else 5126
+        data = np.ascontiguousarray(values, COMPONENTS[code]).tobytes()
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data), "target": 34962})
+        accessors.append({"bufferView": len(accessors), "componentType": code, "count": n,
+                          "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]], **({"normalized": True} if code == 5121 else {})})
+        if name == "POSITION":
+            accessors[-1] |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        parts.append(data)
+        at += len(data)
+    names = {name: number for number, (name, _) in enumerate(attributes)}
+    space = next(key for key, value in COLOURS.items() if value == model.colour_space)
+    about = {"kernel": "ellipse", "colorSpace": space, "sortingMethod": "cameraDistance", "projection": "perspective"}
+    tree = {"asset": {"version": "2.0", "generator": generator()}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}], "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors,
+            "meshes": [{"primitives": [{"attributes": names, "mode": 0, "extensions": {EXTENSION: about}}]}]}
+    text = json.dumps(tree, allow_nan=False).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    return b"".join([MAGIC, struct.pack("<IIII", 2, 28 + len(text) + at, len(text), JSON), text, struct.pack("<II", at, BINARY), *parts])
