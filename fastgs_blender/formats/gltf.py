@@ -51,7 +51,7 @@ class Gltf(StaticFormat):
         try:
             tree, _ = _parts(path)
         except FastGSError:
-            return head.startswith(MAGIC)
+            return head.startswith(MAGIC) and path.suffix.lower() == ".glb"  # damaged, which load() says
         return bool(_primitives(tree))
 
     def load(self, path):
