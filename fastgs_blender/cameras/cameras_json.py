@@ -60,7 +60,7 @@ def _view(path, i, entry) -> View:
         raise FastGSError(f"{where} must have positive focal lengths fx and fy, not {fx:g} and {fy:g}.")
     rotation = poses.numbers(entry["rotation"], (3, 3), f"{where}: its rotation")
     position = poses.near(poses.numbers(entry["position"], (3,), f"{where}: its position"), where)
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise FastGSError(f"{where} has a rotation that is not a rotation matrix (orthonormal, determinant +1).")
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation.T

@@ -89,7 +89,7 @@ def rigid(value, where: str, tolerance: float = 1e-3) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:rows] = numbers(value, (rows, 4), where)
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > tolerance or np.linalg.det(rotation) < 0:
+    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > tolerance or np.linalg.det(rotation) < 0:
         raise FastGSError(f"{where} must be a rotation (orthonormal, determinant +1) with a translation.")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise FastGSError(f"{where} must end with the row 0 0 0 1.")

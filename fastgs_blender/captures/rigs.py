@@ -173,6 +173,7 @@ def _camera(entry: Entry, scale, focal, known: dict) -> Camera:
     key = *lens_key, pose.tobytes()
     if key not in known:
         if lens_key not in known:
-            known[lens_key] = pinhole_for(image.lens, image.intrinsics, np.eye(4), scale, focal)
+            with np.errstate(all="ignore"):  # coefficients of any size; a Camera's numbers are finite
+                known[lens_key] = pinhole_for(image.lens, image.intrinsics, np.eye(4), scale, focal)
         known[key] = replace(known[lens_key], world_to_camera=pose, window=None)
     return known[key]

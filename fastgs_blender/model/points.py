@@ -30,5 +30,5 @@ def usable(xyz, rgb, t=None) -> Points:
     good = np.isfinite(xyz).all(1) & (np.abs(xyz) < 1e9).all(1)
     if t is not None:
         good &= ~np.isinf(t)
-    xyz, rgb = np.ascontiguousarray(xyz[good], np.float32), np.nan_to_num(np.asarray(rgb, np.float32)[good])
-    return Points(xyz, np.clip(rgb, 0, 1), None if t is None else np.clip(np.asarray(t, np.float32)[good], 0, 1))
+    xyz, rgb = np.ascontiguousarray(xyz[good], np.float32), np.nan_to_num(np.clip(np.asarray(rgb)[good], 0, 1).astype(np.float32))
+    return Points(xyz, rgb, None if t is None else np.clip(np.asarray(t)[good], 0, 1).astype(np.float32))
