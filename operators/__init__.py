@@ -13,6 +13,7 @@ from . import (
     maintenance,
     train,
     training_python,
+    training_runs,
 )
 from .bake import FASTGS_OT_bake
 from .example import FASTGS_OT_import_example
@@ -37,6 +38,7 @@ CLASSES = (
     *training_python.CLASSES,
     *capture_scene.CLASSES,
     *train.CLASSES,
+    *training_runs.CLASSES,
 )
 
 

@@ -11,7 +11,7 @@ from ..fastgs_blender.util.errors import FastGSError
 from ..scene.filming.film import Plan, film_steps
 from ..scene.filming.options import CaptureOptions
 from ..scene.splats.splat_object import sentence
-from ..scene.training import places
+from ..scene.training import folders
 from .stepwise import Stepwise
 
 
@@ -49,7 +49,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
 
     def _film(self, context):
         """Yields the progress in pictures, and returns what is to be noted about them."""
-        self._out = bpy.path.abspath(self.out) if self.out else places.fresh("capture")
+        self._out = bpy.path.abspath(self.out) if self.out else folders.unused("capture")
         try:
             return (yield from film_steps(context.scene, self._plan(context), self._out))
         except RuntimeError as error:  # Blender's own words about a render that failed

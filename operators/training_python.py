@@ -8,7 +8,7 @@ from ..fastgs_blender.jobs import environment as pythons
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import settings
 from ..scene.splats.splat_object import sentence
-from ..scene.training import store
+from ..scene.training import installation
 
 
 def offline_reason() -> str:
@@ -28,7 +28,7 @@ class FASTGS_OT_test_training_python(bpy.types.Operator):
 
     def execute(self, context):
         try:
-            report = pythons.inspect(store.python())
+            report = pythons.inspect(installation.python())
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
@@ -44,7 +44,7 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        reason = offline_reason() or ("An environment is being made" if store.is_making() else "")
+        reason = offline_reason() or ("An environment is being made" if installation.is_making() else "")
         if reason:
             cls.poll_message_set(reason)
         return not reason
@@ -56,22 +56,22 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
         col = self.layout.column(align=True)
         col.label(text="PyTorch, numba, PyAV, pycolmap and what they need", icon='IMPORT')
         col.label(text=f"will be downloaded from the Python Package Index: {pythons.SIZE}.")
-        col.label(text=f"They go into {store.made_environment()}")
+        col.label(text=f"They go into {installation.made_environment()}")
 
     def execute(self, context):
         preferences = settings.preferences()
-        folder = store.made_environment()
-        store.maker = pythons.Maker(folder, folder.with_name("environment.log"), preferences.package_index if preferences else "")
+        folder = installation.made_environment()
+        installation.maker = pythons.Maker(folder, folder.with_name("environment.log"), preferences.package_index if preferences else "")
         if bpy.app.background:
-            while store.maker.poll():
-                store.maker.wait(1.0)
+            while installation.maker.poll():
+                installation.maker.wait(1.0)
             return self._end()
         context.window_manager.modal_handler_add(self)
         self._timer = context.window_manager.event_timer_add(1.0, window=context.window)
         return {'RUNNING_MODAL'}
 
     def modal(self, context, event):
-        if event.type != 'TIMER' or (store.maker and store.maker.poll()):
+        if event.type != 'TIMER' or (installation.maker and installation.maker.poll()):
             return {'PASS_THROUGH'}
         self.cancel(context)
         for area in context.screen.areas if context.screen else ():
@@ -82,7 +82,7 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
 
     def _end(self):
-        maker = store.maker
+        maker = installation.maker
         if maker is None or maker.failed:
             said = f" ({maker.last_line})" if maker else ""
             self.report({'ERROR'}, f"The environment could not be made{said}; {maker.log if maker else 'the log'} tells more.")

@@ -1,14 +1,18 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # blender_root.sh SUITE: prints the folder of a Debian system with that release's Blender, Xvfb and Mesa's software OpenGL.
+# blender_root.sh --possible: only says whether this machine can make such folders.
+# blender_root.sh --tools: only installs what makes them.
 #
 # trixie has Blender 4.3, sid the newest that Debian packages.  The folder is made once (two minutes, 1.5 GB) and kept, with a
 # packed copy of it, under $FASTGS_BLENDER_ROOTS, or else fastgs-blender/roots in the user's cache; where only the packed copy is
-# there it is unpacked (ten seconds).  Packages come from the Debian mirror that this machine's apt uses.  Where that cannot be
-# done here, the reason is the one line on standard error and the exit status is 3.
+# there it is unpacked (ten seconds).  Packages come from the Debian mirror that this machine's apt uses.
+#
+# The exit status is 3 where this kind of machine cannot make such folders, and 4 where it can and something failed; either way the
+# reason is the one line on standard error.
 set -euo pipefail
 
-suite=${1:?suite}
+suite=${1:?suite, --possible or --tools}
 roots=${FASTGS_BLENDER_ROOTS:-${XDG_CACHE_HOME:-$HOME/.cache}/fastgs-blender/roots}
 # Debian's blender names only what it links; its add-ons import the Python modules.
 packages=(
@@ -20,12 +24,18 @@ digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)
 root=$roots/$suite-$digest
 archive=$root.tar.zst
 log=$roots/$suite.log
+case $suite in
+    --*) what="No Blender of Debian can be set up here" ;;
+    *) what="No Blender of Debian $suite here" ;;
+esac
 
-cannot() {
+leave() { # status, reason
     rm -rf "$root.part" "${probe:-}" 2>/dev/null || true
-    echo "No Blender of Debian $suite here: $1." >&2
-    exit 3
+    echo "$what: $2." >&2
+    exit "$1"
 }
+cannot() { leave 3 "$1"; }
+failed() { leave 4 "$1"; }
 
 namespaced() { # nothing that the command mounts or starts outlives it
     unshare --mount --pid --fork --kill-child "$@"
@@ -46,23 +56,28 @@ mirror() {
         sed -nE 's/^(URIs:|deb(-src)?( \[[^]]*\])?) +(https?:[^ ]*\/debian)\/?( .*)?$/\4/p' | head -n 1
 }
 
-tools() {
-    local missing=()
+lacking() { # the tools that are not installed
     for tool in debootstrap zstd; do
-        command -v $tool >/dev/null || missing+=($tool)
+        command -v $tool >/dev/null || echo $tool
     done
-    ((${#missing[@]})) || return 0
-    command -v apt-get >/dev/null || cannot "${missing[*]} is not installed, and there is no apt-get to install it"
-    { apt-get update -qq && apt-get install -y -qq --no-install-recommends "${missing[@]}"; } >>"$log" 2>&1 ||
-        cannot "${missing[*]} could not be installed (see $log)"
+}
+
+tools() { # one at a time on this machine: two roots that begin together do not run apt beside each other
+    local missing
+    exec 8>"$roots/tools.lock"
+    flock 8
+    missing=$(lacking | xargs)
+    if [[ -n $missing ]]; then
+        # shellcheck disable=SC2086
+        { apt-get update -qq && apt-get install -y -qq --no-install-recommends -o DPkg::Lock::Timeout=600 $missing; } \
+            >"$roots/tools.log" 2>&1 || failed "$missing could not be installed (see $roots/tools.log)"
+    fi
+    exec 8>&-
 }
 
 build() {
-    local from
-    from=$(mirror) || true
-    [[ -n $from ]] || cannot "the apt sources name no Debian mirror"
     namespaced debootstrap --variant=minbase "$suite" "$root.part" "$from" >>"$log" 2>&1 ||
-        cannot "debootstrap failed (see $log)"
+        failed "debootstrap failed (see $log)"
     printf '#!/bin/sh\nexit 101\n' >"$root.part/usr/sbin/policy-rc.d"
     chmod +x "$root.part/usr/sbin/policy-rc.d"
     printf 'force-unsafe-io\npath-exclude=/usr/share/%s/*\n' doc >"$root.part/etc/dpkg/dpkg.cfg.d/lean"
@@ -73,13 +88,23 @@ build() {
         [[ ! -f $file ]] || cp -L "$file" "$root.part/${file#/}"
     done
     { inside apt-get update -qq && inside apt-get install -y -qq --no-install-recommends "${packages[@]}" && inside apt-get clean; } \
-        >>"$log" 2>&1 || cannot "its packages could not be installed (see $log)"
+        >>"$log" 2>&1 || failed "its packages could not be installed (see $log)"
     rm -rf "$root.part"/var/lib/apt/lists/* "$root.part/etc/apt/apt.conf.d/"*proxy* "$root.part/etc/resolv.conf"
 }
 
 [[ $(id -u) == 0 ]] || cannot "only root can make and enter its folder"
 namespaced true 2>/dev/null || cannot "this machine does not let root make namespaces"
 mkdir -p "$roots" 2>/dev/null && [[ -w $roots ]] || cannot "nothing can be written to $roots"
+from=$(mirror) || true
+if [[ ! -d $root && ! -f $archive ]]; then
+    [[ -n $from ]] || cannot "the apt sources name no Debian mirror"
+    [[ -z $(lacking) ]] || command -v apt-get >/dev/null ||
+        cannot "$(lacking | xargs) is not installed, and there is no apt-get to install it"
+fi
+case $suite in
+    --possible) exit 0 ;;
+    --tools) tools && exit 0 ;;
+esac
 exec 9>"$roots/$suite.lock"
 flock 9
 if [[ ! -d $root ]]; then
@@ -88,7 +113,7 @@ if [[ ! -d $root ]]; then
     rm -rf "$root.part"
     if [[ -f $archive ]]; then
         mkdir "$root.part"
-        tar --zstd -xf "$archive" -C "$root.part" || cannot "$archive could not be unpacked"
+        tar --zstd -xf "$archive" -C "$root.part" || failed "$archive could not be unpacked"
     else
         build
         find "$roots" -maxdepth 1 -name "$suite-*" ! -name "$suite-$digest*" -exec rm -rf {} +
@@ -98,6 +123,6 @@ if [[ ! -d $root ]]; then
 fi
 probe=$(mktemp -d)
 "$(dirname "$0")/in_root.sh" "$root" "$probe" blender --version >"$probe/said" 2>&1 ||
-    cannot "it does not start ($(tail -n 1 "$probe/said"))"
+    failed "it does not start ($(tail -n 1 "$probe/said"))"
 rm -rf "$probe"
 echo "$root"

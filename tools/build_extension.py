@@ -22,7 +22,8 @@ from pathlib import Path
 import wheels
 
 ROOT = Path(__file__).resolve().parents[1]
-CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples", "fastgs_blender", "engine", "operators", "ui")
+CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples", "fastgs_blender", "scene", "engine",
+           "operators", "ui")
 NOTICES = "THIRD-PARTY.md"
 
 

@@ -7,7 +7,7 @@ import bpy
 from ..engine import compiling
 from ..fastgs_blender.kernels.cpu import cache
 from ..scene import settings
-from ..scene.training import store
+from ..scene.training import installation
 from .object_panels import draw_rows
 
 
@@ -62,8 +62,8 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
             col.prop(self, "training_python")
         else:
             col.prop(self, "package_index")
-        if store.is_making():
-            draw_rows(col, [("Being Made", store.maker.last_line[:60])])
+        if installation.is_making():
+            draw_rows(col, [("Being Made", installation.maker.last_line[:60])])
         row = col.row()
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
         row.operator("fastgs.make_training_python", icon='IMPORT')

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a training job's process runs, in the training Python and without Blender: `fastgs` from the extension's folder.
+"""The program of a training job's process: `fastgs` from the extension's folder, in the training Python and without Blender.
 
     python child.py EXTENSION LOCK STOP train CAPTURE --out DIR ...
 
-It holds the file LOCK as long as it lives, and takes a file STOP for Ctrl-C: that works on every system, and for a Blender
-that did not start it.  With two empty names it just runs the command.
+It holds the file LOCK as long as it lives (util/locks.py), and treats a file STOP that appears as Ctrl-C: that works on every system,
+and for a Blender that did not start it.  With two empty names it only runs the command.
 """
 import _thread
 import contextlib
@@ -16,7 +16,11 @@ import threading
 import time
 
 TAKEN = 3
+"""Exit status where another process holds the lock."""
 LOOK_EVERY = 0.25
+"""Seconds between two looks for the file STOP."""
+PATIENCE = 30.0
+"""Seconds in which the starting Blender lets go of the lock, on Windows; only a guard."""
 
 
 def load_library(extension):
@@ -28,20 +32,30 @@ def load_library(extension):
     spec.loader.exec_module(module)
 
 
-def go_first():
-    """Be the one that goes, rather than Blender, when the system runs out of memory."""
+def prefer_to_be_killed():
+    """Make Linux end this process rather than Blender when memory runs out."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
 
 
 def watch(stop):
-    """Ctrl-C, once for each time that the file appears."""
+    """Interrupt the main thread as Ctrl-C does, once for each time that the file appears."""
     while True:
         if os.path.exists(stop):
-            with contextlib.suppress(OSError):
-                os.remove(stop)
             _thread.interrupt_main()
+            while os.path.exists(stop):
+                with contextlib.suppress(OSError):
+                    os.remove(stop)
+                time.sleep(0.01)
         time.sleep(LOOK_EVERY)
+
+
+def hold(locks, path):
+    """The lock, kept open as long as the caller keeps it; None where another process holds it."""
+    try:
+        return locks.inherited() or locks.hold(path, PATIENCE)
+    except locks.NoLocks:
+        return open(path, "ab")  # this file system has none
 
 
 def main():
@@ -50,10 +64,10 @@ def main():
     load_library(extension)
     faulthandler.enable()
     if lock:
-        held = importlib.import_module("fastgs_blender.util.locks").hold(lock, patience=2.0)
+        held = hold(importlib.import_module("fastgs_blender.util.locks"), lock)
         if held is None:
             return TAKEN
-        go_first()
+        prefer_to_be_killed()
         threading.Thread(target=watch, args=(stop,), daemon=True).start()
     try:
         return importlib.import_module("fastgs_blender.cli").main(arguments)

@@ -1,267 +1,319 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training jobs: each is a folder for its results and a process that does not end with Blender.  No bpy here.
+"""The queue of training jobs: each job is a folder for its results and a process that outlives Blender.  No bpy here.
 
-A small JSON file for each job in the extension's user folder lets any later Blender find it again:
+A small JSON file for each job in the extension's user folder lets any later Blender, or several at once, find it again:
 
-    jobs/ID.json   the job; jobs/ID.lock   held by its process while it lives; jobs/ID.stop   asks it to save and stop
-    OUT/           what `fastgs train` writes (status.json, log.jsonl, previews/ ...), and console.log, what it said
+    jobs/ID.json     the job
+    jobs/ID.lock     held by its process while it lives
+    jobs/ID.stop     asks its process to save and stop
+    jobs/queue.lock  held by whoever changes the list, for the moment that this takes
+    OUT/             what `fastgs train` writes (training/run/files.py), and console.log, what its process printed
 """
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
+import math
 import os
+import secrets
 import subprocess
 import sys
+import threading
 import time
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
-from ..util.errors import FastGSError
-from ..util.locks import is_held
+from ..training.run.files import CONSOLE, LOCK, RUN, STATUS
+from ..util import locks
+from ..util.errors import FastGSError, printable
 from ..util.outputs import replacing
 from . import causes
 from .environment import environment
+from .job import ENDED, LATEST, RUNNING, Job, State, job_values, read_job, read_status
 
-CONSOLE, STATUS, RUN, MODEL, REPORT, PLOT = (
-    "console.log", "status.json", "run.json", "model.safetensors", "report.json", "loss.png")
-RUNNING = ('STARTING', 'PREPARING', 'TRAINING', 'STOPPING')
-ENDED = ('FINISHED', 'FAILED', 'STOPPED')
-GRACE = 5.0
-"""Seconds that a process has for taking its lock."""
-_children: dict[str, subprocess.Popen] = {}
-
-
-@dataclass
-class Job:
-    """A training run that was asked for.
-
-    id        of its files; created: when, in seconds of the epoch
-    out       folder of the run; capture: what it is trained on; options: further arguments of `fastgs train`
-    python    the training Python
-    wish      QUEUED, RUN, PAUSE or STOP: what the user asked for last
-    scene     about the scene that it belongs to, for the finished model: start_frame, world (16 numbers), blend
-    first     what `fastgs train` is told about the folder at the first start: "", --resume or --overwrite
-    begun     whether it has been started before
-    started   when its process was started last, in seconds of the epoch
-    console   length of console.log when the process began
-    told      whether its end has been told
-    """
-
-    id: str
-    out: str
-    capture: str
-    python: str
-    options: list[str] = field(default_factory=list)
-    wish: str = "QUEUED"
-    scene: dict = field(default_factory=dict)
-    created: float = 0.0
-    first: str = ""
-    begun: bool = False
-    started: float = 0.0
-    console: int = 0
-    told: bool = False
-
-    @property
-    def name(self) -> str:
-        return Path(self.out).name
-
-
-@dataclass(frozen=True)
-class State:
-    """How a job stands.
-
-    kind   QUEUED; STARTING, PREPARING, TRAINING, STOPPING: its process lives; PAUSED, STOPPED, FAILED, FINISHED
-    text   one sentence for the user
-    values of status.json, {} before there is one
-    """
-
-    kind: str
-    text: str
-    values: dict = field(default_factory=dict)
-
-    @property
-    def running(self) -> bool:
-        return self.kind in RUNNING
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Seconds of training that are left, None before that can be told."""
-        return self.values.get("seconds_left") if self.share > 0.02 else None
-
-    @property
-    def share(self) -> float:
-        """How much of the run is done, 0..1."""
-        whole = self.values.get("iterations") or 0
-        return min((self.values.get("iteration") or 0) / whole, 1.0) if whole else 0.0
+log = logging.getLogger(__name__)
+QUEUE_LOCK = "queue.lock"
+PATIENCE = 30.0
+"""Seconds to wait for another Blender that changes the list, which takes it milliseconds.  Only a guard against one that hangs."""
+GRACE = 60.0 if os.name == "nt" else 0.0
+"""Seconds that a process started by another Blender may take to hold its lock; elsewhere than on Windows it is born with it."""
 
 
 class Jobs:
-    """All jobs of a user; folder: where their files are."""
+    """The training jobs of a user.
 
-    def __init__(self, folder):
-        self.folder = Path(folder)
+    folder  where their files are
+    clock   gives the time in seconds of the epoch
+    """
+
+    _children: dict[str, tuple[float, subprocess.Popen]] = {}
+    """By job: when this program started its process, and the process."""
+    _passed_over: set[str] = set()
+    _turn = threading.RLock()
+
+    def __init__(self, folder, clock: Callable[[], float] = time.time):
+        self.folder, self.clock = Path(folder), clock
 
     def all(self) -> list[Job]:
-        """The jobs, the oldest first; files that are none are passed over."""
+        """The jobs, the oldest first; a file that holds no job is passed over, with a note in the log."""
         found = [self._read(path) for path in self.folder.glob("*.json")] if self.folder.is_dir() else []
         return sorted((job for job in found if job), key=lambda job: (job.created, job.id))
 
     def get(self, name: str) -> Job | None:
         """The job of that id."""
-        return self._read(self.folder / f"{name}.json")
+        return self._read(self._file(name))
 
-    def add(self, out, capture, python: str, options=(), scene=None, first: str = "") -> Job:
-        """A new job at the end of the queue; the arguments are Job's.  Raises FastGSError where another job has that folder."""
+    def add(self, out, capture, python: str, options=(), scene=None, existing: str = "") -> Job:
+        """Put a new job at the end of the queue; the arguments are Job's.  Raises FastGSError where another job has that folder."""
         out = str(Path(out).absolute())
-        for other in self.all():
-            if other.out == out:
-                if self.state(other).kind not in ENDED:
-                    raise FastGSError(f"{out} belongs to a training job that has not ended; choose another folder, or stop that job first.")
-                self.forget(other)
-        made = time.time()
-        job = Job(f"{made:.3f}-{os.getpid()}", out, str(capture), python, list(options), scene=scene or {}, created=made,
-                  first=first)
-        self.save(job)
+        with self._changing():
+            others = self.all()
+            for other in others:
+                if other.out == out:
+                    if self.state(other).kind not in ENDED:
+                        raise FastGSError(f"{out} belongs to a training job that has not ended; choose another folder, or stop that job "
+                                          "first.")
+                    self._remove(other)
+            latest = max((other.created for other in others), default=0.0)
+            created = min(max(self.clock(), math.nextafter(latest, math.inf)), LATEST)  # in order, whatever the clock does
+            job = Job(self._new_id(created), out, str(capture), python, list(options), scene=scene or {}, created=created,
+                      existing=existing)
+            self._save(job)
         return job
 
-    def save(self, job: Job) -> None:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with replacing([self.folder / f"{job.id}.json"]) as (part,):
-                part.write_text(json.dumps(asdict(job), indent=1), "utf-8")
-        except OSError as error:
-            raise FastGSError(f"{self.folder}: the list of training jobs cannot be written ({error.strerror}); free some space.") from error
-
     def forget(self, job: Job) -> None:
-        """Take an ended job off the list; its folder stays."""
-        for suffix in (".json", ".lock", ".stop"):
-            (self.folder / f"{job.id}{suffix}").unlink(missing_ok=True)
-        _children.pop(job.id, None)
+        """Take a job off the list; its folder stays.  Raises FastGSError where its process lives and has not finished."""
+        with self._changing():
+            if self.state(job).running:
+                raise FastGSError(f"{job.name} is running; stop it first.")
+            self._remove(job)
 
     def start(self, job: Job) -> None:
-        """Let its process begin, or go on where the run was.  Raises FastGSError where that is impossible."""
-        if self.alive(job):
-            return
-        out = Path(job.out)
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            (out / STATUS).unlink(missing_ok=True)  # that of an earlier process says nothing about this one
-            (self.folder / f"{job.id}.stop").unlink(missing_ok=True)
-            console = (out / CONSOLE).open("ab")
-        except OSError as error:
-            raise FastGSError(f"{out}: the training job cannot write there ({error.strerror}); choose another folder.") from error
-        there = ["--resume"] if (out / RUN).exists() else []
-        more = there if job.begun else [job.first] if job.first else []
-        job.console, job.wish, job.told, job.begun = (out / CONSOLE).stat().st_size, "RUN", False, True
-        job.started = time.time()
-        self.save(job)
-        with console:
+        """Start its process, which goes on where the run was.  Raises FastGSError where that is impossible."""
+        with self._changing():
             try:
-                _children[job.id] = subprocess.Popen(
-                    self.command(job, more), stdin=subprocess.DEVNULL, stdout=console, stderr=subprocess.STDOUT, cwd=out,
-                    env=environment(job.python), **_detached())
-            except OSError as error:
-                raise FastGSError(f"{job.python}: the training Python does not start ({error.strerror}); choose another in the "
-                                  "preferences.") from error
+                self._start(job)
+            except FastGSError as error:
+                with contextlib.suppress(FastGSError):
+                    self._change(job, request="RUN", problem=str(error))
+                raise
 
-    def command(self, job: Job, more=()) -> list[str]:
-        """What its process is."""
-        files = [str(self.folder / f"{job.id}{suffix}") for suffix in (".lock", ".stop")]
-        here = Path(__file__).resolve()  # one place for the kernels that numba keeps by path
-        return [job.python, str(here.with_name("child.py")), str(here.parents[2]), *files,
-                "train", job.capture, "--out", job.out, "--quiet", *job.options, *more]
+    def start_next(self, patience: float = PATIENCE) -> Job | None:
+        """Start the first job that waits, unless one is running or paused; returns it.
 
-    def ask(self, job: Job, wish: str) -> None:
-        """PAUSE or STOP: its process, if it lives, saves and ends; QUEUED: it goes on when its turn comes."""
-        job.wish = wish
-        if wish == "QUEUED":
-            job.told = False
-        self.save(job)
-        if wish != "QUEUED" and self.alive(job):
-            (self.folder / f"{job.id}.stop").touch()
-
-    def alive(self, job: Job) -> bool:
-        """Whether its process lives."""
-        child = _children.get(job.id)
-        if child is not None:
-            return child.poll() is None
-        if is_held(self.folder / f"{job.id}.lock"):
-            return True
-        begins = 0 <= time.time() - job.started < GRACE  # another Blender started it just now, and Python has to come up first
-        return begins and not (Path(job.out) / STATUS).exists()
-
-    def state(self, job: Job) -> State:
-        """How the job stands; a process that has ended without saying so has crashed, and the reason is looked for."""
-        values = _read_json(Path(job.out) / STATUS)
-        said = values.get("state")
-        if said == "finished":  # its process may still be clearing up
-            return State('FINISHED', "Finished", values)
-        if self.alive(job):
-            if job.wish in ("PAUSE", "STOP"):
-                return State('STOPPING', "Saving", values)
-            if said in ("preparing", "training"):
-                return State(said.upper(), "Preparing the pictures" if said == "preparing" else "Training", values)
-            return State('STARTING', "Starting", {})
-        if job.wish == "QUEUED":
-            return State('QUEUED', "Waiting for its turn", values)
-        if said == "stopped" or (said is None and job.wish in ("PAUSE", "STOP")):
-            return State('STOPPED' if job.wish == "STOP" else 'PAUSED', "Stopped" if job.wish == "STOP" else "Paused", values)
-        child = _children.get(job.id)
-        reason = values.get("reason") if said == "failed" else None
-        return State('FAILED', causes.sentence(reason, self.said(job), child.returncode if child else None, job.out), values)
-
-    def said(self, job: Job, limit: int = 20_000) -> str:
-        """The end of what its last process said."""
-        with contextlib.suppress(OSError), (Path(job.out) / CONSOLE).open("rb") as file:
-            file.seek(0, os.SEEK_END)
-            file.seek(max(job.console, file.tell() - limit))
-            return file.read().decode(errors="replace")
-        return ""
-
-    def start_next(self) -> Job | None:
-        """Start the first job that waits, unless one is running or paused; returns it.  One that cannot start says why and ends."""
-        jobs = self.all()
-        kinds = [self.state(job).kind for job in jobs]
-        if any(kind in RUNNING or kind == 'PAUSED' for kind in kinds):
-            return None
-        for job, kind in zip(jobs, kinds):
-            if kind == 'QUEUED':
-                try:
-                    self.start(job)
-                except FastGSError as error:
-                    self.fail(job, error)
-                    continue
-                return job
+        One that cannot start fails with the reason, and the next one is tried.  patience: seconds to wait for another Blender that
+        changes the list; None is returned if it takes longer.
+        """
+        try:
+            with self._changing(patience):
+                jobs = self.all()
+                kinds = [self.state(job).kind for job in jobs]
+                if any(kind in RUNNING or kind == 'PAUSED' for kind in kinds):
+                    return None
+                for job, kind in zip(jobs, kinds):
+                    if kind == 'QUEUED':
+                        try:
+                            self._start(job)
+                        except FastGSError as error:
+                            self._change(job, request="RUN", problem=str(error))
+                            continue
+                        return job
+        except _Busy:
+            pass
         return None
+
+    def ask(self, job: Job, request: str) -> None:
+        """PAUSE or STOP: its process, if it lives, saves and ends; QUEUED: it goes on when its turn comes."""
+        with self._changing():
+            queued = request == "QUEUED"
+            self._change(job, request=request, **({"reported": False, "problem": ""} if queued else {}))
+            if not queued and self.alive(job):
+                self._file(job.id, ".stop").touch()
 
     def fail(self, job: Job, error: Exception) -> None:
         """Note why a job could not start."""
-        job.wish = "RUN"
-        self.save(job)
-        with contextlib.suppress(OSError), (Path(job.out) / CONSOLE).open("a", encoding="utf-8") as file:
-            file.write(f"fastgs: {error}\n")
+        with self._changing():
+            self._change(job, request="RUN", problem=str(error))
+
+    def report_end(self, job: Job) -> bool:
+        """Note that the user is told of a job's end; False where that has been done, or the job has been started again meanwhile."""
+        with self._changing():
+            now = self.get(job.id)
+            if now is None or now.reported or now.started != job.started:
+                return False
+            self._change(job, reported=True)
+        return True
+
+    def alive(self, job: Job) -> bool:
+        """Whether its process lives, whoever started it."""
+        if locks.is_held(self._file(job.id, ".lock")):
+            return True
+        child = self._child(job)
+        if child is not None:
+            return child.poll() is None  # where there are no locks, or it does not hold it yet
+        return 0 <= self.clock() - job.started < GRACE and not (Path(job.out) / STATUS).exists()
+
+    def state(self, job: Job) -> State:
+        """The state of a job; a process that has ended without saying so has crashed, and the reason is looked for."""
+        alive = self.alive(job)  # asked first: what a process writes before it ends is then known
+        values = read_status(Path(job.out) / STATUS)
+        status = values.get("state")
+        if status == "finished":  # its process may still be clearing up
+            return State('FINISHED', "Finished", values)
+        if alive:
+            if job.request in ("PAUSE", "STOP"):
+                return State('STOPPING', "Saving", values)
+            if status in ("preparing", "training"):
+                return State(status.upper(), "Preparing the pictures" if status == "preparing" else "Training", values)
+            return State('STARTING', "Starting", {})
+        if job.request == "QUEUED":
+            return State('QUEUED', "Waiting for its turn", values)
+        if status == "stopped" or (status is None and job.request in ("PAUSE", "STOP")):
+            stopped = job.request == "STOP"
+            return State('STOPPED' if stopped else 'PAUSED', "Stopped" if stopped else "Paused", values)
+        child = self._child(job)
+        reason = job.problem or (values.get("reason") if status == "failed" else None)
+        code = None if job.problem or child is None else child.returncode
+        return State('FAILED', causes.sentence(reason, "" if job.problem else self.console_end(job), code, job.out), values)
+
+    def console_end(self, job: Job, limit: int = 20_000) -> str:
+        """The end of what its last process printed."""
+        with contextlib.suppress(OSError), (Path(job.out) / CONSOLE).open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(min(job.console, file.tell()), file.tell() - limit))
+            return printable(file.read(limit).decode(errors="replace"))
+        return ""
+
+    def command(self, job: Job, more=()) -> list[str]:
+        """The command line of its process."""
+        here = Path(__file__).resolve()  # one place for the kernels that numba keeps by path
+        return [job.python, str(here.with_name("child.py")), str(here.parents[2]), str(self._file(job.id, ".lock")),
+                str(self._file(job.id, ".stop")), "train", job.capture, "--out", job.out, "--quiet", *job.options, *more]
+
+    def _start(self, job: Job) -> None:
+        if self.alive(job):
+            return
+        out = Path(job.out)
+        with self._take(job) as lock:
+            if locks.is_held(out / LOCK):
+                raise FastGSError(f"{out}: another process is training in this folder; wait until it has ended, or choose another folder.")
+            try:
+                out.mkdir(parents=True, exist_ok=True)
+                (out / STATUS).unlink(missing_ok=True)  # that of an earlier process says nothing about this one
+                self._file(job.id, ".stop").unlink(missing_ok=True)
+                console = (out / CONSOLE).open("ab")
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or error
+                raise FastGSError(f"{out}: the training job cannot write there ({reason}); choose another folder.") from error
+            with console:
+                there = ["--resume"] if (out / RUN).exists() else []
+                more = there if job.begun else [job.existing] if job.existing else []
+                self._change(job, console=os.fstat(console.fileno()).st_size, request="RUN", reported=False, problem="",
+                             started=self.clock())
+                inherited, variables = locks.handed_over(lock)
+                try:
+                    child = subprocess.Popen(
+                        self.command(job, more), stdin=subprocess.DEVNULL, stdout=console, stderr=subprocess.STDOUT, cwd=out,
+                        env=environment(job.python) | variables, **inherited, **_detached())
+                except (OSError, ValueError) as error:
+                    reason = getattr(error, "strerror", None) or error
+                    raise FastGSError(f"{job.python}: the training Python does not start ({reason}); choose another in the "
+                                      "preferences.") from error
+            self._children[job.id] = job.started, child
+            self._change(job, begun=True)
+
+    def _take(self, job: Job) -> BinaryIO:
+        """The job's lock, held by this program until it is closed."""
+        try:
+            lock = locks.hold(self._file(job.id, ".lock"), PATIENCE)
+        except locks.NoLocks:
+            return open(os.devnull, "rb")
+        except OSError as error:
+            raise self._unwritable(error) from error
+        if lock is None:
+            raise FastGSError(f"{job.name} is being started by another Blender.")
+        return lock
+
+    def _child(self, job: Job) -> subprocess.Popen | None:
+        """The job's process, if this program was the one that started it last."""
+        started, child = self._children.get(job.id, (None, None))
+        return child if started == job.started else None
+
+    def _new_id(self, created: float) -> str:
+        """A name that no other job has: its lock file is made here, and whoever makes a file first has it."""
+        while True:
+            name = f"{created:.3f}-{os.getpid()}-{secrets.token_hex(4)}"
+            try:
+                self._file(name, ".lock").touch(exist_ok=False)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise self._unwritable(error) from error
+            return name
+
+    def _change(self, job: Job, **values) -> None:
+        """Set some of a job's values in its file, where others may have changed the rest, and take over what it says."""
+        now = self.get(job.id)
+        if now is None:
+            raise FastGSError(f"{job.name} is not on the list of training jobs any more.")
+        vars(job).update({**vars(now), **values})
+        self._save(job)
+
+    def _save(self, job: Job) -> None:
+        try:
+            with replacing([self._file(job.id)]) as (part,):
+                part.write_text(json.dumps(job_values(job), indent=1, allow_nan=False), "utf-8")
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _remove(self, job: Job) -> None:
+        for suffix in (".json", ".lock", ".stop"):
+            with contextlib.suppress(PermissionError):  # Windows, where a process that has finished still holds its lock
+                self._file(job.id, suffix).unlink(missing_ok=True)
+        self._children.pop(job.id, None)
+
+    @contextlib.contextmanager
+    def _changing(self, patience: float = PATIENCE) -> Iterator[None]:
+        """Alone with the list: neither another Blender nor another thread changes it meanwhile."""
+        with self._turn:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                lock = locks.hold(self.folder / QUEUE_LOCK, patience)
+            except locks.NoLocks:  # a file system without them
+                lock = contextlib.nullcontext()
+            except OSError as error:
+                raise self._unwritable(error) from error
+            if lock is None:
+                raise _Busy(f"{self.folder}: another Blender has been changing the list of training jobs for {patience:.0f} seconds; "
+                            "close it, then try again.")
+            with lock:
+                yield
+
+    def _unwritable(self, error: OSError) -> FastGSError:
+        return FastGSError(f"{self.folder}: the list of training jobs cannot be written ({error.strerror}); free some space.")
+
+    def _file(self, name: str, suffix: str = ".json") -> Path:
+        return self.folder / f"{name}{suffix}"
 
     def _read(self, path: Path) -> Job | None:
-        values = _read_json(path)
-        known = {f.name for f in fields(Job)}
+        """The job in a file; None where there is none, which is noted once where the file is there."""
         try:
-            return Job(**{key: value for key, value in values.items() if key in known})
-        except TypeError:
+            return read_job(path)
+        except FastGSError as error:
+            if path.exists() and str(path) not in self._passed_over:
+                self._passed_over.add(str(path))
+                log.warning("%s  It is passed over.", error)
             return None
+
+
+class _Busy(FastGSError):
+    """Another program is changing the list."""
 
 
 def _detached() -> dict:
     """What lets a process outlive the one that starts it."""
     if sys.platform == "win32":
-        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
-        return {"creationflags": flags}
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
     return {"start_new_session": True}
-
-
-def _read_json(path: Path) -> dict:
-    try:
-        values = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}

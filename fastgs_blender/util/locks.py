@@ -1,54 +1,113 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A file that a running process holds: others can tell whether it lives, whatever became of its number, and after any end of it."""
+"""Lock files that running processes hold: others can tell whether the holder lives, and the lock ends with its process, however it ends."""
 from __future__ import annotations
 
+import errno
 import os
 import time
+from typing import BinaryIO
 
 PLACE = 1 << 30
-"""The byte that is locked: beyond what a file says, so that it can still be read."""
+"""The byte that is locked on Windows: beyond the file's content, so that it can still be read."""
+LOCKED = {errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK}
+"""What the system answers where another process holds the lock; anything else means that it cannot lock there (NoLocks)."""
+INHERITED = "FASTGS_LOCK_HANDLE"
+"""Environment variable with the handle of a lock that a process was given by the one that started it (POSIX)."""
+TRIES, PAUSE = 5, 0.01
+"""is_held() on Windows: a look holds the file for a moment, so another look a moment later decides."""
 
 
-def hold(path, patience: float = 0.0):
-    """Hold the file until this process ends; returns the open file, None where another process holds it.
+class NoLocks(OSError):
+    """The file system has no locks."""
 
-    patience  seconds to try: is_held() itself holds a file for a moment
+
+def hold(path, patience: float = 0.0) -> BinaryIO | None:
+    """Hold the file until it is closed or this process ends; returns the open file, None where another process holds it.
+
+    patience  seconds to go on trying
+    Raises OSError where the file cannot be opened, and NoLocks where its file system has no locks.
     """
     until = time.monotonic() + patience
     file = open(path, "a+b")  # noqa: SIM115 (it stays open)
-    while not _try(file, True):
-        if time.monotonic() > until:
-            file.close()
-            return None
-        time.sleep(0.02)
+    try:
+        while not _lock(file):
+            if time.monotonic() >= until:
+                file.close()
+                return None
+            time.sleep(0.02)
+    except BaseException:
+        file.close()
+        raise
     return file
 
 
+def inherited() -> BinaryIO | None:
+    """The lock that the starting process has handed to this one (see handed_over()); None where there is none."""
+    number = os.environ.pop(INHERITED, "")
+    if not number:
+        return None
+    os.set_inheritable(int(number), False)
+    return os.fdopen(int(number), "rb")
+
+
+def handed_over(file: BinaryIO) -> tuple[dict, dict[str, str]]:
+    """Options of subprocess.Popen, and environment variables, with which the new process holds the lock from its first moment on.
+
+    The starting process closes its own file afterwards, and the lock lives as long as the new process.  On Windows both are empty, and
+    the new process takes the lock itself.
+    """
+    return ({}, {}) if os.name == "nt" else ({"pass_fds": (file.fileno(),)}, {INHERITED: str(file.fileno())})
+
+
 def is_held(path) -> bool:
-    """Whether a process holds the file; False where there is none."""
+    """Whether a process holds the file; False where there is no such file, or no locks in its file system."""
     try:
         file = open(path, "r+b")  # noqa: SIM115
     except OSError:
         return False
     with file:
-        if not _try(file, True):
-            return True
-        _try(file, False)
-    return False
+        try:
+            return not _free(file)
+        except OSError:
+            return False
 
 
-def _try(file, lock: bool) -> bool:
-    """Lock or unlock an open file; False where another process has locked it."""
-    try:
-        if os.name == "nt":
-            import msvcrt
+def _lock(file) -> bool:
+    """Lock an open file; False where another process has locked it."""
+    if os.name == "nt":
+        return _windows(file, True)
+    import fcntl
 
-            file.seek(PLACE)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK if lock else msvcrt.LK_UNLCK, 1)
-        else:
-            import fcntl
+    return _attempt(lambda: fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB))
 
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB if lock else fcntl.LOCK_UN)
-    except OSError:
+
+def _free(file) -> bool:
+    """Whether nobody holds an open file.  Looks do not disturb each other: they share the lock, or try again."""
+    if os.name == "nt":
+        for attempt in range(TRIES):
+            if attempt:
+                time.sleep(PAUSE)
+            if _windows(file, True):
+                _windows(file, False)
+                return True
         return False
+    import fcntl
+
+    return _attempt(lambda: fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB))
+
+
+def _windows(file, lock: bool) -> bool:
+    import msvcrt
+
+    file.seek(PLACE)
+    return _attempt(lambda: msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK if lock else msvcrt.LK_UNLCK, 1))
+
+
+def _attempt(call) -> bool:
+    try:
+        call()
+    except OSError as error:
+        if error.errno in LOCKED:
+            return False
+        raise NoLocks(error.errno, error.strerror) from error
     return True

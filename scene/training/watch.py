@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looks at the training jobs once a second: starts the next one, shows pictures and logs, tells the end."""
+"""Looks at the training jobs once a second: starts the next one, shows pictures and logs, and says when one has ended."""
 from __future__ import annotations
 
 import contextlib
@@ -9,9 +9,9 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs import queue as files
-from ...fastgs_blender.jobs.queue import Job, State
-from . import show, store
+from ...fastgs_blender.jobs.job import RUNNING, Job, State
+from ...fastgs_blender.training.run.files import PREVIEWS
+from . import displays, installation
 
 log = logging.getLogger(__name__)
 EVERY = 1.0
@@ -27,7 +27,7 @@ def found() -> list[tuple[Job, State]]:
 def look() -> list[tuple[Job, State]]:
     """Look now."""
     global _found
-    known = store.jobs()
+    known = installation.jobs()
     _found = [(job, known.state(job)) for job in known.all()]
     return _found
 
@@ -35,7 +35,7 @@ def look() -> list[tuple[Job, State]]:
 def current() -> tuple[Job, State] | None:
     """The job that the panel is about: the one that is running, else the first that waits or pauses, else the last."""
     rows = found()
-    for kinds in (files.RUNNING, ('PAUSED', 'QUEUED')):
+    for kinds in (RUNNING, ('PAUSED', 'QUEUED')):
         for row in rows:
             if row[1].kind in kinds:
                 return row
@@ -51,32 +51,30 @@ def begin() -> None:
 
 def _tick():
     try:
-        return _look_and_tell()
+        return _look_and_report()
     except Exception:  # a timer that raises is never called again
         log.exception("Looking at the training jobs failed")
         return 10 * EVERY
 
 
-def _look_and_tell():
-    known = store.jobs()
-    known.start_next()
+def _look_and_report():
+    known = installation.jobs()
+    known.start_next(patience=0.0)  # another Blender that changes the list will have started it by the next look
     before = _found
     rows = look()
     for job, state in rows:
         if state.running:
-            show.update(job)
-        elif state.kind in ('FINISHED', 'FAILED') and not job.told:
-            job.told = True
-            known.save(job)
-            show.update(job)
-            tell(job, state)
+            displays.update(job)
+        elif state.kind in ('FINISHED', 'FAILED') and not job.reported and known.report_end(job):
+            displays.update(job)
+            report_end(job, state)
     if before != rows:
         redraw()
     busy = any(state.running or state.kind == 'QUEUED' for _, state in rows)
     return EVERY if busy else None
 
 
-def tell(job: Job, state: State) -> None:
+def report_end(job: Job, state: State) -> None:
     """Say that a job has ended, and add its model to the scene that it was begun in."""
     good = state.kind == 'FINISHED'
     text = f"{job.name}: {summary(state) if good else state.text}"
@@ -134,7 +132,7 @@ def duration(seconds: float) -> str:
 
 def newest_preview(job: Job) -> Path | None:
     """The last picture that a run has made to look at: the model's on the left, the truth on the right."""
-    return max((Path(job.out) / "previews").glob("*.png"), default=None)
+    return max((Path(job.out) / PREVIEWS).glob("*.png"), default=None)
 
 
 def register():
@@ -149,4 +147,4 @@ def unregister():
     _found = None
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
-    store.unregister()
+    installation.unregister()

@@ -132,7 +132,7 @@ def progress(layout, factor=0.0, text=""):
     ('TRAINING', "Training 25 %, 12 min left"), ('QUEUED', "Waiting for its turn"), ('FAILED', "no memory"), ('FINISHED', "31.25 dB"),
     ('PAUSED', "Paused")])
 def test_the_panel_shows_runs(module, scene, monkeypatch, kind, words):
-    jobs, watch = module("fastgs_blender.jobs.queue"), module("scene.training.watch")
+    jobs, watch = module("fastgs_blender.jobs.job"), module("scene.training.watch")
     values = {"iteration": 250, "iterations": 1000, "seconds_left": 700.0, "held_out_psnr": 31.25}
     texts = {'TRAINING': "Training", 'QUEUED': "Waiting for its turn", 'FAILED': "There is no memory", 'FINISHED': "Finished",
              'PAUSED': "Paused"}
@@ -172,7 +172,7 @@ def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
 
 def test_the_memory_that_a_run_takes_is_known_before_it_starts(module, capture, scene, tmp_path, monkeypatch):
     """From the size and number of the capture's pictures and the most Gaussians."""
-    checks, store = module("fastgs_blender.jobs.checks"), module("scene.training.store")
+    checks, store = module("fastgs_blender.jobs.checks"), module("scene.training.installation")
     monkeypatch.setattr(checks, "latest", None)
     assert checks.picture_size(str(capture)) == (40 * 30, 2, 3) and checks.picture_size(str(tmp_path / "none")) == (0, 0, 0)
     told = []

@@ -118,7 +118,7 @@ def from_scene_to_shot(environment, cache):
     settings = scene.fastgs.training
     settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
     settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
-    watch, show = part("scene.training.watch"), part("scene.training.show")
+    watch, displays = part("scene.training.watch"), part("scene.training.displays")
     yield from click(area, "fastgs.train")
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
@@ -131,12 +131,12 @@ def from_scene_to_shot(environment, cache):
         if kind not in kinds:
             kinds.append(kind)
         texts.add(watch.line())
-        images.image = bpy.data.images.get(show.PREVIEW)
+        images.image = bpy.data.images.get(displays.PREVIEW)
         return kind
 
     area_of('TEXT_EDITOR').spaces.active.text = None
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or images.image is not None, 300)
-    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts.get(show.LOG)
+    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts.get(displays.LOG)
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.5

@@ -219,6 +219,8 @@ def settings(preset: str = "standard", **options) -> Settings:
 
 def from_dict(values: dict) -> Settings:
     """The inverse of Settings.to_dict; absent options keep their defaults, unknown ones raise FastGSError."""
+    if not isinstance(values, dict):
+        raise FastGSError(f"training options are a table of names and values, not {values!r}.")
     known = {field.name for field in fields(Settings)}
     unknown = [name for name in values if name not in known]
     if unknown:
@@ -249,7 +251,7 @@ def _checked(field, value):
     """The value in the type of the field's default; raises FastGSError where it is of another."""
     example = field.default
     assert example is not MISSING
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300  # JSON's integers have no limit
     if isinstance(example, bool):
         good = isinstance(value, bool)
     elif isinstance(example, int):
@@ -259,7 +261,7 @@ def _checked(field, value):
         good = number and math.isfinite(value)
         value = float(value) if good else value
     elif isinstance(example, tuple):
-        good = isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) and math.isfinite(v) for v in value)
+        good = isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) and abs(v) < 1e300 for v in value)
         value = tuple(float(v) for v in value) if good else value
     else:
         good = isinstance(value, str)

@@ -19,6 +19,7 @@ from .hold import HELD, held_features, hold
 from .losses import motion_norm
 from .model import empty_model, lasting, with_arrays
 from .optimiser import Optimiser
+from .state import check_state
 from .statistics import Statistics
 from .targets import cover_of, target, use_of_mask
 
@@ -152,10 +153,11 @@ class Trainer:
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes}
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
-        """Continue from what state() gave; raises FastGSError if it belongs to another capture."""
-        if about["capture"] != fingerprint(self.capture):
+        """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""
+        if about.get("capture") != fingerprint(self.capture):
             raise FastGSError(f"this run was begun with another capture than {self.capture.path} "
-                              f"({about['capture']}, not {fingerprint(self.capture)}); train it into a folder of its own.")
+                              f"({about.get('capture')}, not {fingerprint(self.capture)}); train it into a folder of its own.")
+        check_state(arrays, about, self.template, self.settings.iterations)
 
         def part(name):
             return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checkpoints: the whole state of a run as one safetensors file, written aside and renamed, so that there is always a whole one."""
+"""Checkpoints hold the whole state of a run as one safetensors file, written aside and renamed, so that there is always a whole one."""
 from __future__ import annotations
 
 import json
@@ -9,34 +9,51 @@ import numpy as np
 
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
+from ...util.reading import read_bytes, reading
 from ...util.tensor_files import write_tensors
+from ..core.state import is_count, is_duration
+from . import barrier
+from .files import CHECKPOINT
 
-NAME = "checkpoint.safetensors"
 VERSION = 1
 KEY = "fast-gs checkpoint"
+LARGEST, LARGEST_HEADER = 1 << 40, 1 << 24
+"""Bytes of the largest checkpoint, and of its header."""
+ADVICE = "it is no usable checkpoint, so delete it to train from the beginning"
 
 
 def save(folder, arrays: dict[str, np.ndarray], about: dict) -> None:
     """Replace the folder's checkpoint.  Whatever goes wrong, the previous one is whole; FastGSError says what it was."""
-    path = Path(folder) / NAME
-    write_aside(path, lambda part: write_tensors(part, arrays, {KEY: json.dumps({"version": VERSION, **about}, allow_nan=False)}))
+    path = Path(folder) / CHECKPOINT
+
+    def write(part):
+        write_tensors(part, arrays, {KEY: json.dumps({"version": VERSION, **about}, allow_nan=False)})
+        barrier.wait("checkpoint", about.get("iteration", 0))
+
+    write_aside(path, write)
 
 
 def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
-    """(arrays, about) of the folder's checkpoint, None if it has none; raises FastGSError if it cannot be used."""
-    path = Path(folder) / NAME
+    """(arrays, about) of the folder's checkpoint, None if it has none; raises FastGSError if it cannot be used.
+
+    The file is read as a whole, not mapped: it may be replaced while it is in use.  Names and shapes of the arrays are those that the file
+    claims; core/state.py compares them with what a model of the run's kinds has.
+    """
+    path = Path(folder) / CHECKPOINT
     if not path.exists():
         return None
-    from safetensors import SafetensorError, safe_open
+    from safetensors.numpy import load as arrays_in
 
-    try:
-        with safe_open(path, "numpy") as file:
-            about = json.loads((file.metadata() or {})[KEY])
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dictionary)
-    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
-        raise FastGSError(f"{path} is no usable checkpoint ({error}); delete it to train from the beginning.") from error
-    if not isinstance(about, dict) or about.get("version") != VERSION:
-        raise FastGSError(f"{path} was written by another version of FAST-GS; train from the beginning or use that version.")
+    with reading(path, ADVICE):
+        data = read_bytes(path, LARGEST)
+        size = int.from_bytes(data[:8], "little")
+        header = json.loads(data[8:8 + min(size, LARGEST_HEADER)])
+        about = json.loads(header["__metadata__"][KEY])
+        arrays = arrays_in(data)
+        if not isinstance(about, dict) or about.get("version") != VERSION:
+            raise FastGSError(f"{path} was written by another version of FAST-GS; train from the beginning or use that version.")
+        if not is_count(about.get("iteration")) or not is_duration(about.get("elapsed", 0.0)):
+            raise FastGSError(f"{path}: it does not say how far the run is, so it is damaged; delete it to train from the beginning.")
     return arrays, about
 
 
@@ -56,6 +73,6 @@ def write_json(path: Path, values) -> None:
 
 
 def remove_leftovers(folder) -> None:
-    """Remove what killed runs have left aside in a folder that only this run writes to."""
+    """Remove the temporary files of killed runs from a folder; the caller holds the lock of the run, so that no other writes there."""
     for part in Path(folder).glob(".fastgs-*.tmp"):
         part.unlink(missing_ok=True)

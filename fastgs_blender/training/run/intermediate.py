@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The model of a run that is still going on, from its last checkpoint; without torch."""
+"""Writes the model of an unfinished run from its last checkpoint; without torch."""
 from __future__ import annotations
 
 from pathlib import Path
@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ... import formats
-from ...model.gaussians import Clip, GaussianModel
+from ...model.gaussians import GaussianModel
 from ...util.errors import FastGSError
 from ..core.model import empty_model, lasting, with_arrays
 from ..core.settings import from_dict
+from ..core.state import check_state, checked_clip
 from . import checkpoint
-from .session import SEGMENTS
+from .files import CHECKPOINT, SEGMENTS, SO_FAR
 
-NAME = "so-far.safetensors"
 VALUE = "optimiser.value."
 
 
@@ -24,19 +24,27 @@ def write_model(out) -> Path:
     Of a long capture, which is trained in segments, it is the segment that is being trained.
     """
     out = Path(out)
-    folders = [folder for folder in (out, *sorted((out / SEGMENTS).glob("*"))) if (folder / checkpoint.NAME).exists()]
+    folders = [folder for folder in (out, *sorted((out / SEGMENTS).glob("*"))) if (folder / CHECKPOINT).exists()]
     if not folders:
         raise FastGSError(f"{out}: there is no checkpoint yet; wait until training has begun.")
-    arrays, about = checkpoint.load(folders[-1])
-    model = model_of(arrays, about)
-    formats.save(model, out / NAME)
-    return out / NAME
+    found = checkpoint.load(folders[-1])
+    if found is None:
+        raise FastGSError(f"{out}: its checkpoint has just been removed; look again in a moment.")
+    try:
+        model = model_of(*found)
+    except FastGSError as error:
+        raise FastGSError(f"{folders[-1] / CHECKPOINT}: {error}") from error
+    formats.save(model, out / SO_FAR)
+    return out / SO_FAR
 
 
 def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
-    """The model in a checkpoint, without the Gaussians that can never be seen; arguments as Trainer.state() gives them."""
-    if "clip" not in about:
-        raise FastGSError("this checkpoint was written by an earlier version; it can be gone on with, but not looked at.")
-    empty = empty_model(from_dict(about["settings"]), Clip(*about["clip"]), about["axes"])
+    """The model in a checkpoint, without the Gaussians that can never be seen; arguments as Trainer.state() gives them.
+
+    Raises FastGSError where they are not those of a model.
+    """
+    settings = from_dict(about.get("settings"))
+    empty = empty_model(settings, checked_clip(about.get("clip")), about.get("axes"))
+    check_state(arrays, about, empty, settings.iterations)
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
     return lasting(with_arrays(empty, values))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plot of a run: loss and PSNR over the steps, drawn with Pillow."""
+"""Draws loss and PSNR of a run over its steps, with Pillow."""
 from __future__ import annotations
 
 import json
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...util.reading import read_text, reading
 from .checkpoint import write_aside
 
 SIZE = (900, 420)
@@ -16,8 +17,9 @@ COLOURS = {"loss": (200, 70, 40), "PSNR": (40, 90, 180), "held-out PSNR": (30, 1
 
 
 def write_plot(path: Path, log: Path) -> None:
-    """A PNG of the lines of a log; raises FastGSError or OSError."""
-    rows = [json.loads(line) for line in log.read_text("utf-8").splitlines() if line.endswith("}")]
+    """Write a PNG of the values in a log; raises FastGSError or OSError."""
+    with reading(log):
+        rows = [json.loads(line) for line in read_text(log).splitlines() if line.endswith("}")]
     image = draw(series(rows, "smooth_loss"), {"PSNR": series(rows, "smooth_psnr"), "held-out PSNR": series(rows, "held_out_psnr")})
 
     def write(part):
@@ -29,8 +31,9 @@ def write_plot(path: Path, log: Path) -> None:
 
 def series(rows: list[dict], name: str) -> np.ndarray:
     """[M, 2] steps and finite values of one column."""
-    points = [(row["iteration"], row[name]) for row in rows if isinstance(row.get(name), (int, float))]
-    return np.array(points, np.float64).reshape(-1, 2)
+    points = [(row["iteration"], row[name]) for row in rows if name in row and "iteration" in row]
+    found = np.array(points, np.float64).reshape(-1, 2)  # None, where there was no finite number, becomes NaN
+    return found[np.isfinite(found).all(1)]
 
 
 def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]):

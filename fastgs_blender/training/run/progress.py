@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a run is watched: a bar, a log of JSON lines, TensorBoard, a status file for other programs, preview pictures, a plot.
+"""Reports a run's progress: a bar, a log of JSON lines, TensorBoard, a status file for other programs, preview pictures, a plot.
 
-Nothing here decides anything, and nothing here stops a run: what cannot be written is told once and left out.
+Nothing here decides anything, and nothing here stops a run: what cannot be written is said once and left out.
 """
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from ...util.errors import FastGSError, printable
-from . import checkpoint
+from . import barrier, checkpoint
+from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
 from .plot import write_plot
 
-LOG, STATUS, PLOT, PREVIEWS, BOARD = "log.jsonl", "status.json", "loss.png", "previews", "tensorboard"
 SMOOTHING = 0.98
 STATUS_SECONDS = 1.0
 UNTIMED_STEPS = 2
-"""A process' first steps compile kernels, which takes many times as long as a step does: the time left is not told from them."""
+"""A process' first steps compile kernels, which takes many times as long as a step does: the time left is not estimated from them."""
 
 
 class Silent:
-    """Tells nobody: for the processes that are not the first, and for programs that only want the result."""
+    """Reports nothing: for the processes that are not the first, and for programs that only want the result."""
 
     iterations = 0
 
@@ -51,20 +51,23 @@ class Silent:
 
 
 class Reporter(Silent):
-    """Tells the terminal and the run's folder.
+    """Reports to the terminal and to the run's folder.
 
     folder      where the files go
     iterations  of the whole run; begin: those already done, elapsed: the seconds that they took
     quiet       no bar
+    clock       gives the time in seconds from any beginning
     """
 
-    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False, log_every: int = 20):
+    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False, log_every: int = 20,
+                 clock=time.monotonic):
         self.folder, self.iterations, self.log_every = Path(folder), iterations, log_every
-        self.before, self.started, self.begin = elapsed, time.monotonic(), begin
+        self.clock = clock
+        self.before, self.started, self.begin = elapsed, clock(), begin
         self.timed: tuple[int, float] | None = None
         self.smooth: dict[str, float] = {}
         self.last: dict = {"iteration": begin} if begin else {}
-        self.told, self.status_time = set(), 0.0
+        self.unwritable, self.state, self.status_time = set(), "", 0.0
         self.bar = self._bar(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
                              bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
         self._drop_log_after(begin)
@@ -74,7 +77,7 @@ class Reporter(Silent):
     @property
     def elapsed(self) -> float:
         """Seconds of training, those before the last resumption included."""
-        return self.before + time.monotonic() - self.started
+        return self.before + self.clock() - self.started
 
     @property
     def speed(self) -> float:
@@ -82,7 +85,7 @@ class Reporter(Silent):
         if self.timed is None:
             return 0.0
         iteration, begun = self.timed
-        return (self.last["iteration"] - iteration) / max(time.monotonic() - begun, 1e-9)
+        return (self.last["iteration"] - iteration) / max(self.clock() - begun, 1e-9)
 
     def say(self, text):
         self.bar.clear()
@@ -102,7 +105,7 @@ class Reporter(Silent):
         iteration = values["iteration"]
         self.last = values
         if self.timed is None and iteration >= self.begin + UNTIMED_STEPS:
-            self.timed = iteration, time.monotonic()
+            self.timed = iteration, self.clock()
         for name in ("loss", "psnr"):
             if name in values:
                 old = self.smooth.get(name, values[name])
@@ -113,12 +116,13 @@ class Reporter(Silent):
         if iteration % self.log_every == 0 or iteration == self.iterations:
             row = {**values, "smooth_loss": self.smooth["loss"], "smooth_psnr": self.smooth["psnr"], "seconds": round(self.elapsed, 2)}
             self._log(row)
-        if time.monotonic() - self.status_time > STATUS_SECONDS:
+        if self.state != "training" or self.clock() - self.status_time > STATUS_SECONDS:  # the first step of every process is reported
             self.status("training", **values)
+        barrier.wait("step", iteration)
 
     def status(self, state, **values):
         """status.json: state is preparing, training, stopped, failed or finished."""
-        self.status_time = time.monotonic()
+        self.state, self.status_time = state, self.clock()
         values = {**self.last, **values}
         done = values.get("iteration", self.begin)
         speed = self.speed
@@ -200,8 +204,8 @@ class Reporter(Silent):
         try:
             return write()
         except (FastGSError, OSError) as error:
-            if what not in self.told:
-                self.told.add(what)
+            if what not in self.unwritable:
+                self.unwritable.add(what)
                 self.say(f"{what} could not be written ({str(error).rstrip('.')}); training goes on.")
             return None
 
@@ -214,5 +218,5 @@ def finite(values: dict) -> dict:
 def _iteration(line: str) -> int:
     try:
         return int(json.loads(line)["iteration"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         return -1

@@ -1,56 +1,72 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training run as users know it: a capture goes in, a folder with the model, its checkpoint and its history comes out.
+"""Runs training on a capture, in a folder that gets the model, its checkpoint and its history (files.py lists what is in it).
 
-    model.safetensors       the finished model; the same bytes whether or not the run was interrupted
-    checkpoint.safetensors  the state to go on from
-    run.json                the capture and the settings
-    report.json             what came of it
-    segments/               of a long capture: the same for each segment
-    status.json, log.jsonl, loss.png, previews/, tensorboard/   see progress.py
+The finished model has the same bytes whether or not the run was interrupted.
 """
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from ... import formats
 from ...evaluation import training_record
 from ...formats.base import generator
+from ...util import locks
 from ...util.errors import FastGSError
+from ...util.reading import read_json
 from ..core.settings import Settings, from_dict
+from ..core.state import is_duration
 from . import checkpoint
-from .progress import LOG, STATUS, Reporter, Silent
+from .files import CHECKPOINT, LOCK, LOG, MODEL, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS, STATUS
+from .progress import Reporter, Silent
 
-MODEL, RUN, REPORT = "model.safetensors", "run.json", "report.json"
-SEGMENTS, SEGMENT_MODEL, DONE = "segments", "segment.safetensors", "done.json"
 PREVIEW_SHOTS = 4
 MEMORY = 768 << 20
 """Bytes of pictures kept in memory."""
+PATIENCE = 5.0
+"""Seconds to wait for another process that trains in the folder: it may be about to end."""
+_locks: dict[str, BinaryIO | None] = {}
+"""By folder: the locks that begin() has taken, for train()."""
 
 
 class Stopped(KeyboardInterrupt):
     """The user ended the run; the message says how to go on."""
 
 
-def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> Settings:
+def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Settings:
     """The settings of the run in a folder, which is made where there is none.
 
     wanted  the options that were asked for by name; make(wanted) gives the settings of a new run
-    A run that is resumed has the settings it began with.  Raises FastGSError where that contradicts what is wanted, or where a
-    run is in the folder already and neither resume nor overwrite says what to do with it.
+    A run that is resumed has the settings it began with.  No other process can train in the folder until train() has ended, or
+    this process.  Raises FastGSError where another one does, where the run's settings contradict what is wanted, or where a run is in
+    the folder already and neither resume nor overwrite says what to do with it.
     """
     out = Path(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FastGSError(f"{out}: the folder for the model cannot be made ({error.strerror}).") from error
+    except (OSError, ValueError) as error:
+        raise FastGSError(f"{out}: the folder for the model cannot be made ({getattr(error, 'strerror', None) or error}).") from error
+    key = os.path.realpath(out)
+    if key not in _locks:
+        _locks[key] = _lock(out)
+    try:
+        return _begin(out, wanted, make, resume, overwrite)
+    except BaseException:
+        _release(key)
+        raise
+
+
+def _begin(out: Path, wanted: dict, make, resume: bool, overwrite: bool) -> Settings:
     for folder in (out, *(out / SEGMENTS).glob("*")):
         checkpoint.remove_leftovers(folder)
     old = _earlier(out / RUN)
@@ -58,14 +74,14 @@ def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> S
         settings = from_dict(old)
         for name, value in wanted.items():
             if getattr(settings, name) != value:
-                raise FastGSError(f"the run in {out} has {name} = {getattr(settings, name)}, not {value}; leave the option out to go on "
-                                  "with it, or train into another folder.")
+                raise FastGSError(f"the run in {out} has {name} = {getattr(settings, name)}, not {value}; leave the option out to "
+                                  "continue it, or train into another folder.")
         return settings
-    if not resume and not overwrite and any((out / name).exists() for name in (RUN, checkpoint.NAME, MODEL)):
-        raise FastGSError(f"there is a training run in {out} already; --resume goes on with it, --overwrite begins anew.")
+    if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
+        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite begins anew.")
     settings = make(wanted)
     if not resume:
-        for name in (checkpoint.NAME, MODEL, REPORT, LOG, STATUS):
+        for name in (CHECKPOINT, MODEL, REPORT, LOG, STATUS):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / SEGMENTS, ignore_errors=True)
     checkpoint.write_json(out / RUN, {"settings": settings.to_dict()})
@@ -73,7 +89,7 @@ def begin(out, wanted: dict, make: callable, resume: bool, overwrite: bool) -> S
 
 
 def train(capture, store, settings: Settings, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
-    """Train, or go on with, the run in a folder; returns the report, in the first process.
+    """Train, or continue, the run in a folder; returns the report, in the first process.
 
     capture, store  see captures.base; settings  what begin() gave; group  distributed.Group
     Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.
@@ -88,7 +104,10 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
         raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
                           "motion, or --set segment_frames=0.")
     reporter: Silent = Silent()
+    key = os.path.realpath(out)
     if group.first:
+        if key not in _locks:
+            _locks[key] = _lock(out)
         done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     try:
@@ -102,6 +121,7 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
         raise
     finally:
         reporter.close()
+        _release(key)
 
 
 def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
@@ -126,7 +146,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
 
 
 def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number):
-    """The model of one segment, or of a whole short capture: trained, gone on with, or finished already.
+    """The model of one segment, or of a whole short capture: trained, continued, or finished already.
 
     decoder  the model whose decoder it shares, None: it learns its own
     """
@@ -153,7 +173,7 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
     complete = run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations)
     stop.patient = False
     if not complete:
-        raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume goes on from there.")
+        raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
     model = trainer.final_model({})
     if folder.parent.name == SEGMENTS:
         group.first_does(lambda: _keep_segment(model, folder, reporter))
@@ -162,9 +182,9 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
 
 def _keep_segment(model, folder, reporter):
     """The finished segment's model takes the place of its checkpoint."""
-    checkpoint.write_json(folder / DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
+    checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
     formats.save(model, folder / SEGMENT_MODEL)
-    (folder / checkpoint.NAME).unlink(missing_ok=True)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
 def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
@@ -204,7 +224,7 @@ def _finish(model, capture, store, settings, out, group, reporter) -> dict:
 
 
 def segment_folder(out: Path, number: int) -> Path:
-    """Where a segment of a long capture is trained."""
+    """The folder in which a segment of a long capture is trained."""
     return out / SEGMENTS / f"{number:03d}"
 
 
@@ -214,8 +234,10 @@ def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, flo
     for folder in [out] if segments == 1 else [segment_folder(out, k) for k in range(segments)]:
         if (folder / SEGMENT_MODEL).exists():
             done += iterations
-            with contextlib.suppress(OSError, ValueError, KeyError):
-                elapsed = json.loads((folder / DONE).read_text("utf-8"))["elapsed"]
+            with contextlib.suppress(FastGSError):
+                about = read_json(folder / SEGMENT_DONE)
+                if isinstance(about, dict) and is_duration(about.get("elapsed")):
+                    elapsed = about["elapsed"]
         elif (found := checkpoint.load(folder)) is not None:
             done, elapsed = done + found[1]["iteration"], found[1].get("elapsed", 0.0)
     return done, elapsed
@@ -244,15 +266,36 @@ def _earlier(path: Path) -> dict | None:
     """The settings of the run in a folder, if there is one."""
     if not path.exists():
         return None
+    values = read_json(path, advice="delete it to train from the beginning")
+    settings = values.get("settings") if isinstance(values, dict) else None
+    if not isinstance(settings, dict):
+        raise FastGSError(f"{path}: it holds no settings; delete it to train from the beginning.")
+    return settings
+
+
+def _lock(out: Path) -> BinaryIO | None:
+    """The lock of a run's folder; None where the file system has no locks.  Raises FastGSError where another process has it."""
     try:
-        return json.loads(path.read_text("utf-8"))["settings"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FastGSError(f"{path} cannot be read ({error}); delete it to train from the beginning.") from error
+        lock = locks.hold(out / LOCK, PATIENCE)
+    except locks.NoLocks:
+        return None
+    except OSError as error:
+        raise FastGSError(f"{out}: nothing can be written there ({error.strerror}); choose another folder.") from error
+    if lock is None:
+        raise FastGSError(f"{out}: another process is training in this folder; wait until it has ended, stop it, or train into another "
+                          "folder.")
+    return lock
+
+
+def _release(key: str) -> None:
+    lock = _locks.pop(key, None)
+    if lock is not None:
+        lock.close()
 
 
 class StopFlag:
-    """Ctrl-C and SIGTERM.  While `patient`, they only set the flag, and the step that is being taken is finished; a second Ctrl-C does
-    not wait.  Otherwise there is nothing to save, and they end the run at once.
+    """Handles Ctrl-C and SIGTERM.  While `patient`, they only set the flag, and the step that is being taken is finished; a second Ctrl-C
+    does not wait.  Otherwise there is nothing to save, and they end the run at once.
     """
 
     def __init__(self):

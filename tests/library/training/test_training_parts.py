@@ -17,6 +17,7 @@ from fastgs_blender.training.core import settings as options
 from fastgs_blender.training.initial.model import model_from_points
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
+from fastgs_blender.training.run.files import CHECKPOINT
 
 
 def test_settings_survive_json():
@@ -251,7 +252,7 @@ def test_a_checkpoint_comes_back(rng, tmp_path):
 
 def test_a_full_disk_is_told_and_leaves_the_checkpoint(tmp_path, monkeypatch):
     checkpoint.save(tmp_path, {"a": np.zeros(3)}, {"iteration": 1})
-    before = (tmp_path / checkpoint.NAME).read_bytes()
+    before = (tmp_path / CHECKPOINT).read_bytes()
 
     def full(path, tensors, metadata):
         path.write_bytes(b"half")
@@ -260,13 +261,13 @@ def test_a_full_disk_is_told_and_leaves_the_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "write_tensors", full)
     with pytest.raises(fg.FastGSError, match=r"checkpoint.*No space left.*kept"):
         checkpoint.save(tmp_path, {"a": np.ones(3)}, {"iteration": 2})
-    assert (tmp_path / checkpoint.NAME).read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == [checkpoint.NAME]
+    assert (tmp_path / CHECKPOINT).read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [CHECKPOINT]
 
 
 @pytest.mark.parametrize("content", [b"", b"junk", b"\x08\0\0\0\0\0\0\0{}      "])
 def test_a_broken_checkpoint_is_told(tmp_path, content):
-    (tmp_path / checkpoint.NAME).write_bytes(content)
+    (tmp_path / CHECKPOINT).write_bytes(content)
     with pytest.raises(fg.FastGSError, match="delete it"):
         checkpoint.load(tmp_path)
 

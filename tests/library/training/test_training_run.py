@@ -5,11 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from held_runs import Barrier
 from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
@@ -20,6 +20,7 @@ from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
 from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, session  # noqa: E402
+from fastgs_blender.util import locks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
 FEW = dict(iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),
@@ -152,48 +153,93 @@ def test_what_is_there_is_not_overwritten(files, finished):
     assert result.returncode == 0 and (out / "model.safetensors").read_bytes() == before
 
 
-def test_killed_at_random_and_resumed_it_gives_the_same_file(files, finished, tmp_path):
-    rng = np.random.default_rng(11)
-    out, kills, target = tmp_path / "killed", 0, finished[0] / "model.safetensors"
-    command = [sys.executable, "-m", "fastgs_blender", *arguments(files, out, "--resume", "--quiet")]
-    environment = {**os.environ, "FASTGS_NO_TENSORBOARD": "1"}
-    while kills < 4:
-        process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.DEVNULL)
-        reached = _iteration(out) + int(rng.integers(1, 12))
-        while process.poll() is None and _iteration(out) < reached:
-            time.sleep(0.002)
-        time.sleep(rng.uniform(0, 0.02))
-        process.kill()
-        process.wait()
-        kills += 1
-    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+@pytest.fixture
+def barrier(tmp_path, monkeypatch):
+    """Holds the training processes that this test starts."""
+    held = Barrier(tmp_path / "barrier")
+    for name, value in {**held.variables, "FASTGS_NO_TENSORBOARD": "1"}.items():
+        monkeypatch.setenv(name, value)
+    yield held
+    held.release()
+
+
+def begun(*arguments):
+    """A training process under way."""
+    return subprocess.Popen([sys.executable, "-m", "fastgs_blender", *arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+def killed_when_held(barrier, process):
+    """Kill a process that is held, and say at which step it was."""
+    step, number = barrier.wait(lambda: process.poll() is None)
+    assert number == process.pid
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    return step
+
+
+def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp_path, barrier):
+    """Before its first checkpoint, between two, and while one is being written."""
+    out, target = tmp_path / "killed", finished[0] / "model.safetensors"
+    command = arguments(files, out, "--resume", "--quiet")
+    for place in ("checkpoint 0", "step 1", "step 9", "checkpoint 23", "checkpoint 24", "step 51"):
+        barrier.hold_at(place)
+        step = killed_when_held(barrier, begun(*command))
+        assert place.endswith(f" {step}")
+        done = checkpoint.load(out)
+        assert (done[1]["iteration"] if done else None) == (step - 1 if step else None), "the last whole checkpoint is there"
+    barrier.release()
+    result = fastgs(*command)
     assert result.returncode == 0, result.stderr
     assert (out / "model.safetensors").read_bytes() == target.read_bytes()
     assert not list(out.glob(".fastgs-*"))
 
 
-def _iteration(out) -> int:
-    """How far the checkpoint of a run is."""
-    try:
-        found = checkpoint.load(out)
-    except fg.FastGSError:
-        return 0
-    return found[1]["iteration"] if found else 0
-
-
-def test_ctrl_c_saves_and_stops(files, tmp_path, finished):
+def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier):
     out = tmp_path / "stopped"
-    command = [sys.executable, "-m", "fastgs_blender", *arguments(files, out, "--quiet")]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1"})
-    while process.poll() is None and not (out / "checkpoint.safetensors").exists():
-        time.sleep(0.002)
+    barrier.hold_at("step 7")
+    process = begun(*arguments(files, out, "--quiet"))
+    barrier.wait(lambda: process.poll() is None)
+    assert json.loads((out / "status.json").read_text())["state"] == "training"
     process.send_signal(signal.SIGINT)
+    barrier.release()
     _, said = process.communicate()
     assert process.returncode == 130 and "--resume" in said
     assert json.loads((out / "status.json").read_text())["state"] == "stopped"
-    assert _iteration(out) < 60
+    assert checkpoint.load(out)[1]["iteration"] == 7
     assert fastgs(*arguments(files, out, "--resume")).returncode == 0
     assert (out / "model.safetensors").read_bytes() == (finished[0] / "model.safetensors").read_bytes()
+
+
+def test_a_folder_in_training_is_locked(files, tmp_path, barrier, monkeypatch):
+    """A second trainer is refused with a sentence, and touches nothing that the first has in the folder."""
+    monkeypatch.setattr(session, "PATIENCE", 0.0)
+    out = tmp_path / "run"
+    barrier.hold_at("checkpoint 3")
+    process = begun(*arguments(files, out, "--quiet"))
+    try:
+        barrier.wait(lambda: process.poll() is None)
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+        assert any(path.name.startswith(".fastgs-") for path in before), "the first trainer is writing a checkpoint"
+        for choice in ("--resume", "--overwrite"):
+            second = fastgs(*arguments(files, out, choice))
+            assert second.returncode == 2 and "another process is training in this folder" in second.stderr
+            with pytest.raises(fg.FastGSError, match="another process is training"):
+                session.begin(out, {}, lambda w: settings.settings(**w), choice == "--resume", choice == "--overwrite")
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    finally:
+        barrier.release()
+        process.communicate()
+    assert process.returncode == 0 and (out / "model.safetensors").exists()
+
+
+def test_the_lock_of_a_run_is_free_after_it(tmp_path):
+    """In this process too: what fails in begin() leaves no lock."""
+    (tmp_path / "model.safetensors").touch()
+    with pytest.raises(fg.FastGSError, match="already"):
+        session.begin(tmp_path, {}, lambda w: settings.settings(**w), False, False)
+    with locks.hold(tmp_path / "training.lock") as mine:
+        assert mine is not None
 
 
 def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):

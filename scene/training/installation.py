@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where this Blender keeps its training jobs and which Python trains: what the preferences and the user folder say."""
+"""The extension's folders for the user's data, the training jobs in them, and the Python that trains."""
 from __future__ import annotations
 
 import importlib.util

@@ -1,42 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Blender's editors show of a run: its last preview and its loss as images, its log as a text.
+"""Shows a run in Blender's editors: its last preview and its loss as images, its log as a text.
 
 Nothing here gets a fake user: what no editor shows is not saved with the .blend.
 """
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.queue import CONSOLE, PLOT, Job
+from ...fastgs_blender.jobs.job import Job
+from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
+from ...fastgs_blender.util.errors import FastGSError, printable
+from ...fastgs_blender.util.identity import FileIdentity
 
 PREVIEW, LOSS, LOG = "FAST-GS Training", "FAST-GS Training Loss", "FAST-GS Training Log"
 MOST_TEXT = 200_000
-_times: dict[str, tuple[str, float]] = {}
+_files: dict[str, FileIdentity] = {}
+"""By name of an image or text: the file that it shows."""
 
 
 def update(job: Job) -> None:
     """Let the images and the text follow the run's files, where those have changed."""
     out = Path(job.out)
-    picture = max((out / "previews").glob("*.png"), default=None)
+    picture = max((out / PREVIEWS).glob("*.png"), default=None)
     for name, path in ((PREVIEW, picture), (LOSS, out / PLOT)):
         if path is not None and _changed(name, path):
             _show_image(name, path)
     console = out / CONSOLE
     if _changed(LOG, console):
-        _show_text(LOG, console.read_text("utf-8", "replace")[-MOST_TEXT:])
+        _show_text(LOG, _end_of(console))
 
 
 def _changed(name, path: Path) -> bool:
-    try:
-        now = str(path), path.stat().st_mtime
-    except OSError:
-        return False
     present = name in (bpy.data.texts if name == LOG else bpy.data.images)
-    if present and _times.get(name) == now:
+    shown = _files.get(name)
+    try:
+        if present and shown is not None and shown.path == str(path) and shown.same():
+            return False
+        _files[name] = FileIdentity.of(str(path))
+    except FastGSError:  # it is not there yet
         return False
-    _times[name] = now
     return True
 
 
@@ -59,3 +64,10 @@ def _show_text(name, content: str):
         text = bpy.data.texts.new(name)
         text.use_fake_user = False
     text.from_string(content)
+
+
+def _end_of(path: Path) -> str:
+    """The last MOST_TEXT bytes of a file as text."""
+    with path.open("rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - MOST_TEXT, 0))
+        return printable(file.read(MOST_TEXT).decode("utf-8", "replace").replace("\r", "\n"))
