@@ -9,16 +9,14 @@ import numpy as np
 
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
-from ...util.reading import read_bytes, reading
-from ...util.tensor_files import write_tensors
+from ...util.reading import reading
+from ...util.tensor_files import open_tensors, write_tensors
 from ..core.state import is_count, is_duration
 from . import barrier
 from .files import CHECKPOINT
 
 VERSION = 1
 KEY = "fast-gs checkpoint"
-LARGEST, LARGEST_HEADER = 1 << 40, 1 << 24
-"""Bytes of the largest checkpoint, and of its header."""
 ADVICE = "it is no usable checkpoint, so delete it to train from the beginning"
 
 
@@ -42,14 +40,13 @@ def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
     path = Path(folder) / CHECKPOINT
     if not path.exists():
         return None
-    from safetensors.numpy import load as arrays_in
-
     with reading(path, ADVICE):
-        data = read_bytes(path, LARGEST)
-        size = int.from_bytes(data[:8], "little")
-        header = json.loads(data[8:8 + min(size, LARGEST_HEADER)])
-        about = json.loads(header["__metadata__"][KEY])
-        arrays = arrays_in(data)
+        try:
+            with open_tensors(path) as file:
+                about = json.loads(file.metadata[KEY])
+                arrays = {name: file.read(name) for name in file.entries}
+        except FastGSError as error:
+            raise FastGSError(f"{path}: {ADVICE} ({str(error).removeprefix(f'{path}: ').rstrip('.')}).") from error
         if not isinstance(about, dict) or about.get("version") != VERSION:
             raise FastGSError(f"{path} was written by another version of FAST-GS; train from the beginning or use that version.")
         if not is_count(about.get("iteration")) or not is_duration(about.get("elapsed", 0.0)):

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whatever is in a checkpoint, it is refused in one sentence or training goes on from it; nothing in it reaches a kernel unchecked."""
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+
+import mutations
+import numpy as np
+import pytest
+from toy_captures import toy_capture
+
+import fastgs_blender as fg
+
+torch = pytest.importorskip("torch")
+
+from fastgs_blender.training.core import settings  # noqa: E402
+from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
+from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
+from fastgs_blender.training.run import checkpoint, session  # noqa: E402
+from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
+from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
+
+FEW = dict(iterations=40, points=20, max_gaussians=40, warm_up=(), densify_every=10, densify_from=0.1, preview_every=0, start_size=1.0)
+
+
+@pytest.fixture(scope="module")
+def toy():
+    return toy_capture(frames=2, views=3)
+
+
+def begun(toy, steps=12, **choices):
+    """A trainer of 20 Gaussians after some steps; every third of them is held."""
+    capture, store, points = toy
+    chosen = settings.settings(**{**FEW, **choices})
+    points = points.take(np.arange(0, len(points.xyz), 4))
+    sizes = np.where(np.arange(len(points.xyz)) % 3, np.nan, 0.1)
+    points = replace(points, size=sizes)
+    trainer = Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent), sizes=sizes)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def resumed(toy, folder, chosen, steps=1):
+    """What `fastgs train --resume` and Blender's button do with a checkpoint."""
+    capture, store, _ = toy
+    arrays, about = checkpoint.load(folder)
+    model_of(arrays, about)
+    trainer = Trainer(capture, store, chosen)
+    trainer.restore(arrays, about)
+    for _ in range(min(steps, chosen.iterations - trainer.iteration)):
+        trainer.step()
+    return trainer
+
+
+def changed(name, change):
+    """A function that changes one array of a checkpoint."""
+    def apply(arrays, about):
+        arrays[name] = np.ascontiguousarray(change(np.array(arrays[name])))
+
+    return apply
+
+
+def with_value(name, at, value):
+    def change(array):
+        array.reshape(-1)[at] = value
+        return array
+
+    return changed(name, change)
+
+
+def without(name):
+    return lambda arrays, about: arrays.pop(name)
+
+
+def about_changed(**values):
+    return lambda arrays, about: about.update(values)
+
+
+DAMAGES = {
+    "a sign bit of a counter": with_value("optimiser.count.position", 3, -(2**31) + 5),
+    "a counter beyond the steps": with_value("optimiser.count.opacity", 0, 13),
+    "moved later than now": with_value("optimiser.moved", 2, 13), "moved before the beginning": with_value("optimiser.moved", 2, -1),
+    "steps that do not fit": with_value("optimiser.steps", 0, 11), "a beta of one": with_value("optimiser.betas", 1, 1.0),
+    "a beta that is no number": with_value("optimiser.betas", 0, np.nan),
+    "a position that is no number": with_value("optimiser.value.position", 5, np.nan),
+    "an infinite mean": with_value("optimiser.mean.scale", 5, np.inf), "a negative square": with_value("optimiser.square.motion", 0, -1),
+    "an infinite held feature": with_value("optimiser.value.held", 1, np.inf),
+    "shortened statistics": changed("statistics.radius", lambda array: array[:-1]),
+    "empty statistics": changed("statistics.seen", lambda array: array[:0]),
+    "negative statistics": with_value("statistics.seen", 0, -1.0),
+    "shortened opacities": changed("optimiser.value.opacity", lambda array: array[:-1]),
+    "motion of another order": changed("optimiser.value.motion", lambda array: array[:, :-1]),
+    "a decoder of another shape": changed("optimiser.value.w1", lambda array: array[:, :-1]),
+    "doubles": changed("optimiser.value.scale", lambda array: array.astype(np.float64)),
+    "long counters": changed("optimiser.count.scale", lambda array: array.astype(np.int64)),
+    "no dimension": changed("optimiser.value.position", lambda array: array.reshape(-1)),
+    "no Gaussians": changed("optimiser.value.position", lambda array: array[:0]),
+    "an unknown array": lambda arrays, about: arrays.update({"optimiser.value.sigma": np.zeros(3, np.float32)}),
+    "no positions": without("optimiser.value.position"), "no moments": without("optimiser.square.opacity"),
+    "no betas": without("optimiser.betas"), "no statistics": without("statistics.absolute"), "no array at all": lambda a, about: a.clear(),
+    "steps after the end": about_changed(iteration=41), "negative steps": about_changed(iteration=-1),
+    "no steps": about_changed(iteration=None),
+    "no capture": about_changed(capture=None), "no settings": about_changed(settings=None), "no clip": about_changed(clip=[]),
+    "a clip of no frames": about_changed(clip=[0, 24.0, 1]), "no axes": about_changed(axes=None), "no time": about_changed(elapsed="x"),
+}
+
+
+@pytest.fixture(scope="module")
+def whole(toy, tmp_path_factory):
+    """(trainer, arrays, about) of a checkpoint that is all right."""
+    trainer = begun(toy)
+    folder = tmp_path_factory.mktemp("whole")
+    checkpoint.save(folder, *trainer.state())
+    assert resumed(toy, folder, trainer.settings, 2).iteration == 14
+    return trainer, *checkpoint.load(folder)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_checkpoint_is_refused_before_it_is_used(toy, whole, tmp_path, damage):
+    trainer, arrays, about = whole[0], dict(whole[1]), dict(whole[2])
+    DAMAGES[damage](arrays, about)
+    checkpoint.save(tmp_path, arrays, about)
+    with pytest.raises(fg.FastGSError):
+        resumed(toy, tmp_path, trainer.settings)
+
+
+@pytest.mark.parametrize("choices", [{"density": "mcmc"}, {"appearance": "sh1"}, {"appearance": "rgb", "motion": "static"},
+                                     {"motion": "keyframes", "temporal": "always"}, {"motion": "paper"}], ids=str)
+def test_a_whole_one_is_not(toy, tmp_path, choices):
+    trainer = begun(toy, **choices)
+    checkpoint.save(tmp_path, *trainer.state())
+    resumed(toy, tmp_path, trainer.settings, 2)
+
+
+def test_mutations(toy, whole, tmp_path):
+    """One step is taken from every checkpoint that is accepted: with wild but finite numbers training may diverge, which it says."""
+    trainer, arrays, about = whole
+    checkpoint.save(tmp_path, arrays, about)
+    seeds = {"checkpoint": {CHECKPOINT: (tmp_path / CHECKPOINT).read_bytes()}}
+
+    def read(folder):
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore", RuntimeWarning)
+            resumed(toy, folder, trainer.settings)
+
+    mutations.campaign("checkpoint", read, seeds, tmp_path / "damaged")
+
+
+def test_mutations_of_the_small_files(tmp_path, monkeypatch):
+    """run.json, done.json and the log of a run that is resumed."""
+    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
+    monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)  # no thread for each of the bars
+    chosen = settings.settings(**FEW)
+    segment = session.segment_folder(tmp_path, 0)
+    segment.mkdir(parents=True)
+    files = {RUN: json.dumps({"settings": chosen.to_dict()}).encode(), f"segments/000/{SEGMENT_DONE}": b'{"elapsed": 12.5}\n',
+             f"segments/000/{SEGMENT_MODEL}": b"", "log.jsonl": b'{"iteration": 20, "loss": 0.1, "smooth_loss": 0.2, "psnr": 20.0}\n' * 3}
+
+    def read(folder):
+        from fastgs_blender.training.run.plot import write_plot
+        from fastgs_blender.training.run.progress import Reporter
+
+        begun = session.begin(folder, {}, lambda wanted: chosen, True, False)
+        try:
+            done, elapsed = session.progress_so_far(folder, 2, begun.iterations)
+            assert done == begun.iterations and elapsed >= 0
+            Reporter(folder, 100, 60, quiet=True).close()
+            write_plot(folder / "plot.png", folder / "log.jsonl")
+        finally:
+            session._release(str(folder.resolve()))
+
+    mutations.campaign("run", read, {"run": files}, tmp_path / "damaged", fixed=[f"segments/000/{SEGMENT_MODEL}"])
+    assert not (tmp_path / REPORT).exists()
