@@ -157,7 +157,7 @@ def progress(job, state) -> str:
     if values.get("psnr"):
         text += f", {values['psnr']:.1f} dB"
     if state.seconds_left:
-        text += f", {watch.duration(state.seconds_left)} left"
+        text += f", {results.duration(state.seconds_left)} left"
     return text
 
 

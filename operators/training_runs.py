@@ -116,8 +116,6 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
     bl_label = "View Model"
 
     def act(self, context, known, job, state):
-        if context.mode != 'OBJECT':
-            bpy.ops.object.mode_set(mode='OBJECT')
         path = Path(job.out) / MODEL
         so_far = state.kind != 'FINISHED'
         if so_far:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.jobs import checks
-from ..scene.training import plates, watch
+from ..scene.training import plates, results, watch
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
@@ -25,7 +25,7 @@ def estimate_rows(scene, settings) -> list[tuple[str, str]]:
         return [("Estimate", "Check first" if settings.source == 'FOLDER' else "Not known yet")]
     iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
     seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
-    return [("Estimate", f"about {watch.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
+    return [("Estimate", f"about {results.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
 
 
 class _Sidebar:
@@ -140,7 +140,7 @@ def draw_job(box, context, job, state):
             row.operator("fastgs.train_resume", text="", icon='PLAY').job = job.id
         row.operator("fastgs.train_forget", text="", icon='X').job = job.id
     if state.running:
-        left = f", {watch.duration(state.seconds_left)} left" if state.seconds_left else ""
+        left = f", {results.duration(state.seconds_left)} left" if state.seconds_left else ""
         box.progress(factor=state.share, text=f"{state.text} {100 * state.share:.0f} %{left}")
     elif state.kind == 'FAILED':
         col = box.column(align=True)

@@ -7,15 +7,17 @@ from pathlib import Path
 import bpy
 
 from ...fastgs_blender.jobs.job import Job
-from ...fastgs_blender.training.run.files import REPORT
+from ...fastgs_blender.training.run.files import PREVIEWS, REPORT
 from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.reading import read_json, reading
 from ..splats import splat_object
-from . import alignment, watch
+from . import alignment
 
 
 def add_model(context, job, path) -> bpy.types.Object:
     """Add a run's model to the scene, where its cameras are; the one that an earlier look at the same run added is used again."""
+    if context.mode != 'OBJECT':
+        bpy.ops.object.mode_set(mode='OBJECT')
     before = next((obj for obj in context.scene.objects if obj.get("fastgs_job") == job.id), None)
     if before is not None and before.name in context.view_layer.objects:
         splat_object.show_file(before, str(path))
@@ -39,13 +41,26 @@ def report_text(job: Job) -> str:
 
 def _lines(job: Job, values: dict) -> str:
     rows = [("Model", values["model"]), ("Gaussians", values["gaussians"]), ("Size", f"{values['model_bytes'] / 1e6:.2f} MB"),
-            ("Steps", values["iterations"]), ("Time", watch.duration(values["seconds"]))]
+            ("Steps", values["iterations"]), ("Time", duration(values["seconds"]))]
     if values.get("held_out_psnr") is not None:
         rows += [("Held-out views", ", ".join(values["held_out_views"])), ("Held-out PSNR", f"{values['held_out_psnr']:.2f} dB")]
     if values.get("held_out_foreground_psnr") is not None:
         rows.append(("of the foreground", f"{values['held_out_foreground_psnr']:.2f} dB"))
-    picture = watch.newest_preview(job)
+    picture = newest_preview(job)
     if picture is not None:
         rows.append(("Model beside truth", picture))
     rows += [("", ""), *sorted(values["settings"].items())]
     return "\n".join(f"{name:<20} {value}".rstrip() for name, value in rows) + "\n"
+
+
+def duration(seconds: float) -> str:
+    """45 s, 12 min, 1 h 5 min"""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def newest_preview(job: Job) -> Path | None:
+    """The last picture that a run has made to look at: the model's on the left, the truth on the right."""
+    return max((Path(job.out) / PREVIEWS).glob("*.png"), default=None)

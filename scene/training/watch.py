@@ -10,8 +10,9 @@ from pathlib import Path
 import bpy
 
 from ...fastgs_blender.jobs.job import RUNNING, Job, State
-from ...fastgs_blender.training.run.files import PREVIEWS
-from . import displays, installation
+from ...fastgs_blender.training.run.files import MODEL
+from ...fastgs_blender.util.errors import FastGSError
+from . import displays, installation, results
 
 log = logging.getLogger(__name__)
 EVERY = 1.0
@@ -84,8 +85,8 @@ def report_end(job: Job, state: State) -> None:
         return
     with bpy.context.temp_override(window=window):
         if good and job.scene.get("import") and belongs_here(job):
-            with contextlib.suppress(RuntimeError):  # it is in a mode in which nothing can be added; the panel has a button
-                bpy.ops.fastgs.train_import(job=job.id)
+            with contextlib.suppress(RuntimeError, FastGSError):  # it is in a mode in which nothing can be added; the panel has a button
+                results.add_model(bpy.context, job, Path(job.out) / MODEL)
         bpy.context.window_manager.popup_menu(
             lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
             icon='INFO' if good else 'ERROR')
@@ -119,20 +120,7 @@ def line() -> str:
         return ""
     job, state = row
     left = state.seconds_left
-    return f"{job.name}: {state.text.lower()} {100 * state.share:.0f} %{f', {duration(left)} left' if left else ''}"
-
-
-def duration(seconds: float) -> str:
-    """45 s, 12 min, 1 h 5 min"""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def newest_preview(job: Job) -> Path | None:
-    """The last picture that a run has made to look at: the model's on the left, the truth on the right."""
-    return max((Path(job.out) / PREVIEWS).glob("*.png"), default=None)
+    return f"{job.name}: {state.text.lower()} {100 * state.share:.0f} %{f', {results.duration(left)} left' if left else ''}"
 
 
 def register():

@@ -19,8 +19,7 @@ DOORS = {
 }
 """Modules that load another by its name, against the order, and why.  They are no exception from the rule against circles."""
 KNOWN = {
-    "scene/training/watch.py: operators/train.py",
-    "operators/train.py", "tests/addon/test_cameras.py", "tests/library/mutations.py",
+    "tests/addon/test_cameras.py", "tests/library/mutations.py",
 }
 """Offenders that are being removed; none may be added."""
 BACKEND_USERS = {
