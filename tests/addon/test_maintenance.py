@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
+from held_runs import until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,8 +46,15 @@ def test_kernels_go_to_the_extensions_folder(module, preferences, monkeypatch, t
 
 def test_compile_now_and_clear(module, empty_cache):
     cache = module("fastgs_blender.kernels.cpu.cache")
-    assert not cache.is_filled()
+    assert not cache.is_filled() and not cache.is_begun()
+    compiling = module("engine.compiling")
+    assert compiling.start()
+    until(cache.is_begun)
+    assert compiling.is_running()
+    compiling.stop()  # as when Blender is closed
+    assert not cache.is_filled(), "what was stopped is not taken for finished"
     assert bpy.ops.fastgs.compile_kernels() == {'FINISHED'}
+    assert cache.is_filled() and not compiling.start()
     names = {path.name.partition("-")[0] for path in empty_cache.rglob("*.nbi")}
     assert {"project.project", "raster.rasteriser.locals.rasterise", "decode.decode", "sort.scatter"} <= names
     assert cache.size() > 100_000

@@ -22,7 +22,7 @@ OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
 
 
 def pytest_addoption(parser):
-    parser.addoption("--monkey-minutes", type=float, default=0.5, help="how long the monkey does anything in any order")
+    parser.addoption("--monkey-actions", type=int, default=60, help="how many things the monkey does in any order")
     parser.addoption("--monkey-seed", type=int, default=1, help="another seed, other things in another order")
 
 

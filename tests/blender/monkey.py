@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A monkey at Blender's window: everything that users do, in any order.  The same seed does the same things (see inside.py).
+"""A monkey at Blender's window: everything that users do, in any order (see inside.py).
 
+The same seed does the same actions in the same order, however fast the machine is: their number is given, not a time, and each draws
+from random numbers of its own, so that one that Blender does not allow this time changes none of the later ones.
 Each action is printed before it happens, so that the log of a crash ends with its cause.
 """
 from __future__ import annotations
@@ -18,6 +20,8 @@ from background import ADDON, look
 from mathutils import Euler
 from window import press
 
+LAP = 30
+"""Actions between two rests in an empty file."""
 REST = (0.0, 0.05, 0.15, 0.4)
 """Seconds between two actions."""
 OFTEN = {"do_orbit": 4, "do_shading": 4, "do_play": 3, "do_scrub": 3, "do_undo": 2, "do_import": 2}
@@ -28,12 +32,16 @@ class Monkey:
     """What it can do: the methods whose names begin with do_.  One that waits in between is a generator."""
 
     def __init__(self, seed, models, files):
-        self.random = random.Random(seed)
-        self.models, self.files = models, files
+        self.seed, self.models, self.files = seed, models, files
+        self.rewind()
         names = [name for name in dir(self) if name.startswith("do_")]
         self.actions = [name for name in names for _ in range(OFTEN.get(name, 1))]
         self.done = dict.fromkeys(names, 0)
         self.begin = time.monotonic()
+
+    def rewind(self):
+        """Begin with the first action again."""
+        self.order, self.number = random.Random(self.seed), 0
 
     @property
     def window(self):
@@ -56,8 +64,10 @@ class Monkey:
 
     def step(self, name=None):
         """One action, by itself any; a generator of seconds to wait."""
-        name = name or self.random.choice(self.actions)
-        print(f"monkey: {time.monotonic() - self.begin:.1f} s, {memory()} MiB, {name[3:]}", flush=True)
+        name = name or self.order.choice(self.actions)
+        self.number += 1
+        self.random = random.Random(f"{self.seed}/{self.number}/{name}")
+        print(f"monkey: {self.number}, {time.monotonic() - self.begin:.1f} s, {memory()} MiB, {name[3:]}", flush=True)
         self.done[name] += 1
         result = getattr(self, name)()
         if result is not None:
@@ -287,8 +297,8 @@ def level(laps, slack=3):
     return len(laps) > 3 and max(laps[-2:]) <= max(laps[:-2]) + slack
 
 
-def run(seconds, seed, models, files, laps):
-    """First anything in any order; then everything in one order, lap after lap, until the memory held after a lap is level.
+def run(actions, seed, models, files, laps):
+    """First so many actions in any order; then everything in one order, lap after lap, until the memory held after a lap is level.
 
     What Blender and the software OpenGL allocate once is there after a few laps of the second kind; what is forgotten to be freed
     grows with every one, however many.  `laps` is the most.
@@ -304,24 +314,17 @@ def run(seconds, seed, models, files, laps):
     gpu, grown = [], []
 
     def lap(steps):
-        yield from monkey.do_load()
+        yield from monkey.step("do_load")
         for name in steps:
             yield from monkey.step(name)
         yield from rest()
         gpu.append(viewports.memory())
         print("monkey: lap,", memory(), "MiB,", gpu[-1], "bytes in viewports", held(), flush=True)
 
-    end = time.time() + seconds
-    while time.time() < end:
-        yield from lap(until(min(end, time.time() + 15.0)))
+    for done in range(0, actions, LAP):
+        yield from lap([None] * min(LAP, actions - done))
     while len(grown) < laps and not level(grown):
-        monkey.random = random.Random(seed)
-        yield from lap(monkey.random.sample(list(monkey.done), len(monkey.done)))
+        monkey.rewind()
+        yield from lap(monkey.order.sample(list(monkey.done), len(monkey.done)))
         grown.append(memory())
     return {"done": monkey.done, "memory": grown, "level": level(grown), "gpu": gpu, "held": held(), "steps": sum(monkey.done.values())}
-
-
-def until(end):
-    """Any action, until that time."""
-    while time.time() < end:
-        yield None

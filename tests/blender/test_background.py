@@ -26,11 +26,10 @@ def test_installing_brings_what_blender_lacks(user):
 
 
 def test_enabling_is_light(user):
-    """Other processes can only make it slower, so the fastest of three counts."""
-    tries = [user.story("background.enabling", "--factory-startup") for _ in range(3)]
-    print(tries)
-    assert all(facts["enabled"] and not facts["heavy"] for facts in tries)
-    assert min(facts["seconds"] for facts in tries) < 0.3
+    """Nothing that takes long to import; how many seconds that is depends on the machine."""
+    facts = user.story("background.enabling", "--factory-startup")
+    print(facts)
+    assert facts["enabled"] and not facts["heavy"]
 
 
 def test_nothing_stays_behind(user):

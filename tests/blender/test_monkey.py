@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Everything in any order: no Python error, no crash, nothing held that nobody shows, no memory that grows for ever.
 
-Pytest's options --monkey-minutes and --monkey-seed choose another run.
+Pytest's options --monkey-actions and --monkey-seed choose another run.
 """
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ MEMORIES = ("objects._entries", "objects._loading", "paths._before", "spaces._vi
 
 
 def test_monkey(user, model, small_model, pytestconfig):
-    seconds = 60 * pytestconfig.getoption("--monkey-minutes")
-    facts = user.story("monkey.run", window=True, limit=seconds * 2 + 1200, seconds=seconds, seed=pytestconfig.getoption("--monkey-seed"),
+    actions = pytestconfig.getoption("--monkey-actions")
+    facts = user.story("monkey.run", window=True, limit=2400 + 30 * actions, actions=actions, seed=pytestconfig.getoption("--monkey-seed"),
                        laps=12, models=[model[1], small_model[1]], files=["monkey-1.blend", "monkey-2.blend"])
     print(facts)
     assert all(facts["done"].values())

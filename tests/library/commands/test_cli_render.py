@@ -7,12 +7,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 import pytest
+from held_runs import GUARD, until
 from PIL import Image
 
 import fastgs_blender as fg
@@ -244,11 +244,12 @@ def start(work):
 
 
 def wait_for_frames(work, process, count):
-    deadline = time.monotonic() + 60
-    while len(list((work / "out").glob("[0-9]*"))) < count:
+    """Wait until a process that is far from its end has written so many frames."""
+    def written():
         assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+        return len(list((work / "out").glob("[0-9]*"))) >= count
+
+    until(written)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
@@ -258,8 +259,8 @@ def test_a_killed_run_leaves_whole_frames_and_goes_on(run, work, model, start, k
     process = start("--frames", "0:5000", "--format", kind, "--size", "96x64")
     wait_for_frames(work, process, 3)
     process.send_signal(kill)
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == code
+    _, err = process.communicate(timeout=GUARD)
+    assert process.returncode == code, "the signal has hit it"
     assert "Traceback" not in err
     frames = sorted(p.name for p in (work / "out").glob(f"[0-9]*.{kind}"))
     assert frames == [f"{i:04d}.{kind}" for i in range(len(frames))]
@@ -284,7 +285,7 @@ def test_a_disk_that_takes_no_more_is_one_sentence(work, start, kind):
 
     process = start("--frames", "0:3", "--format", kind, "--size", "640x480", "--quiet",
                     preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024)))
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=GUARD)
     assert process.returncode == 2, err
     assert len(err.strip().splitlines()) == 1
     assert "could not be written" in err

@@ -129,8 +129,8 @@ def test_cover_and_points(tmp_path):
 def test_a_held_file_is_free_when_its_process_is_killed(tmp_path):
     path = tmp_path / "lock"
     assert not locks.is_held(path)
-    code = "import sys, time; from fastgs_blender.util import locks; f = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
-    child = subprocess.Popen([sys.executable, "-c", code, path], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    code = "import sys; from fastgs_blender.util import locks; f = locks.hold(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
+    child = subprocess.Popen([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert child.stdout.readline() == "held\n"
         assert locks.is_held(path) and locks.hold(path) is None
@@ -138,6 +138,7 @@ def test_a_held_file_is_free_when_its_process_is_killed(tmp_path):
         child.kill()
         child.wait()
         child.stdout.close()
+        child.stdin.close()
     assert not locks.is_held(path)
     with locks.hold(path) as mine:
         assert mine is not None
