@@ -28,6 +28,7 @@ from .inria import Inria
 from .ksplat import Ksplat
 from .mediastorm import MediastormPly
 from .native import Native
+from .realtime4dgs import Realtime4DGS
 from .sog import Sog
 from .splat import Splat
 from .splat4d import Splat4d
@@ -37,7 +38,7 @@ from .stg import SpacetimeGaussians
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Splat4d())
+                               Realtime4DGS(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""

@@ -33,4 +33,12 @@ def read(path: Path) -> dict:
             raise ValueError("no Namespace")
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise FastGSError(f"{path} is not the printed Namespace(...) that trainers write") from error
-    return {k.arg: k.value.value for k in call.keywords if k.arg and isinstance(k.value, ast.Constant)}
+    return {k.arg: value[0] for k in call.keywords if k.arg and (value := _literal(k.value))}
+
+
+def _literal(node: ast.expr) -> tuple:
+    """The value of a number, text, or list of such, in a tuple; empty for anything else."""
+    try:
+        return (ast.literal_eval(node),)
+    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
+        return ()

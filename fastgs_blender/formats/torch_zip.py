@@ -29,6 +29,8 @@ STORAGES = {
     "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
 }
 """PyTorch's kinds of storage and their numpy codes; bf2 is bfloat16, which numpy lacks."""
+NUMPY = ("numpy.dtype", "numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar", "_codecs.encode")
+"""What a single number of numpy, such as the size of the scene in checkpoints of INRIA's family, is made of."""
 REFUSED = "it is not a table of tensors alone, and a pickle with anything else in it is never executed"
 
 
@@ -37,6 +39,13 @@ class _Global:
     """A name that the pickle mentions: inert."""
 
     name: str
+
+
+@dataclass(frozen=True)
+class _Type:
+    """numpy's type of a number."""
+
+    code: str
 
 
 @dataclass(frozen=True)
@@ -138,6 +147,19 @@ def _expect(good: bool) -> None:
         raise FastGSError(f"{REFUSED}.")
 
 
+def _numpy(name: str, arguments: tuple):
+    """A type, the bytes of a number, or the number."""
+    if name == "numpy.dtype":
+        _expect(bool(arguments) and arguments[0] in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "b1"))
+        return _Type(arguments[0])
+    if name == "_codecs.encode":
+        _expect(len(arguments) == 2 and type(arguments[0]) is str and len(arguments[0]) <= 64 and arguments[1] == "latin1")
+        return arguments[0].encode("latin1", "replace")
+    _expect(len(arguments) == 2 and isinstance(arguments[0], _Type) and type(arguments[1]) is bytes)
+    _expect(len(arguments[1]) == int(arguments[0].code[1]))
+    return np.frombuffer(arguments[1], "<" + arguments[0].code)[0].item()
+
+
 class _Machine:
     """Runs the instructions of a pickle that build dicts, lists, tuples, numbers, texts and tensors."""
 
@@ -206,8 +228,8 @@ class _Machine:
         elif name == "REDUCE":
             push(self._call(*self._pop(2)))
         elif name == "BUILD":
-            self._pop(1)  # attributes of a state dict: versions of modules
-            _expect(type(stack[-1]) is dict)
+            state = self._pop(1)[0]  # attributes of a state dict: versions of modules
+            _expect(type(stack[-1]) is dict or (isinstance(stack[-1], _Type) and type(state) is tuple and state[1:2] in (("<",), ("|",))))
 
     def _pop(self, count: int) -> list:
         items = self.stack[-count:]
@@ -244,6 +266,8 @@ class _Machine:
             return {}
         if function.name in ("torch._utils._rebuild_tensor", "torch._utils._rebuild_tensor_v2") and len(arguments) >= 4:
             return self.file.tensor(*arguments[:4])
+        if function.name in NUMPY:
+            return _numpy(function.name, arguments)
         _expect(function.name == "torch._utils._rebuild_parameter" and arguments and isinstance(arguments[0], Tensor))
         return arguments[0]
 
