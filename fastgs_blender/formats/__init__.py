@@ -35,10 +35,11 @@ from .splat4d import Splat4d
 from .splatv import Splatv
 from .spz import Spz
 from .stg import SpacetimeGaussians
+from .tsog import Tsog
 from .unsupported import explain
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Realtime4DGS(), Splat4d())
+                               Realtime4DGS(), Tsog(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Splat())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
