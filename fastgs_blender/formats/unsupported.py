@@ -8,8 +8,8 @@ from pathlib import Path
 from . import ply
 
 MAGIC = {
-    b"PK\x03\x04": "it is a zip archive (a PyTorch checkpoint, .npz or plain .zip), not a model; open the .ply or .safetensors "
-                   "that belongs to it",
+    b"PK\x03\x04": "it is a zip archive, but no model that is known (of checkpoints, those of FreeTimeGS, 4DGS and Hybrid 3D-4DGS are); "
+                   "open the .ply or .safetensors that belongs to it",
     b"\x1f\x8b": "it is a gzip file, but not .spz; unpack it first",
     b"glTF": "it is a glTF file without Gaussians (KHR_gaussian_splatting); in Blender use File > Import > glTF",
     b"\x93NUMPY": "it is a numpy array, not a model",
@@ -36,8 +36,8 @@ def _explain_ply(header: ply.Header) -> str:
     if is_2dgs(header):
         return "it holds flat 2DGS surfels, not 3D Gaussians; train it with a 3D method"
     if any(name.startswith("motion_") for name in names) or {"t", "t_scale"} & names:
-        return ("it is a 4D model of a kind that is not supported (of 4D PLY files, those in the layout of Spacetime Gaussians are); "
-                "export it as Spacetime Gaussians .ply")
+        return ("it is a 4D model of a kind that is not supported (of 4D PLY files, those of Spacetime Gaussians, FreeTimeGS and "
+                "Mediastorm are); export it as Spacetime Gaussians .ply")
     missing = [name for name in GAUSSIAN if name not in names]
     kind = "a mesh" if any(e.name == "face" and e.count for e in header.elements) else "a plain point cloud"
     what = f"it is {kind}, not a Gaussian model" if {"opacity", "f_dc_0", "rot_0"}.isdisjoint(names) else "it is incomplete"
