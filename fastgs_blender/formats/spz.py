@@ -255,7 +255,7 @@ def _packed(model: GaussianModel) -> bytes:
         header, whole.view(np.uint8).reshape(-1, 4)[:, :3].tobytes(), opacity_bytes(model).tobytes(),
         to_byte((features[:, :3] * COLOUR + 0.5) * 255).tobytes(), to_byte((model.scale.astype(np.float64) + 10) * 16).tobytes(),
         _rotation_codes(model.rotation).tobytes(), _harmonics(features[:, 3:]).tobytes()]
-    pack = zlib.compressobj(9, wbits=31)
+    pack = zlib.compressobj(6, wbits=31)
     return b"".join([*(pack.compress(part) for part in content), pack.flush()])
 
 
