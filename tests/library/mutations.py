@@ -436,7 +436,10 @@ def _ply(data: bytes, draw: random.Random, others) -> bytes:
 
 
 def _is_zip(data: bytes) -> bool:
-    return data.startswith(b"PK\x03\x04") and zipfile.is_zipfile(io.BytesIO(data))
+    try:
+        return data.startswith(b"PK\x03\x04") and zipfile.is_zipfile(io.BytesIO(data))
+    except zipfile.BadZipFile:  # raised for some damage, instead of an answer
+        return False
 
 
 def _zip(data: bytes, draw: random.Random, others) -> bytes:
