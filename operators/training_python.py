@@ -37,7 +37,7 @@ class FASTGS_OT_test_training_python(bpy.types.Operator):
 
 
 class FASTGS_OT_make_training_python(bpy.types.Operator):
-    """Make a Python environment for training in the extension's folder: PyTorch and what else training needs are downloaded"""
+    """Make a Python environment for training in the extension's folder, with all that training can use; it is downloaded"""
 
     bl_idname = "fastgs.make_training_python"
     bl_label = "Make an Environment"
@@ -54,7 +54,7 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
 
     def draw(self, context):
         col = self.layout.column(align=True)
-        col.label(text="PyTorch, numba, PyAV, pycolmap and what they need", icon='IMPORT')
+        col.label(text="numba, PyAV, pycolmap and what they need", icon='IMPORT')
         col.label(text=f"will be downloaded from the Python Package Index: {pythons.SIZE}.")
         col.label(text=f"They go into {installation.made_environment()}")
 

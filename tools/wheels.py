@@ -20,10 +20,12 @@ PACKAGES = {
     "OpenEXR": "BSD-3-Clause",
     "pillow": "MIT-CMU",
     "av": "BSD-3-Clause AND GPL-3.0-or-later",
+    "tqdm": "MPL-2.0 AND MIT",
 }
 """What Blender's Python lacks, with its licence as SPDX writes it.  In the versions that the tests ran with.
 
-Rendering needs the first three.  Captures have films (av, with FFmpeg in it), and pictures without their lenses' distortion (pillow).
+Rendering needs the first three.  Captures have films (av, with FFmpeg in it), and pictures without their lenses' distortion (pillow);
+training says how far it is (tqdm).
 """
 
 SHIPPED = {

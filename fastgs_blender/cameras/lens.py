@@ -153,7 +153,8 @@ def undistortion_map(lens: Lens, source: Intrinsics, camera: Camera) -> np.ndarr
     xy = np.empty((camera.height, camera.width, 2))
     xy[..., 0] = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     xy[..., 1] = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
-    return (lens.distort(xy) * [fx, fy] + [cx, cy]).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # a lens may throw rays as far as it likes
+        return (lens.distort(xy) * [fx, fy] + [cx, cy]).astype(np.float32)
 
 
 def inside(source_positions: np.ndarray, width: int, height: int, tolerance: float = 0.0) -> np.ndarray:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 
-NEEDED = {"torch": "torch", "numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm": "tqdm", "numpy": "numpy"}
+NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm": "tqdm", "numpy": "numpy"}
 USEFUL = {"av": "av", "pycolmap": "pycolmap", "OpenEXR": "OpenEXR"}
 """Modules and the packages that have them: without those training does not run; without these it has no films, no poses or
 points from pictures, no EXR."""
-SIZE = "about 3 GB on Linux, half a gigabyte on Windows and macOS"
+SIZE = "about half a gigabyte"
 TIMEOUT = 300
 
 _ASK = """
@@ -55,7 +55,7 @@ class Report:
             return (f"{head} lacks {', '.join(lacks)}{broken}; install that there, choose another Python, or let one be made in the "
                     "preferences.")
         lesser = [package for name, package in USEFUL.items() if name in self.missing]
-        text = f"{head} can train, with torch {self.found.get('torch', '')}"
+        text = f"{head} can train"
         return f"{text}; films, poses or EXR pictures need {', '.join(lesser)} as well." if lesser else f"{text}."
 
 

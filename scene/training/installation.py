@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.environment import Maker, python_in
+from ...fastgs_blender.jobs.environment import NEEDED, Maker, python_in
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import settings
@@ -48,9 +48,9 @@ def python() -> str:
         return found
     if not is_making() and (found := python_in(str(made_environment()))):
         return found
-    if importlib.util.find_spec("torch") is None:
-        raise FastGSError("Blender's own Python has no PyTorch; in the extension's preferences choose an environment that has it, or let "
-                          "one be made.")
+    if lacking := [package for module, package in NEEDED.items() if importlib.util.find_spec(module) is None]:
+        raise FastGSError(f"Blender's own Python lacks {', '.join(lacking)}; install the zip for this system and Python, or choose an "
+                          "environment that has them in the extension's preferences.")
     return sys.executable
 
 

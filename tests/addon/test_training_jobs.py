@@ -225,7 +225,7 @@ def test_what_goes_wrong_is_one_sentence(jobs, toy, scene, tmp_path):
         assert "Traceback" not in str(told.value)
 
 
-def test_a_python_without_torch_says_so(module, scene, toy, tmp_path, monkeypatch):
+def test_a_python_without_what_training_needs_says_so(module, scene, toy, tmp_path, monkeypatch):
     """An empty environment, made here without the network, is told apart from one that can train."""
     pythons, preferences = module("fastgs_blender.jobs.environment"), module("scene.settings").preferences()
     import venv
@@ -233,9 +233,9 @@ def test_a_python_without_torch_says_so(module, scene, toy, tmp_path, monkeypatc
     venv.create(tmp_path / "bare", with_pip=False, symlinks=True)
     preferences.training_choice, preferences.training_python = 'CHOSEN', str(tmp_path / "bare")
     try:
-        with pytest.raises(RuntimeError, match="lacks torch, numba"):
+        with pytest.raises(RuntimeError, match="lacks numba, safetensors"):
             bpy.ops.fastgs.test_training_python()
-        with pytest.raises(RuntimeError, match="PyTorch|numpy"):
+        with pytest.raises(RuntimeError, match="numba|numpy"):
             bpy.ops.fastgs.train(capture=str(toy), out=str(tmp_path / "run"))
         preferences.training_python = str(tmp_path / "nowhere")
         with pytest.raises(RuntimeError, match="There is no Python"):
@@ -265,7 +265,7 @@ def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch
     operator.draw(this, dialog)
     text = " ".join(said)
     assert asked == [this] and store.maker is None and not store.made_environment().exists()
-    assert "PyTorch" in text and "3 GB" in text and str(store.made_environment()) in text
+    assert "pycolmap" in text and "gigabyte" in text and str(store.made_environment()) in text
     app.online_access = False
     assert "Allow Online Access" in operators.offline_reason()
     app.online_access_override = True
