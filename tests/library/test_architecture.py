@@ -18,10 +18,6 @@ DOORS = {
     "fastgs_blender/jobs/child.py": "starts the command line in a process of its own",
 }
 """Modules that load another by its name, against the order, and why.  They are no exception from the rule against circles."""
-KNOWN = {
-    "tests/addon/test_cameras.py", "tests/library/mutations.py",
-}
-"""Offenders that are being removed; none may be added."""
 BACKEND_USERS = {
     "fastgs_blender/captures/pixels/framefiles.py": {"cache"},  # decoded frames are kept beside compiled kernels
     "scene/settings.py": {"cache"},  # Blender's folder for caches
@@ -84,7 +80,7 @@ def test_the_library_knows_no_blender_and_imports_are_relative(files):
 
 def test_imports_and_operators_follow_the_order(files):
     assert any(path.startswith("engine/") for path in files)
-    assert not set().union(*(against_the_order(path, source, files) for path, source in files.items())) - KNOWN
+    assert not set().union(*(against_the_order(path, source, files) for path, source in files.items()))
 
 
 def test_a_backend_is_reached_through_its_protocol_alone(files):
@@ -101,14 +97,14 @@ def test_every_folder_of_the_library_has_its_place_in_the_order(files):
 
 def test_no_imports_go_in_a_circle(files):
     found = circles({path: targets(path, source, files) for path, source in files.items()})
-    assert [group for group in found if not group <= KNOWN] == []
+    assert not found
 
 
 def test_no_file_is_long():
     folders = (*PACKAGES, "tests", "tools", "benchmarks", "examples")
     paths = [ROOT / "__init__.py", *(path for folder in folders for path in (ROOT / folder).rglob("*.py"))]
     long = {path.relative_to(ROOT).as_posix() for path in paths if len(path.read_text("utf-8").splitlines()) > LINES}
-    assert not long - KNOWN
+    assert not long
 
 
 @pytest.mark.parametrize(("path", "source", "good"), [

@@ -9,6 +9,7 @@ import signal
 import time
 import warnings
 
+import damage
 import mutations
 import pytest
 
@@ -82,6 +83,6 @@ def test_a_failure_is_replayed_in_this_process(tmp_path, monkeypatch):
 
 def test_the_same_number_gives_the_same_mutation():
     data = SEEDS["a"]["x.json"]
-    first = [mutations.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
-    assert first == [mutations.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
+    first = [damage.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
+    assert first == [damage.mutated(data, random.Random(str(i)), [data]) for i in range(200)]
     assert len(set(first)) > 150

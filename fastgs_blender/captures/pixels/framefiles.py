@@ -20,7 +20,7 @@ import numpy as np
 
 from ...kernels.cpu.cache import base_folder
 from ...util.errors import FastGSError
-from ...util.reading import reading
+from ...util.identity import status_of
 from ..capture import Capture, Shot
 
 VERSION = 1
@@ -53,9 +53,7 @@ def digest(shot: Shot, scale: float) -> str:
         if source is None:
             parts.append(None)
             continue
-        with reading(source.path):
-            stat = source.path.stat()
-        parts += [repr(replace(source, path=source.path.absolute())), stat.st_size, stat.st_mtime_ns]
+        parts += [repr(replace(source, path=source.path.absolute())), *status_of(source.path)]
     camera = shot.camera
     parts.append(scale if camera is None else (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:32]
