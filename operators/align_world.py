@@ -19,7 +19,7 @@ LOWEST = 2.0
 
 
 class _Align:
-    """The part that aligning operators share."""
+    """Base class of the aligning operators."""
 
     bl_options = {'REGISTER', 'UNDO'}
 
@@ -46,13 +46,13 @@ class _Align:
 
 
 class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
-    """Put captures upright: their ground becomes the scene's floor"""
+    """Turn captures upright, with their ground on the scene's floor"""
 
     bl_idname = "fastgs.set_ground"
     bl_label = "Set Ground"
 
     source: EnumProperty(
-        name="From", description="What says where the ground is",
+        name="From", description="How the ground is found",
         items=(
             ('POINTS', "Three Points", "Three selected objects, or three vertices of the proxy in Edit Mode, that lie on the ground", 0),
             ('CAMERAS', "Cameras", "The capture's cameras, which were held level; the floor is where the lowest splats are", 1),
@@ -108,7 +108,7 @@ class FASTGS_OT_set_scale(_Align, bpy.types.Operator):
         (a, b), marks = points(context, 2)
         apart = np.linalg.norm(b - a)
         if apart < 1e-9:
-            raise FastGSError("the two points are at one place; choose others, far apart.")
+            raise FastGSError("the two points are at the same place; choose two points far apart.")
         return np.diag([*[self.distance / apart] * 3, 1.0]), marks
 
 

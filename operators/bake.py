@@ -28,8 +28,8 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
 
     filename_ext = ".safetensors"
     filter_glob: StringProperty(default="*.safetensors", options={'HIDDEN'})
-    frame_start: IntProperty(name="Start", description="First frame; the scene's unless given")
-    frame_end: IntProperty(name="End", description="Last frame; the scene's unless given")
+    frame_start: IntProperty(name="Start", description="First frame; by default the scene's")
+    frame_end: IntProperty(name="End", description="Last frame; by default the scene's")
     count: IntProperty(
         name="Gaussians", description="How many Gaussians to spread over the surface", default=100_000, min=1, max=50_000_000,
         soft_max=2_000_000)
@@ -37,13 +37,13 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         name="Tolerance", description="Mean distance from the true motion that is allowed, in percent of the object's size",
         subtype='PERCENTAGE', default=0.5, min=0.001, max=100.0, soft_max=5.0, precision=3)
     max_order: IntProperty(
-        name="Highest Order", description="Most terms of motion to use; 0 allows what the number of frames safely carries",
+        name="Highest Order", description="Largest number of motion terms; 0: as many as the number of frames safely supports",
         default=0, min=0, soft_max=100)
     basis: EnumProperty(
         name="Basis",
-        description="In which functions of time motion is written",
+        description="Functions of time that describe the motion",
         items=(
-            ('AUTO', "Automatic", "Whichever needs the fewest numbers", 0),
+            ('AUTO', "Automatic", "The basis that needs the fewest coefficients", 0),
             ('COSINE', "Cosine", "Half-period cosines: any motion within a clip", 1),
             ('FOURIER', "Fourier", "Sines and cosines with a linear term: turns, cycles and steady travel", 2),
             ('PAPER', "Fourier, Periodic", "As published: the motion returns to where it began", 3),
@@ -52,7 +52,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         default='AUTO')
     samples_per_frame: IntProperty(
         name="Samples per Frame",
-        description="Times per frame at which the objects are looked at; simulations are looked at on whole frames only",
+        description="Number of times per frame at which the objects are sampled; simulations are sampled on whole frames only",
         default=2, min=1, max=16)
     lighting: EnumProperty(
         name="Lighting",
@@ -65,12 +65,12 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
     light_samples: IntProperty(
         name="Light Samples", description="Cycles samples per Gaussian for baked lighting", default=64, min=1, soft_max=4096)
     light_frames: IntProperty(
-        name="Light Frames", description="On how many frames of the clip the light is looked at; they share the samples",
+        name="Light Frames", description="Number of frames of the clip on which the light is sampled; they share the samples",
         default=8, min=1, soft_max=64)
     import_result: BoolProperty(
         name="Import", description="Add the baked model to the scene", default=True)
     overwrite: BoolProperty(
-        name="Overwrite", description="Replace the file if it is there already", default=False, options={'HIDDEN', 'SKIP_SAVE'})
+        name="Overwrite", description="Replace the file if it exists already", default=False, options={'HIDDEN', 'SKIP_SAVE'})
 
     @classmethod
     def poll(cls, context):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bullet time, cameras that follow a region, handheld shake, and keys from the 3D view."""
+"""Operators for bullet time, cameras that follow a region, handheld shake, and keys from the 3D view."""
 from __future__ import annotations
 
 import bpy
@@ -94,7 +94,7 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
         name="Radius", description="Gaussians this near to the 3D cursor on the current frame are followed; 0 chooses by the object's size",
         subtype='DISTANCE', min=0.0, default=0.0)
     how: EnumProperty(
-        name="Camera", description="What the camera does",
+        name="Camera", description="How the camera follows the region",
         items=(('LOOK', "Look At It", "The camera turns towards the region", 0),
                ('MOVE', "Move With It", "The camera keeps its distance and its direction", 1),
                ('NONE', "Nothing", "Only make the empty that follows the region", 2)), default='LOOK')
@@ -149,11 +149,11 @@ class FASTGS_OT_handheld(bpy.types.Operator):
     bl_label = "Handheld"
     bl_options = {'REGISTER', 'UNDO'}
 
-    sway: FloatProperty(name="Sway", description="How far the camera wanders", subtype='DISTANCE', min=0.0, default=0.02)
-    turn: FloatProperty(name="Turn", description="How far it turns", subtype='ANGLE', min=0.0, default=0.008)
-    period: FloatProperty(name="Period", description="Seconds of one swing", min=0.05, default=1.2)
+    sway: FloatProperty(name="Sway", description="How far the camera moves", subtype='DISTANCE', min=0.0, default=0.02)
+    turn: FloatProperty(name="Turn", description="How far the camera turns", subtype='ANGLE', min=0.0, default=0.008)
+    period: FloatProperty(name="Period", description="Duration of one swing in seconds", min=0.05, default=1.2)
     seed: IntProperty(name="Seed", min=0, default=0)
-    remove: BoolProperty(name="Remove", description="Take an earlier shake away", default=False, options={'SKIP_SAVE'})
+    remove: BoolProperty(name="Remove", description="Remove an earlier shake", default=False, options={'SKIP_SAVE'})
 
     @classmethod
     def poll(cls, context):

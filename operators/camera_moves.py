@@ -15,7 +15,7 @@ from ..scene.splats.splat_object import sentence
 
 
 class _Move:
-    """The part that all moves share: a range, an ease, a preview, keeping to what the capture saw."""
+    """Base class of the camera moves: range, ease, preview, and the limit to the region that the capture's cameras span."""
 
     bl_options = {'REGISTER', 'UNDO'}
 
@@ -25,9 +25,9 @@ class _Move:
         name="Ease", description="Share of the time spent on starting and stopping; 0 is constant speed", subtype='FACTOR',
         min=0.0, max=1.0, default=0.0)
     spacing: IntProperty(
-        name="Key Every", description="Frames between keyframes: fewer keys are easier to edit, more follow the path closer",
+        name="Key Every", description="Frames between keyframes: fewer keys are easier to edit, more keys follow the path more closely",
         min=1, soft_max=50, default=10)
-    new_camera: BoolProperty(name="New Camera", description="Animate a new camera and make it the scene's", default=False)
+    new_camera: BoolProperty(name="New Camera", description="Animate a new camera, which becomes the scene's camera", default=False)
     stay_inside: BoolProperty(
         name="Stay Inside Capture", description="Keep the camera within the region that the capture's cameras span", default=False)
     margin: FloatProperty(
@@ -40,7 +40,7 @@ class _Move:
         return context.mode == 'OBJECT'
 
     def fitting(self, context) -> dict:
-        """Values that depend on the scene, for properties that nobody has set."""
+        """Values from the scene for properties that the user has not set."""
         return {"frame_start": context.scene.frame_start, "frame_end": context.scene.frame_end}
 
     def move(self, context, camera):
@@ -79,7 +79,7 @@ class _Move:
         camera = target_camera(context, fresh)
         camera_keys.animate(camera, at, camera_keys.key_frames(self.frame_start, self.frame_end, self.spacing))
         if any(c.enabled for c in camera.constraints):
-            self.report({'WARNING'}, f'"{camera.name}" has constraints, which change where it goes.')
+            self.report({'WARNING'}, f'"{camera.name}" has constraints, which change its path.')
         context.scene.frame_set(context.scene.frame_current)
         return {'FINISHED'}
 
@@ -101,8 +101,8 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
     bl_idname = "fastgs.camera_orbit"
     bl_label = "Orbit"
 
-    turns: FloatProperty(name="Turns", description="How often around; negative goes clockwise", default=1.0, soft_min=-4.0, soft_max=4.0)
-    radius: FloatProperty(name="Distance", description="From the subject's middle", subtype='DISTANCE', min=1e-3, default=5.0)
+    turns: FloatProperty(name="Turns", description="Number of turns; negative turns go clockwise", default=1.0, soft_min=-4.0, soft_max=4.0)
+    radius: FloatProperty(name="Distance", description="Distance from the subject's centre", subtype='DISTANCE', min=1e-3, default=5.0)
     elevation: FloatProperty(name="Elevation", description="Angle above the horizon at the beginning", subtype='ANGLE', default=0.35)
     rise: FloatProperty(name="Rise", description="By how much the elevation changes along the way", subtype='ANGLE', default=0.0)
     start: FloatProperty(name="Start", description="Angle around the subject at the beginning", subtype='ANGLE', default=-np.pi / 2)
@@ -159,7 +159,7 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
     bl_label = "Path Through Cameras"
 
     closed: BoolProperty(name="Closed", description="Come back to the first camera", default=False)
-    new_camera: BoolProperty(name="New Camera", description="Animate a new camera and make it the scene's", default=True)
+    new_camera: BoolProperty(name="New Camera", description="Animate a new camera, which becomes the scene's camera", default=True)
 
     @classmethod
     def poll(cls, context):

@@ -58,7 +58,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
             ('FRAMES', "Every Frame", "Exactly the path that the other program plays", 0),
             ('KEYS', "The File's Own", "Fewer keys, easier to edit; Blender's curves run between them", 1),
         ), default='FRAMES')
-    new_camera: BoolProperty(name="New Camera", description="Make a new camera, or else animate the scene's", default=True)
+    new_camera: BoolProperty(name="New Camera", description="Make a new camera; otherwise the scene's camera is animated", default=True)
     keep_speed: BoolProperty(
         name="Keep Speed", description="Stretch the path where its frame rate differs from the scene's; else one frame is one frame",
         default=False)
@@ -132,7 +132,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         there = camera.width / camera.fx * camera.fy / camera.height
         if abs(here / there - 1) > 1e-3:
             self.report({'WARNING'}, f"The path was made for pictures of {camera.width} x {camera.height}; the scene's have another shape, "
-                                     "so less or more is seen above and below (Render as Filmed sets that size).")
+                                     "so the pictures show less or more at their edges (Render as Filmed sets that size).")
 
 
 class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
@@ -144,9 +144,9 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
 
     filename_ext = ".json"
     filter_glob: StringProperty(default="*.json", options={'HIDDEN'})
-    format: EnumProperty(name="Format", description="The program that is to read the path", items=FORMAT_ITEMS, default='FASTGS')
+    format: EnumProperty(name="Format", description="The program that will read the path", items=FORMAT_ITEMS, default='FASTGS')
     space: EnumProperty(name="World", description="The world to write the cameras in", items=camera_space.ITEMS, default='AUTO')
-    use_range: BoolProperty(name="Own Range", description="Other frames than the scene's", default=False)
+    use_range: BoolProperty(name="Own Range", description="Export other frames than the scene's", default=False)
     frame_start: IntProperty(name="First Frame", default=1)
     frame_end: IntProperty(name="Last Frame", default=100)
 

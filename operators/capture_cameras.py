@@ -28,7 +28,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     bl_idname = "fastgs.import_capture"
     bl_label = "Import Capture Cameras"
     bl_options = {'REGISTER', 'UNDO', 'PRESET'}
-    doing = "Correcting the lenses' pictures"
+    doing = "Undistorting the pictures"
 
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
@@ -36,13 +36,13 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     backgrounds: EnumProperty(
         name="Backgrounds", description="What to show behind each camera",
         items=(
-            ('AUTO', "Automatic", "The files themselves, or undistorted copies where lenses distort and the pictures are not too many", 0),
-            ('FILES', "Files", "The files as they are, also where the lens distorts", 1),
-            ('UNDISTORTED', "Undistorted", "Copies without the lens' distortion, written once into the extension's folder", 2),
+            ('AUTO', "Automatic", "The files themselves; undistorted copies if lenses distort and there are not too many pictures", 0),
+            ('FILES', "Files", "The files unchanged, even if the lens distorts", 1),
+            ('UNDISTORTED', "Undistorted", "Copies without lens distortion, written once into the extension's folder", 2),
             ('NONE', "None", "Cameras only", 3),
         ), default='AUTO')
     scale: FloatProperty(
-        name="Picture Scale", description="Size of the pictures against the files; 0 leaves it to the capture's layout",
+        name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it",
         min=0.0, max=1.0, default=0.0)
     set_scene: BoolProperty(
         name="Set Scene", description="Give the scene the capture's frame rate, length and picture size, and its first camera",
@@ -69,7 +69,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         return self.begin(context, self._read(path))
 
     def _read(self, path):
-        """The capture and what plays behind each of its views; yields the progress of writing pictures."""
+        """The capture and the background of each of its views; yields the progress of writing pictures."""
         from ..fastgs_blender.captures import open_capture
 
         capture = open_capture(path.rstrip("/\\") or path, scale=self.scale or None)
@@ -90,7 +90,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         return {'FINISHED'}
 
     def _start(self, context) -> int:
-        """Scene frame of the capture's first frame: where its splat object begins, else where the scene does."""
+        """Scene frame of the capture's first frame: the start of its splat object, else of the scene."""
         splat = camera_space.splat_of(context, self.space)
         return round(splat.fastgs.start_frame) if splat else context.scene.frame_start
 
@@ -131,7 +131,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         return made
 
     def _reels(self, capture):
-        """What plays behind each view {view: Reel}; yields progress."""
+        """The background of each view {view: Reel}; yields progress."""
         if self.backgrounds == 'NONE':
             return {}
         distorted = [shot for shot in capture.shots if not shot.image.lens.is_pinhole]
@@ -140,8 +140,8 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
             copies = yield from undistorted.steps(capture, distorted)
             capture.shots[:] = [copies.get(shot, shot) for shot in capture.shots]
         elif distorted:
-            self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their backgrounds; import again "
-                                     f"with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
+            self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their pictures; "
+                                     f"import again with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
         return {view: reel_of([shot for shot in capture.shots if shot.view == view]) for view in capture.views}
 
     def _fit_scene(self, scene, capture, made):

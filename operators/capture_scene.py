@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Capture This Scene: the open, animated scene is filmed with its own engine from many cameras, and becomes a capture."""
+"""Capture This Scene: films the open, animated scene from many cameras with its own render engine, as a capture."""
 from __future__ import annotations
 
 import time
@@ -16,18 +16,18 @@ from .stepwise import Stepwise
 
 
 class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
-    """Film the open scene with its own render engine from many cameras, as a capture to train on; what is filmed already is kept"""
+    """Film the open scene with its own render engine from many cameras, as a capture to train on; existing pictures are kept"""
 
     bl_idname = "fastgs.capture_scene"
     bl_label = "Capture This Scene"
     doing = "Capturing"
 
     out: StringProperty(
-        name="Folder", description="Where the capture goes; empty for a folder beside the .blend", subtype='DIR_PATH')
-    frame_start: IntProperty(name="Start", description="First frame; the scene's unless given")
-    frame_end: IntProperty(name="End", description="Last frame; the scene's unless given")
+        name="Folder", description="Folder for the capture; empty: a new folder beside the .blend", subtype='DIR_PATH')
+    frame_start: IntProperty(name="Start", description="First frame; by default the scene's")
+    frame_end: IntProperty(name="End", description="Last frame; by default the scene's")
     train: BoolProperty(
-        name="Train", description="Train on the capture once it is there", default=False, options={'SKIP_SAVE'})
+        name="Train", description="Train on the capture as soon as it is complete", default=False, options={'SKIP_SAVE'})
 
     @classmethod
     def poll(cls, context):
@@ -48,7 +48,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
         return self.begin(context, self._film(context))
 
     def _film(self, context):
-        """Yields the progress in pictures, and returns what is to be noted about them."""
+        """Yields the progress in pictures, and returns notes for the user."""
         self._out = bpy.path.abspath(self.out) if self.out else folders.unused("capture")
         try:
             return (yield from film_steps(context.scene, self._plan(context), self._out))
@@ -62,12 +62,12 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
         pool = {'SELECTED': context.selected_objects, 'ALL': scene.objects}.get(self.cameras, ())
         names = tuple(sorted(obj.name for obj in pool if obj.type == 'CAMERA'))
         if self.cameras in ('SELECTED', 'ALL') and len(names) < 2:
-            raise FastGSError("fewer than two cameras are chosen; a capture needs several, so select more or let new ones be made.")
+            raise FastGSError("fewer than two cameras are chosen, and a capture needs several; select more, or choose new cameras.")
         selected = None
         if self.subject == 'SELECTED':
             selected = tuple(sorted(obj.name for obj in context.selected_objects if obj.type != 'CAMERA'))
             if not selected:
-                raise FastGSError("nothing is selected; select what the capture is about.")
+                raise FastGSError("nothing is selected; select the objects that the capture shows.")
         return Plan(
             self.frame_start, self.frame_end, self.frame_step, self.width, self.height, self.samples if self.quality == 'FAST' else 0,
             names, self.count, 'arc' if self.cameras == 'ARC' else 'dome', float(self.angle) * 57.29577951308232, self.distance, selected,

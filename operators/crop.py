@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that crop a splat object with boxes and write what is left as a model of its own."""
+"""Operators that crop a splat object with boxes and write the remaining Gaussians as a new model."""
 from __future__ import annotations
 
 from pathlib import Path
@@ -19,7 +19,7 @@ def _editable(context) -> bool:
 
 
 class FASTGS_OT_add_crop_box(bpy.types.Operator):
-    """Add an empty around the active object's splats; what lies outside of it is not shown. It moves with the object"""
+    """Add an empty around the active object's splats, as a box outside of which nothing is shown. It moves with the object"""
 
     bl_idname = "fastgs.add_crop_box"
     bl_label = "Add Crop Box"
@@ -38,13 +38,13 @@ class FASTGS_OT_add_crop_box(bpy.types.Operator):
 
 
 class FASTGS_OT_remove_crop_box(bpy.types.Operator):
-    """No longer crop the active object with this box; the box itself stays in the scene"""
+    """Stop cropping the active object with this box; the box itself stays in the scene"""
 
     bl_idname = "fastgs.remove_crop_box"
     bl_label = "Remove Crop Box"
     bl_options = {'REGISTER', 'UNDO'}
 
-    index: IntProperty(name="Index", description="Which of the object's boxes", min=0)
+    index: IntProperty(name="Index", description="The box to remove", min=0)
 
     @classmethod
     def poll(cls, context):
@@ -60,7 +60,7 @@ class FASTGS_OT_remove_crop_box(bpy.types.Operator):
 
 
 class FASTGS_OT_apply_crop(bpy.types.Operator, ExportHelper):
-    """Write the Gaussians that the boxes leave on any frame of the clip as a new file, and show that instead"""
+    """Write the Gaussians that the boxes show on any frame of the clip into a new file, and use this file for the object"""
 
     bl_idname = "fastgs.apply_crop"
     bl_label = "Apply Crop"

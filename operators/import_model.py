@@ -18,7 +18,7 @@ PATTERNS = tuple(f"*{name}" if name.startswith(".") else name for name in readab
 
 
 class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
-    """Import models of 4D Gaussians; the files are referred to, not copied"""
+    """Import models of 4D Gaussians; the .blend stores the files' paths, not their content"""
 
     bl_idname = "import_scene.fastgs"
     bl_label = "Import 4D Gaussians"
@@ -29,7 +29,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
     relative_path: BoolProperty(
-        name="Relative Path", description="Find the file by its place relative to the .blend, once that is saved", default=True)
+        name="Relative Path", description="Store the path relative to the .blend, once that is saved", default=True)
     orientation: EnumProperty(
         name="Orientation",
         items=(
@@ -38,7 +38,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         ),
         default='AUTO')
     proxy_points: IntProperty(
-        name="Proxy Points", description="The most points that stand for the model in Solid view and in other engines",
+        name="Proxy Points", description="Most points that stand for the model where Gaussians are not drawn, as in other engines",
         default=LIMIT, min=0, max=LIMIT)
     set_scene_range: BoolProperty(
         name="Set Scene Range", description="Set the scene's first and last frame and its frame rate from the capture", default=False)

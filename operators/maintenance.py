@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: compile, clear, copy diagnostics."""
+"""Operators of the preferences: compile and clear the renderer's kernels, copy diagnostics."""
 from __future__ import annotations
 
 import bpy
@@ -24,7 +24,7 @@ class FASTGS_OT_compile_kernels(bpy.types.Operator):
         if cache.is_filled():
             self.report({'INFO'}, "The renderer is compiled already")
         elif not compiling.start():
-            self.report({'ERROR'}, "The renderer could not be compiled; the log tells why")
+            self.report({'ERROR'}, "The renderer could not be compiled; the log has the reason")
             return {'CANCELLED'}
         elif bpy.app.background and not compiling.wait():
             self.report({'ERROR'}, "Compiling the renderer failed")
@@ -33,7 +33,7 @@ class FASTGS_OT_compile_kernels(bpy.types.Operator):
 
 
 class FASTGS_OT_clear_kernels(bpy.types.Operator):
-    """Delete the compiled renderer; it is made anew when it is needed"""
+    """Delete the compiled renderer; it is compiled again when it is needed"""
 
     bl_idname = "fastgs.clear_kernels"
     bl_label = "Clear"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Long work of an operator in steps: with a window Blender shows its progress and Esc ends it, without one it runs to its end."""
+"""Runs long work of an operator in steps: with a window Blender shows progress and Esc ends it; without one it blocks."""
 from __future__ import annotations
 
 import math
@@ -17,23 +17,23 @@ REPORT_EVERY = 5.0
 
 
 class Stepwise:
-    """For operators: the work is a generator of (done, whole), a share where whole is 1; what it returns goes to finish().
+    """Base class of operators whose work is a generator of (done, whole); its return value goes to finish().
 
     invoke() of the class must set `_interactive`; a call from a script, or a repetition with other values, blocks.
     """
 
     doing = "Working"
-    interrupted = "{} was interrupted; what is done is kept, and the next time goes on from there"
+    interrupted = "{} was interrupted; finished parts are kept, and the next call continues from there"
     _interactive = False
     in_window = False
-    """Whether Blender goes on beside this work; known from the first step on."""
+    """Whether Blender stays usable during this work; known from the first step on."""
 
     def finish(self, context, result) -> set:
-        """What is left when all steps are done; returns what execute() is to return."""
+        """Finish the work when all steps are done; returns the result of execute()."""
         raise NotImplementedError
 
     def begin(self, context, steps) -> set:
-        """Do the steps, or let them be done; returns what execute() is to return."""
+        """Do all steps, or start a timer that does them; returns the result of execute()."""
         self._steps, self._timer, self._told = steps, None, time.monotonic()
         self.in_window, self._interactive = self._interactive and not bpy.app.background, False
         context.window_manager.progress_begin(0, 100)
@@ -56,7 +56,7 @@ class Stepwise:
         self._close(context)
 
     def _go_on(self, context, seconds: float) -> set | None:
-        """One step, and more for so long; None where work is left."""
+        """Do steps for this long, at least one; None while work is left."""
         until = time.monotonic() + seconds
         try:
             while True:

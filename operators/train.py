@@ -23,14 +23,14 @@ REPORT_EVERY = 5.0
 
 
 class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
-    """Train a model from a capture in a process of its own, which goes on when Blender is closed; what is not given comes from the panel"""
+    """Train a model from a capture in a separate process, which continues when Blender is closed. Options not given are the panel's"""
 
     bl_idname = "fastgs.train"
     bl_label = "Train"
 
-    start_frame: IntProperty(name="Start Frame", description="Scene frame of the capture's first frame; the scene's first unless given")
+    start_frame: IntProperty(name="Start Frame", description="Scene frame of the capture's first frame; by default the scene's first frame")
     existing: EnumProperty(
-        name="Existing Run", description="What to do where the folder holds a run already",
+        name="Existing Run", description="What to do if the folder contains a run already",
         items=(
             ('REFUSE', "Refuse", "Say so", 0),
             ('RESUME', "Continue", "Continue it", 1),
@@ -38,7 +38,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         ), default='REFUSE')
     import_result: BoolProperty(name="Import When Done", description="Add the finished model to the scene", default=True)
     wait: BoolProperty(
-        name="Wait", description="Come back when training has ended; always so without a window, unless it is given", default=False)
+        name="Wait", description="Return only when training has ended; the default without a window", default=False)
 
     @classmethod
     def poll(cls, context):
@@ -114,7 +114,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         return installation.jobs().add(out, capture, python, options, about, existing)
 
     def _run(self, context, job):
-        """Start the job at once and wait for its end."""
+        """Start the job at once and wait until it has ended."""
         known = installation.jobs()
         try:
             known.start(job)
@@ -162,12 +162,12 @@ def progress(job, state) -> str:
 
 
 class FASTGS_OT_train_check(bpy.types.Operator):
-    """Look for what would keep training from working: the Python, the capture's poses, pictures and synchronisation, disk, memory"""
+    """Check before training: the training Python, the capture's poses, pictures and synchronisation, disk space and memory"""
 
     bl_idname = "fastgs.train_check"
     bl_label = "Check"
 
-    capture: StringProperty(name="Capture", description="The capture's folder; the panel's unless given", subtype='DIR_PATH',
+    capture: StringProperty(name="Capture", description="The capture's folder; by default the panel's", subtype='DIR_PATH',
                             options={'SKIP_SAVE'})
 
     def invoke(self, context, event):
@@ -202,7 +202,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
         return self._report(self._found)
 
     def _work(self, context):
-        """What to do without Blender's data: a function that returns Facts."""
+        """A function that returns Facts and does not touch Blender's data, so that a thread can run it."""
         path = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture).rstrip("/\\")
         return partial(checks.inspect, installation.python(), path)
 
@@ -212,7 +212,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
         except FastGSError as error:
             self._found = error
         except Exception as error:  # in a thread nobody else would tell
-            self._found = FastGSError(f"the capture could not be looked at ({error}).")
+            self._found = FastGSError(f"the capture could not be checked ({error}).")
 
     def _report(self, found):
         """Report Facts, or the error there was instead."""

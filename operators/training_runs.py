@@ -15,9 +15,9 @@ from ..scene.training import installation, results, watch
 
 
 class _JobOperator:
-    """An operator about one job; without a name, about the panel's."""
+    """Base class of operators on one job: the job with the given id, else the panel's."""
 
-    job: StringProperty(name="Job", description="Which job; empty for the one that the panel shows", options={'HIDDEN', 'SKIP_SAVE'})
+    job: StringProperty(name="Job", description="The job's id; empty: the job that the panel shows", options={'HIDDEN', 'SKIP_SAVE'})
 
     @classmethod
     def poll(cls, context):
@@ -31,7 +31,7 @@ class _JobOperator:
         row = watch.current()
         job = known.get(self.job or row[0].id)
         if job is None:
-            raise FastGSError("that training job is not on the list any more.")
+            raise FastGSError("this training job is not on the list any more.")
         return known, job, known.state(job)
 
     def execute(self, context):
@@ -49,7 +49,7 @@ class _JobOperator:
 
 
 class FASTGS_OT_train_pause(_JobOperator, bpy.types.Operator):
-    """Save the run and end its process; jobs that wait go on waiting"""
+    """Save the run and end its process; waiting jobs do not start until it is resumed or stopped"""
 
     bl_idname = "fastgs.train_pause"
     bl_label = "Pause"
@@ -67,7 +67,7 @@ class FASTGS_OT_train_resume(_JobOperator, bpy.types.Operator):
     bl_idname = "fastgs.train_resume"
     bl_label = "Resume"
 
-    wait: BoolProperty(name="Wait", description="Come back when training has ended", default=False, options={'SKIP_SAVE'})
+    wait: BoolProperty(name="Wait", description="Return only when training has ended", default=False, options={'SKIP_SAVE'})
 
     def act(self, context, known, job, state):
         if state.running or state.kind in ('QUEUED', 'FINISHED'):
@@ -83,7 +83,7 @@ class FASTGS_OT_train_resume(_JobOperator, bpy.types.Operator):
             end = known.state(job)
             if end.kind != 'FINISHED':
                 raise FastGSError(end.text)
-        return f"{job.name}: training goes on"
+        return f"{job.name}: training continues"
 
 
 class FASTGS_OT_train_stop(_JobOperator, bpy.types.Operator):
@@ -110,7 +110,7 @@ class FASTGS_OT_train_forget(_JobOperator, bpy.types.Operator):
 
 
 class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
-    """Add the run's model to the scene, aligned with the cameras that it came from: the finished one, or the one so far"""
+    """Add the run's model to the scene, aligned with its cameras; of an unfinished run, the model of the last checkpoint"""
 
     bl_idname = "fastgs.train_import"
     bl_label = "View Model"
@@ -127,7 +127,7 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
 
 
 class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
-    """Write what came of a run into a text: quality in the held-out views, size, time, settings"""
+    """Write the run's report into a text: quality in the held-out views, size, time, settings"""
 
     bl_idname = "fastgs.train_report"
     bl_label = "Report"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Facts about splat objects as plain text for panels.  Cheap enough for a redraw: no file is opened."""
+"""Facts about splat objects as text for panels; opens no file, so that redraws stay quick."""
 from __future__ import annotations
 
 import textwrap
@@ -13,12 +13,12 @@ from ..scene import objects, snapshot, time
 
 
 def known(obj: bpy.types.Object) -> bool:
-    """Whether the object's file has been read since the object came to be."""
+    """Whether the object's file has been read since the object was created."""
     return obj.fastgs.frame_count > 0 and obj.fastgs.fps > 0
 
 
 def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
-    """(what, value) pairs about an object's file."""
+    """(label, value) pairs about an object's file."""
     settings = obj.fastgs
     clip = Clip(settings.frame_count, settings.fps)
     rows = [("Gaussians", f"{settings.gaussian_count:,}")]
@@ -32,7 +32,7 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
 
 
 def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
-    """Which of the capture's frames the scene's current frame shows."""
+    """The capture's frame that is shown at the scene's current frame."""
     clip = Clip(obj.fastgs.frame_count, obj.fastgs.fps)
     rate = scene.render.fps / scene.render.fps_base
     at = time.clip_frame(scene.frame_current_final, rate, snapshot.retime_of(obj), clip)
@@ -40,23 +40,23 @@ def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
 
 
 def scene_facts(scene: bpy.types.Scene) -> list[tuple[str, str]]:
-    """(what, value) pairs about all that a scene holds of splats."""
+    """(label, value) pairs about all splats of a scene."""
     splats = [obj for obj in scene.objects if objects.is_splat(obj)]
     total = sum(obj.fastgs.gaussian_count for obj in splats)
     return [("Splat Objects", f"{len(splats):,}"), ("Gaussians", f"{total:,}"), ("In Memory", size(objects.loaded_bytes()))]
 
 
 def number(value: float) -> str:
-    """At most two digits after the point, none that say nothing."""
+    """A number with at most two digits after the point, without trailing zeros."""
     return f"{value:.2f}".rstrip("0").rstrip(".")
 
 
 def size(count: int) -> str:
-    """Bytes in words, as Blender's statistics write them."""
+    """A number of bytes as text, as Blender's statistics write it."""
     step = min((count.bit_length() - 1) // 10, 3) if count else 0
     return f"{count / 1024**step:.{1 if step else 0}f} {('B', 'KiB', 'MiB', 'GiB')[step]}"
 
 
 def lines(text: str, width: float, scale: float) -> list[str]:
-    """A sentence cut into lines for a region of that many pixels, at an interface scale: Blender's labels do not wrap."""
+    """Wraps a sentence into lines for a region of that width in pixels, at an interface scale; Blender's labels do not wrap."""
     return textwrap.wrap(text[:1].upper() + text[1:], max(int((width / scale - 60) / 6.5), 20))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our shortcuts in the 3D view."""
+"""The extension's shortcuts in the 3D view."""
 import bpy
 
 _items = []

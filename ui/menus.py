@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our entries in Blender's menus."""
+"""The extension's entries in Blender's menus."""
 import bpy
 
 from ..fastgs_blender.formats import readable

@@ -14,7 +14,7 @@ def is_ours(obj) -> bool:
 
 
 def draw_rows(layout, rows):
-    """Pairs of text in two columns, lined up with properties."""
+    """Draw pairs of text in two columns, aligned with properties."""
     col = layout.column(align=True)
     for what, value in rows:
         split = col.split(factor=0.4)
@@ -25,13 +25,13 @@ def draw_rows(layout, rows):
 
 
 def draw_trouble(col, context, text):
-    """What is wrong, in as many lines as it takes."""
+    """Draw the error message, on several lines if it is long."""
     for i, line in enumerate(facts.lines(text, context.region.width, context.preferences.system.ui_scale or 1.0)):
         col.label(text=line, icon='BLANK1' if i else 'ERROR')
 
 
 def draw_model(layout, context):
-    """The file, what is wrong with it, and what is in it."""
+    """Draw the file, its error if there is one, and its contents."""
     obj = context.object
     error = objects.error_of(obj)
     row = layout.row(align=True)
@@ -58,7 +58,7 @@ def draw_model(layout, context):
 
 
 def draw_time(layout, context):
-    """When the clip plays, and how."""
+    """Draw the clip's timing: start, speed, offset, before and after."""
     obj = context.object
     settings = obj.fastgs
     layout.use_property_split = True
@@ -75,7 +75,7 @@ def draw_time(layout, context):
 
 
 def draw_crop(layout, context):
-    """The boxes that crop the model."""
+    """Draw the boxes that crop the model."""
     layout.use_property_decorate = False
     boxes = context.object.fastgs.crops
     for index, item in enumerate(boxes):

@@ -13,7 +13,7 @@ ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 
 
 
 def estimate_rows(scene, settings) -> list[tuple[str, str]]:
-    """What a run will take, as far as the size of the pictures is known."""
+    """Time and memory that a run will need, if the size of the pictures is known."""
     pixels = pictures = 0
     if settings.source == 'SCENE':
         pixels = settings.width * settings.height
@@ -129,7 +129,7 @@ class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):
 
 
 def draw_job(box, context, job, state):
-    """A run: its name, what can be done with it, how it stands."""
+    """Draw a run: its name, its buttons, its state."""
     row = box.row(align=True)
     row.label(text=job.name, icon=ICONS.get(state.kind, 'RENDER_ANIMATION'))
     if state.running or state.kind == 'QUEUED':
@@ -156,7 +156,7 @@ def draw_job(box, context, job, state):
 
 
 def job_rows(state) -> list[tuple[str, str]]:
-    """What is known of a run."""
+    """(label, value) pairs about a run."""
     values, rows = state.values, []
     if not state.running and state.kind != 'FAILED':
         rows.append(("State", state.text))
@@ -172,7 +172,7 @@ def job_rows(state) -> list[tuple[str, str]]:
 
 
 def draw_status(self, context):
-    """The status bar: what is being trained."""
+    """Draw the running job into the status bar."""
     text = watch.line()
     if text:
         self.layout.label(text=text, icon='RENDER_ANIMATION')

@@ -22,7 +22,7 @@ def add_arguments(parser):
     parser.add_argument("input", metavar="IN", help="the model to read")
     parser.add_argument("output", metavar="OUT", help="the file to write")
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
-    parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
 
 
 def run(args):

@@ -23,11 +23,11 @@ def add_arguments(parser):
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
     parser.add_argument("capture", metavar="CAPTURE", help="the capture to measure it against")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: MODEL-evaluation, or evaluation in the folder)")
-    parser.add_argument("--views", "--held-out", metavar="NAME,NAME", help="the views to use, all for all (default: those that the model "
+    parser.add_argument("--views", "--held-out", metavar="NAME,NAME", help="the views to use, or all (default: those that the model "
                         "was not trained on)")
     parser.add_argument("--frames", metavar="A:B", help="the frames to use, counted from 0 (default: all that the model's clip covers)")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
-    parser.add_argument("--scale", type=float, metavar="S", help="size of the pictures, 1 as they are (default: as in training)")
+    parser.add_argument("--scale", type=float, metavar="S", help="factor on the size of the pictures (default: as in training)")
     parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
     parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")

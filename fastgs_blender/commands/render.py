@@ -7,8 +7,8 @@ Frames that exist already are kept, so the same command continues a stopped run.
 PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
 R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where there is nothing).
 
-Several cameras: --view picks one by name or number.  Without --view, as many cameras as frames are a camera path; so they
-are with --path, where frame f otherwise takes camera f.  Else the first camera is used.
+Several cameras: --view picks one by name or number.  Without it, the cameras are a camera path if there are as many of them as
+frames: each frame takes the next camera.  --path makes them a path for any frames: frame f takes camera f.  Else the first is used.
 """
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def add_arguments(parser):
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
     parser.add_argument("--format", default="png", choices=("png", "exr"), help="file format (default: png)")
     parser.add_argument("--passes", metavar="P,P", help="EXR: the passes to write (default: all)")
-    parser.add_argument("--size", metavar="WxH", help="image size (default: the camera's); the horizontal view stays")
+    parser.add_argument("--size", metavar="WxH", help="image size (default: the camera's); the horizontal field of view stays the same")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--view", "--camera-index", metavar="NAME", help="the camera to use: its name, or its number from 0")
-    which.add_argument("--path", action="store_true", help="a camera for each frame")
+    which.add_argument("--path", action="store_true", help="the cameras are a path: frame f takes camera f")
     parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB (default: transparent)")
-    parser.add_argument("--overwrite", action="store_true", help="render frames that are there again")
+    parser.add_argument("--overwrite", action="store_true", help="render frames again that are there already")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_backend(parser)
 
@@ -58,7 +58,7 @@ def run(args):
         frames = parse_frames(f"0:{model.clip.frame_count - 1}")
     cameras = _cameras(views, frames, args, size)
     if any(not 0 <= frame < model.clip.frame_count for frame in (frames.numbers[0], frames.numbers[-1])) and model.basis.terms:
-        note(f"the clip has the frames 0 to {model.clip.frame_count - 1}; beyond them its motion is only continued.")
+        note(f"the clip has the frames 0 to {model.clip.frame_count - 1}; outside of these its motion is extrapolated.")
 
     out = Path(args.out)
     _make_folder(out)
@@ -102,13 +102,13 @@ def _render_all(args, model, cameras, frames, files, todo, write, passes, backgr
                 bar.update()
         except KeyboardInterrupt:
             bar.close()
-            rest = f"stopped; {done} of {len(todo)} frames are written to {args.out}, and the same command goes on from there."
+            rest = f"stopped; {done} of {len(todo)} frames are written to {args.out}, and the same command continues from there."
             raise KeyboardInterrupt(rest) from None
 
 
 @contextlib.contextmanager
 def _stop_on_sigterm():
-    """Farm managers and `kill` ask politely with SIGTERM: end as cleanly as with Ctrl-C."""
+    """Treat SIGTERM, which render farms and `kill` send, as Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -51,7 +51,7 @@ def _unicode(values):
 
 
 def say(text: str):
-    """Print a line of the result on standard output; texts from files cannot command the terminal."""
+    """Print a line of the result on standard output; control characters in texts from files are escaped."""
     print(printable(text))
 
 
@@ -61,7 +61,7 @@ def note(text: str):
 
 
 def human_bytes(count: float) -> str:
-    """3.4 MB"""
+    """A number of bytes as text, such as 3.4 MB."""
     if count < 1000:
         return f"{count:.0f} bytes"
     power = min(int(len(f"{count:.0f}") - 1) // 3, 4)

@@ -23,13 +23,13 @@ FLAGS = {
     "max_gaussians": (int, "N", "never more Gaussians than this (default: by the preset)"),
     "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.01)"),
     "density": (str, "KIND", "density control: default or mcmc"),
-    "start": (str, "KIND", "where points to start from come from: auto, triangulate, file, model or random (default: auto)"),
-    "masks": (str, "USE", "what masks are for: auto, cut, weight, only or off (default: auto)"),
-    "seed": (int, "N", "of everything random (default: 0)"),
+    "start": (str, "KIND", "source of the starting points: auto, triangulate, file, model or random (default: auto)"),
+    "masks": (str, "USE", "how masks are used: auto, cut, weight, only or off (default: auto)"),
+    "seed": (int, "N", "seed of all random numbers (default: 0)"),
 }
 """Settings with a flag of their own; --set reaches all."""
 OTHER_FLAGS = {"start": "--init"}
-"""Flags that are not called as the setting is: torchrun would take --start for an abbreviation of its own --start-method."""
+"""Flags with another name than their setting: torchrun would take --start for an abbreviation of its own --start-method."""
 
 
 def add_arguments(parser):
@@ -37,11 +37,11 @@ def add_arguments(parser):
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
     parser.add_argument("--resume", action="store_true", help="continue the run in that folder")
     parser.add_argument("--overwrite", action="store_true", help="start again from the beginning if the folder has a run already")
-    parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long and how large (default: standard)")
+    parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long to train, how large a model (default: standard)")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():
         parser.add_argument(OTHER_FLAGS.get(name, f"--{name.replace('_', '-')}"), dest=name, type=kind, metavar=metavar, help=text)
-    parser.add_argument("--init-model", dest="start_model", metavar="FILE", help="a model to start from, as a bake makes one")
+    parser.add_argument("--init-model", dest="start_model", metavar="FILE", help="a model to start from, for example one made by a bake")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
@@ -83,7 +83,7 @@ def run(args):
 
 
 def options(args) -> dict:
-    """The settings that the command line names."""
+    """The settings given on the command line."""
     from ..training.core.settings import option_from_text
 
     wanted = dict(option_from_text(text) for text in args.set)
@@ -114,6 +114,6 @@ def frames_slice(text: str | None) -> slice | None:
 
     frames = parse_frames(text)
     if any(number != int(number) or number < 0 for number in frames):
-        raise FastGSError(f"a capture has whole frames counted from 0, not {text!r}.")
+        raise FastGSError(f"frames of a capture are whole numbers from 0, written A:B, not {text!r}.")
     step = int(frames.numbers[1] - frames.numbers[0]) if len(frames) > 1 else 1
     return slice(int(frames.numbers[0]), int(frames.numbers[-1]) + 1, step)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One sentence that says why a training process ended, and what to do about it."""
+"""Says in one sentence why a training process ended, and what to do about it."""
 from __future__ import annotations
 
 import signal
@@ -11,7 +11,7 @@ MODULE = "No module named "
 
 
 def sentence(reason: str | None, printed: str, code: int | None, out: str) -> str:
-    """The sentence for the user.
+    """One sentence for the user: why the process ended, and what to do.
 
     reason   what status.json says of a run that failed
     printed  the end of what the process printed

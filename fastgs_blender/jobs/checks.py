@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is looked at before a run starts: the Python, the capture, disk and memory; and what the run will take."""
+"""Checks before a run starts: the training Python, the capture, disk and memory; and estimates of the run's time and memory."""
 from __future__ import annotations
 
 import json
@@ -25,7 +25,7 @@ CORES = 2
 
 @dataclass(frozen=True)
 class Facts:
-    """What a capture holds, and what is wrong with it."""
+    """The contents of a capture, and the problems found in it."""
 
     capture: str
     views: int = 0
@@ -84,7 +84,7 @@ def picture_size(capture: str) -> tuple[int, int, int]:
 
 
 def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:
-    """Remarks on disk and memory, of which the run will take so many bytes; raises FastGSError where there is no room for the results."""
+    """Remarks on disk and memory, for a run that needs so many bytes of memory; raises FastGSError if the disk is too full."""
     place = Path(out)
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -105,7 +105,7 @@ def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:
 
 
 def available_memory() -> int | None:
-    """Bytes of memory that programs can have now; None where the system does not say."""
+    """Bytes of memory that are available now; None where the system does not say."""
     try:
         for line in Path("/proc/meminfo").read_text("ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -116,7 +116,7 @@ def available_memory() -> int | None:
 
 
 def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0) -> tuple[int, int]:
-    """Steps and most Gaussians of a run."""
+    """Number of steps and maximum number of Gaussians of a run."""
     chosen = PRESETS[preset.lower()]
     return (iterations or chosen.get("iterations", Settings.iterations),
             max_gaussians or chosen.get("max_gaussians", Settings.max_gaussians))

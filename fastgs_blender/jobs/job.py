@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training job and its state as data: what their JSON files may hold, and the checks of what they do hold.
+"""Data of a training job and of its state, and checks of the JSON files that hold them.
 
 Job files lie in the user's folder and status files in the runs' folders; other programs, other versions and full disks write to both.
 """
@@ -24,7 +24,7 @@ LATEST = 1e12
 
 @dataclass
 class Job:
-    """A training run that was asked for.
+    """A training run that the user started or put into the queue.
 
     id        the name of its files; created: when, in seconds of the epoch
     out       folder of the run; capture: what it is trained on; options: further arguments of `fastgs train`
@@ -79,7 +79,7 @@ class State:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds of training that are left, None before that can be told."""
+        """Estimated seconds of training that are left, None while there is no estimate."""
         return self.values.get("seconds_left") if self.share > 0.02 else None
 
     @property
@@ -109,12 +109,12 @@ def read_job(path: Path) -> Job:
 
 
 def job_values(job: Job) -> dict:
-    """What read_job() reads, for JSON."""
+    """A job as JSON values; read_job() reads them back."""
     return asdict(job)
 
 
 def read_status(path: Path) -> dict:
-    """The values of a run's status.json, {} where there is none.  What is not of its type and range is left out."""
+    """The values of a run's status.json, {} where there is none.  Values of a wrong type or out of range are left out."""
     try:
         values = read_json(path, LARGEST_FILE)
     except FastGSError:

@@ -57,7 +57,7 @@ class Jobs:
         self.folder, self.clock = Path(folder), clock
 
     def all(self) -> list[Job]:
-        """The jobs, the oldest first; a file that holds no job is passed over, with a note in the log."""
+        """The jobs, the oldest first; a file that holds no valid job is skipped, with a note in the log."""
         found = [self._read(path) for path in self.folder.glob("*.json")] if self.folder.is_dir() else []
         return sorted((job for job in found if job), key=lambda job: (job.created, job.id))
 
@@ -91,7 +91,7 @@ class Jobs:
             self._remove(job)
 
     def start(self, job: Job) -> None:
-        """Start its process, which goes on where the run was.  Raises FastGSError where that is impossible."""
+        """Start its process, which continues the run.  Raises FastGSError where that is impossible."""
         with self._changing():
             try:
                 self._start(job)
@@ -101,7 +101,7 @@ class Jobs:
                 raise
 
     def start_next(self, patience: float = PATIENCE) -> Job | None:
-        """Start the first job that waits, unless one is running or paused; returns it.
+        """Start the first waiting job, unless one is running or paused; returns it.
 
         One that cannot start fails with the reason, and the next one is tried.  patience: seconds to wait for another Blender that
         changes the list; None is returned if it takes longer.
@@ -125,7 +125,7 @@ class Jobs:
         return None
 
     def ask(self, job: Job, request: str) -> None:
-        """PAUSE or STOP: its process, if it lives, saves and ends; QUEUED: it goes on when its turn comes."""
+        """Request PAUSE or STOP: its process, if it lives, saves and ends; QUEUED: the run continues when its turn comes."""
         with self._changing():
             queued = request == "QUEUED"
             self._change(job, request=request, **({"reported": False, "problem": ""} if queued else {}))
@@ -133,12 +133,12 @@ class Jobs:
                 self._file(job.id, ".stop").touch()
 
     def fail(self, job: Job, error: Exception) -> None:
-        """Note why a job could not start."""
+        """Record why a job could not start."""
         with self._changing():
             self._change(job, request="RUN", problem=str(error))
 
     def report_end(self, job: Job) -> bool:
-        """Note that the user is told of a job's end; False where that has been done, or the job has been started again meanwhile."""
+        """Record that the user has been informed of a job's end; False if that was done before, or if the job has been started again."""
         with self._changing():
             now = self.get(job.id)
             if now is None or now.reported or now.started != job.started:
@@ -156,7 +156,7 @@ class Jobs:
         return 0 <= self.clock() - job.started < GRACE and not (Path(job.out) / STATUS).exists()
 
     def state(self, job: Job) -> State:
-        """The state of a job; a process that has ended without saying so has crashed, and the reason is looked for."""
+        """The state of a job.  A process that ended without a final status has crashed; its output then gives the reason."""
         alive = self.alive(job)  # asked first: what a process writes before it ends is then known
         values = read_status(Path(job.out) / STATUS)
         status = values.get("state")
@@ -242,7 +242,7 @@ class Jobs:
         return child if started == job.started else None
 
     def _new_id(self, created: float) -> str:
-        """A name that no other job has: its lock file is made here, and whoever makes a file first has it."""
+        """A new unique id: its lock file is created here exclusively, so that no other process can get the same."""
         while True:
             name = f"{created:.3f}-{os.getpid()}-{secrets.token_hex(4)}"
             try:
@@ -254,7 +254,7 @@ class Jobs:
             return name
 
     def _change(self, job: Job, **values) -> None:
-        """Set some of a job's values in its file, where others may have changed the rest, and take over what it says."""
+        """Set some values in a job's file and read the others from it, as another process may have changed them."""
         now = self.get(job.id)
         if now is None:
             raise FastGSError(f"{job.name} is not on the list of training jobs any more.")
@@ -276,7 +276,7 @@ class Jobs:
 
     @contextlib.contextmanager
     def _changing(self, patience: float = PATIENCE) -> Iterator[None]:
-        """Alone with the list: neither another Blender nor another thread changes it meanwhile."""
+        """Context manager that locks the list: neither another Blender nor another thread changes it meanwhile."""
         with self._turn:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -298,13 +298,13 @@ class Jobs:
         return self.folder / f"{name}{suffix}"
 
     def _read(self, path: Path) -> Job | None:
-        """The job in a file; None where there is none, which is noted once where the file is there."""
+        """The job in a file; None where there is no valid one, with a note in the log, once, if the file exists."""
         try:
             return read_job(path)
         except FastGSError as error:
             if path.exists() and str(path) not in self._passed_over:
                 self._passed_over.add(str(path))
-                log.warning("%s  It is passed over.", error)
+                log.warning("%s  This file is skipped.", error)
             return None
 
 
@@ -313,7 +313,7 @@ class _Busy(FastGSError):
 
 
 def _detached() -> dict:
-    """What lets a process outlive the one that starts it."""
+    """Arguments for Popen with which a process outlives the one that starts it."""
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
     return {"start_new_session": True}

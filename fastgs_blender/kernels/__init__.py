@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fast kernels.  One module a stage; cpu.py puts them together."""
+"""Backends that render and train: their interface (protocol.py) and the CPU's implementation (cpu/)."""

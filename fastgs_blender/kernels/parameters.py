@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The parameters of a model in training: its arrays by name, and the decoder's matrices among them."""
+"""The parameters of a model in training: a dictionary of its arrays, with the decoder's matrices among them."""
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The interface of a backend: what rendering, viewports, training and its preparation ask of the kernels.
+"""The interface of a backend: all operations that rendering, viewports, training and its preparation call.
 
 Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
 them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a training
@@ -31,7 +31,7 @@ Rows = Any
 
 @dataclass(frozen=True, eq=False)
 class MotionNorm:
-    """The paper's penalty of quick motion, for one basis.
+    """The paper's motion regulariser, for one basis.
 
     The coefficients motion [N, K, 3] of each Gaussian are turned into R rows, each with a weight: matrix [R, K], or None where they
     stay as they are; weights [3 R].  The penalty is sum_r weights[r] |row_r| / extent, with norms that are rounded off below
@@ -46,7 +46,7 @@ class MotionNorm:
 
 
 class PictureBackend(Protocol):
-    """What render() and viewports need."""
+    """The operations that render() and viewports need."""
 
     def array(self, values: np.ndarray) -> Array:
         """The values as an array of the backend; the caller no longer changes them."""
@@ -98,7 +98,7 @@ class Comparison:
 
 
 class ScreenStatistics(Protocol):
-    """What density control knows of each Gaussian (training/core/statistics.py): four arrays [N], summed over views."""
+    """Statistics of each Gaussian for density control (training/core/statistics.py): four arrays [N], summed over views."""
 
     gradient: Array
     absolute: Array
@@ -107,7 +107,7 @@ class ScreenStatistics(Protocol):
 
 
 class TrainingBackend(PictureBackend, Protocol):
-    """What a training step, and its preparation, need beyond pictures.
+    """The operations that a training step and its preparation need beyond those for pictures.
 
     parameters: the arrays of GaussianModel.arrays by name, and parameters.DECODER's of a model with a decoder.  Steps write to
     them in place.

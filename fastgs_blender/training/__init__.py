@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training: models from multi-view image sequences.  Nothing here is imported for rendering."""
+"""Training of models from multi-view image sequences.  Rendering imports nothing from here."""

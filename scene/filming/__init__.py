@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Filming the open scene: a copy of it that may be changed at will, what in it moves, and the pictures that become a capture."""
+"""Renders the open scene from many cameras to make a capture: a private copy of the scene, its moving subject, the pictures."""

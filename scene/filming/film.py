@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the open scene to a capture of our layout, picture by picture; what is there already is kept."""
+"""Films the open scene, picture by picture, into a capture of our layout; pictures that exist already are kept."""
 from __future__ import annotations
 
 import json
@@ -27,7 +27,7 @@ AXES = "RFU"
 
 @dataclass(frozen=True)
 class Plan:
-    """What to film, as in the operator's properties; cameras: names of the scene's own, () for a rig of `count`."""
+    """The settings of a filming, as in the operator's properties; cameras: names of the scene's own, () for a rig of `count` new ones."""
 
     frame_start: int
     frame_end: int
@@ -50,7 +50,7 @@ class Plan:
 
 
 def film_steps(scene: bpy.types.Scene, plan: Plan, out):
-    """A generator that films: it yields (pictures that are done, of how many), and returns the notes on what could not be had.
+    """A generator that films: it yields (pictures done, pictures in all), and returns notes on passes that are not available.
 
     Pictures, masks and depth that are in the folder already are kept.  Raises FastGSError.
     """
@@ -146,7 +146,7 @@ def _describe(out: Path, scene, plan, views):
 
 
 def _write(out: Path, view: str, name: str, picture):
-    """A picture, its mask and depth, aside and renamed; the picture last."""
+    """Write a picture, its mask and depth, each under another name and then renamed; the picture last."""
     rgb = _bytes(picture.rgb if picture.alpha is None else np.concatenate([picture.rgb, picture.alpha[..., None]], -1))
     files = []
     if picture.depth is not None:
@@ -160,8 +160,8 @@ def _write(out: Path, view: str, name: str, picture):
             with replacing([path]) as (part,):
                 write(part)
         except OSError as error:
-            raise FastGSError(f"{path}: the picture cannot be written ({error.strerror}); free some space and go on: what is there is "
-                              "kept.") from error
+            raise FastGSError(f"{path}: the picture cannot be written ({error.strerror}); free some space and start "
+                              "again; finished pictures are kept.") from error
 
 
 def _bytes(image):
@@ -169,7 +169,7 @@ def _bytes(image):
 
 
 def _write_points(out: Path, plan, views):
-    """points.ply from the depth of all pictures: what the masks show belongs to its frame, all else is always there."""
+    """Write points.ply from the depth of all pictures: points in the masks belong to their frame, all others to all times."""
     path = out / "points.ply"
     if path.exists():
         return

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What may be said about filming the open scene."""
+"""Options for filming the open scene."""
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 
 
 class CaptureOptions:
-    """What may be said about the pictures of a capture; the panel and the operator share it."""
+    """Options of the pictures of a capture, shared by the panel and the operator."""
 
     cameras: EnumProperty(
         name="Cameras", description="Who films",
@@ -36,13 +36,13 @@ class CaptureOptions:
             ('SCENE', "As the Scene", "With the scene's own samples and denoiser", 1),
         ), default='FAST')
     world: EnumProperty(
-        name="World", description="What pictures show where the scene has nothing",
+        name="World", description="Background of the pictures, where the scene has no object",
         items=(
-            ('AUTO', "Automatic", "Nothing, where FAST-GS renders the same world behind the model: a plain colour; else the world", 0),
-            ('FILM', "Film It", "The world: it becomes part of the model, far away", 1),
-            ('LEAVE_OUT', "Leave Out", "Nothing: the model has only the scene's objects", 2),
+            ('AUTO', "Automatic", "Transparent if the world is a plain colour, which FAST-GS itself renders; else the world", 0),
+            ('FILM', "Film It", "The world is filmed and becomes part of the model, far away", 1),
+            ('LEAVE_OUT', "Leave Out", "Transparent: the model has only the scene's objects", 2),
         ), default='AUTO')
-    samples: IntProperty(name="Samples", description="Few samples: how many a pixel", default=16, min=1, soft_max=256)
-    frame_step: IntProperty(name="Frame Step", description="Film every so many frames", default=1, min=1)
+    samples: IntProperty(name="Samples", description="Samples per pixel, where few samples are chosen", default=16, min=1, soft_max=256)
+    frame_step: IntProperty(name="Frame Step", description="Film only every n-th frame", default=1, min=1)
     hold_out: BoolProperty(
         name="Hold One View Out", description="Keep the first camera's pictures for evaluation instead of training on them", default=True)

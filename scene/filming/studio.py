@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A copy of a scene in which everything may be set for filming: the user's own scene is not touched, whatever goes wrong."""
+"""Renders pictures of a scene in a private copy, so that the user's own scene never changes, even after errors."""
 from __future__ import annotations
 
 import tempfile
@@ -34,7 +34,7 @@ class Picture:
 
 
 class Studio:
-    """To be used in a with statement; what it makes goes at its end.
+    """A private copy of the scene that renders pictures; a context manager, which removes the copy at its end.
 
     samples   of Cycles and EEVEE, with a fast denoiser; 0: as the scene is set
     world     FILM it, LEAVE_OUT, or AUTO: left out where our engine renders the same one behind the model
@@ -90,7 +90,7 @@ class Studio:
         self.scene.frame_set(frame)
 
     def filmed_by(self, obj: bpy.types.Object) -> fg.Camera:
-        """The library's camera for one of the scene's own cameras, now."""
+        """The library's camera of one of the scene's own cameras, on the current frame."""
         width, height = self._size
         found = cameras.camera_of(obj.evaluated_get(self.depsgraph), cameras.RenderArea.whole(width, height), self.depsgraph)
         if found.orthographic:
@@ -98,7 +98,7 @@ class Studio:
         return found
 
     def film(self, camera: fg.Camera, subject: set[str]) -> Picture:
-        """What that camera sees now; subject: names of the objects that the mask shows."""
+        """Render that camera's picture of the current frame; subject: names of the objects that the mask shows."""
         self._stand(camera)
         with bpy.context.temp_override(scene=self.scene, view_layer=self.layer):  # else it takes the frame of the window's scene
             bpy.ops.render.render(write_still=True)
@@ -134,7 +134,7 @@ class Studio:
 
 
 def _be_quick(scene, samples):
-    """Few samples and a denoiser, the same noise in every picture."""
+    """Set few samples and a denoiser, with the same noise in every picture."""
     if scene.render.engine == 'CYCLES':
         cycles = scene.cycles
         cycles.samples, cycles.use_adaptive_sampling, cycles.seed, cycles.use_animated_seed = samples, False, 0, False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a scene a capture is about: the objects that move, or those that are selected; and the space that they sweep."""
+"""Finds the subject of a capture: the moving or the selected objects of a scene, and a sphere that contains their motion."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ MOST_POINTS, MOST_INSTANCES, LOOKS = 300, 20_000, 16
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """names of its objects, as Cryptomatte has them; the middle [3] of the sphere that it stays in, its radius, its lowest height."""
+    """The subject of a capture: its objects' names (as in Cryptomatte); centre [3] and radius of its sphere; its lowest height."""
 
     names: set[str]
     centre: np.ndarray

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a model belongs in the scene that its capture came from."""
+"""Aligns a trained model with the scene from which its capture came."""
 from __future__ import annotations
 
 from pathlib import Path
@@ -15,7 +15,7 @@ def world_of(scene: bpy.types.Scene, capture: str) -> str:
 
 
 def align(scene: bpy.types.Scene, obj: bpy.types.Object, world: str) -> None:
-    """Stand a model's object where the cameras' world stands; the file's own axes, turned upright, are right for all others."""
+    """Give a model's object the transform of its cameras' world; without one, the file's axes are turned upright."""
     found = scene.objects.get(world) if world else None
     if found is not None:
         obj.matrix_world = found.matrix_world

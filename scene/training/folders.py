@@ -10,7 +10,7 @@ from . import installation
 
 
 def unused(kind: str) -> str:
-    """A path at which there is nothing yet, for the folder of a "capture" or a "training"."""
+    """An unused path for the folder of a new "capture" or "training"."""
     if bpy.data.filepath:
         blend = Path(bpy.data.filepath)
         base = blend.parent / f"{blend.stem}-{kind}"

@@ -19,7 +19,7 @@ maker: Maker | None = None
 
 
 def folder(name: str) -> Path:
-    """A folder of the extension's own for data; it is not made."""
+    """A folder of the extension for the user's data; it is not created."""
     try:
         return Path(bpy.utils.extension_path_user(settings.EXTENSION, path=name))
     except ValueError:  # not loaded as an extension
@@ -32,7 +32,7 @@ def jobs() -> Jobs:
 
 
 def made_environment() -> Path:
-    """Where a button makes an environment for training."""
+    """The folder of the environment for training that the preferences' button makes."""
     return folder("training/environment")
 
 
@@ -60,7 +60,7 @@ def is_making() -> bool:
 
 
 def unregister():
-    """Nothing is made on after the extension has gone; training itself goes on."""
+    """Stop making an environment when the extension is disabled; training jobs continue."""
     global maker
     if maker is not None:
         maker.stop()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What may be said about a training run: the panel keeps it in the scene, the operator takes it from there unless it is told."""
+"""Options of a training run: the panel stores them in the scene; the operator takes them from there unless they are given."""
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
@@ -8,7 +8,7 @@ from ...fastgs_blender.training.core.settings import PRESETS, Settings
 from ..filming.options import CaptureOptions
 
 PREVIEWS = 30
-"""Pictures to look at that a run makes on its way."""
+"""Number of preview pictures that a run makes."""
 
 
 class TrainingOptions:
@@ -23,22 +23,22 @@ class TrainingOptions:
         ), default='FOLDER')
     capture: StringProperty(name="Capture", description="The capture's folder, or a file that describes it", subtype='DIR_PATH')
     out: StringProperty(
-        name="Results", description="Folder for the model and everything about the run; empty for a new one beside the .blend",
+        name="Results", description="Folder for the model and all files of the run; empty: a new folder beside the .blend",
         subtype='DIR_PATH')
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
         items=tuple((name.upper(), name.capitalize(), "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
                     for number, name in enumerate(PRESETS)), default='STANDARD')
-    iterations: IntProperty(name="Steps", description="Steps of training; 0 leaves them to the preset", default=0, min=0)
+    iterations: IntProperty(name="Steps", description="Number of training steps; 0: as in the preset", default=0, min=0)
     max_gaussians: IntProperty(
-        name="Most Gaussians", description="Never more Gaussians than this; 0 leaves it to the preset", default=0, min=0)
+        name="Most Gaussians", description="Largest number of Gaussians; 0: as in the preset", default=0, min=0)
     order: IntProperty(
-        name="Order", description="Order L of the motion; 0 takes the usual one for the clip's length", default=0, min=0, max=64)
+        name="Order", description="Order L of the motion; 0: the usual one for the clip's length", default=0, min=0, max=64)
     motion_weight: FloatProperty(
         name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=Settings.motion_weight, min=0.0,
         soft_max=10.0, precision=3)
     scale: FloatProperty(
-        name="Picture Scale", description="Size of the pictures against the files; 0 leaves it to the capture's layout",
+        name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it",
         default=0.0, min=0.0, max=1.0)
     frames: StringProperty(
         name="Frames", description='Part of the capture, as in "0:99", counted from 0; empty for all of it')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's own cameras with films or image sequences as backgrounds, as a capture: the files are linked, not copied, where possible."""
+"""Makes a capture of the scene's own cameras with films or image sequences as backgrounds; files are linked where possible."""
 from __future__ import annotations
 
 import os
@@ -22,7 +22,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".exr")
 
 @dataclass(frozen=True)
 class Plate:
-    """What a camera filmed.
+    """The background of a camera: the film or the image sequence that it filmed.
 
     path         a film, or any picture of a sequence
     film         whether it is a film
@@ -48,7 +48,7 @@ class Plate:
 
 
 def filmed(scene: bpy.types.Scene) -> dict[bpy.types.Object, Plate]:
-    """The scene's cameras that have a film or an image sequence behind them; raises FastGSError for one that is shown askew."""
+    """The scene's cameras with a film or an image sequence as background; raises FastGSError if one is moved, turned or flipped."""
     found = {}
     for obj in scene.objects:
         if obj.type == 'CAMERA':
@@ -59,7 +59,7 @@ def filmed(scene: bpy.types.Scene) -> dict[bpy.types.Object, Plate]:
 
 
 def count(scene: bpy.types.Scene) -> int:
-    """How many of the scene's cameras have a film or an image sequence behind them; nothing is read for that."""
+    """The number of the scene's cameras with a film or an image sequence as background; no file is read."""
     return sum(any(_has_plate(background) for background in obj.data.background_images) for obj in scene.objects if obj.type == 'CAMERA')
 
 
@@ -97,7 +97,7 @@ def _plate(obj, background) -> Plate | None:
 
 
 def _size(path: str) -> tuple[int, int]:
-    """Size of a picture file, (0, 0) where it cannot be read; an image that is a sequence does not tell its own."""
+    """Size of a picture file, (0, 0) where it cannot be read; Blender's image has no size of its own if it is a sequence."""
     try:
         image = bpy.data.images.load(path, check_existing=False)
     except RuntimeError:
@@ -112,7 +112,7 @@ def _scene_clip(obj):
 
 
 def picture_camera(camera: fg.Camera, plate: Plate) -> fg.Camera:
-    """The camera of the pictures, from that of the camera's frame: what fills it is stretched, fitted in or cropped."""
+    """The camera of the pictures, from the camera of the frame into which they are stretched, fitted or cropped."""
     width, height = plate.size
     across, down = camera.width / width, camera.height / height
     if plate.method != 'STRETCH':
@@ -195,7 +195,7 @@ def _frame_camera(obj, depsgraph) -> fg.Camera:
 
 
 def _lay_out(out: Path, name: str, plate: Plate, first: int, last: int) -> dict:
-    """Put links to a plate's files where the layout has them; returns what cameras.json says of them besides."""
+    """Link a plate's files to the places that the layout prescribes; returns further entries for cameras.json."""
     if not plate.path.exists() and plate.film:
         raise FastGSError(f"{plate.path}: this film is not there; find it in the camera's background image.")
     if plate.film:

@@ -54,7 +54,7 @@ def _lines(job: Job, values: dict) -> str:
 
 
 def duration(seconds: float) -> str:
-    """45 s, 12 min, 1 h 5 min"""
+    """A duration as text: 45 s, 12 min, 1 h 5 min."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -62,5 +62,5 @@ def duration(seconds: float) -> str:
 
 
 def newest_preview(job: Job) -> Path | None:
-    """The last picture that a run has made to look at: the model's on the left, the truth on the right."""
+    """The newest preview picture of a run: the model on the left, the truth on the right."""
     return max((Path(job.out) / PREVIEWS).glob("*.png"), default=None)

@@ -21,12 +21,12 @@ _found: list[tuple[Job, State]] | None = None
 
 
 def found() -> list[tuple[Job, State]]:
-    """The jobs and how they stood at the last look."""
+    """The jobs and their states when the queue was last read."""
     return look() if _found is None else _found
 
 
 def look() -> list[tuple[Job, State]]:
-    """Look now."""
+    """Read the jobs and their states now."""
     global _found
     known = installation.jobs()
     _found = [(job, known.state(job)) for job in known.all()]
@@ -34,7 +34,7 @@ def look() -> list[tuple[Job, State]]:
 
 
 def current() -> tuple[Job, State] | None:
-    """The job that the panel is about: the one that is running, else the first that waits or pauses, else the last."""
+    """The job that the panel shows: the running one, else the first waiting or paused one, else the last."""
     rows = found()
     for kinds in (RUNNING, ('PAUSED', 'QUEUED')):
         for row in rows:
@@ -44,7 +44,7 @@ def current() -> tuple[Job, State] | None:
 
 
 def begin() -> None:
-    """Look from now on, until nothing is going on any more."""
+    """Start a timer that looks at the jobs until none is running or waiting."""
     look()
     if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=EVERY, persistent=True)
@@ -76,7 +76,7 @@ def _look_and_report():
 
 
 def report_end(job: Job, state: State) -> None:
-    """Say that a job has ended, and add its model to the scene that it was begun in."""
+    """Report that a job has ended, and add its model to the scene from which it was started."""
     good = state.kind == 'FINISHED'
     text = f"{job.name}: {summary(state) if good else state.text}"
     log.log(logging.INFO if good else logging.ERROR, text)
@@ -93,12 +93,12 @@ def report_end(job: Job, state: State) -> None:
 
 
 def belongs_here(job: Job) -> bool:
-    """Whether a job was begun from the open file: by its name, or, before it has one, by this very Blender."""
+    """Whether a job was started from the open file; for an unsaved file, whether this Blender started it."""
     return job.scene.get("blend") == bpy.data.filepath and (bool(bpy.data.filepath) or job.scene.get("process") == os.getpid())
 
 
 def summary(state: State) -> str:
-    """What came of a finished job."""
+    """One line about the result of a finished job."""
     psnr = state.values.get("held_out_psnr")
     return f"finished{f', {psnr:.2f} dB in the held-out views' if psnr else ''}"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of the compiled kernels, and whether it is filled; without importing numba."""
+"""The cache folder of compiled kernels: its place, its size, and whether all kernels are in it.  Does not import numba."""
 from __future__ import annotations
 
 import hashlib
@@ -69,6 +69,6 @@ def size() -> int:
 
 
 def clear() -> None:
-    """Delete all compiled kernels; they are made anew when they are needed."""
+    """Delete all compiled kernels; they are compiled again when they are needed."""
     for path in base_folder().glob("kernels-*"):
         shutil.rmtree(path, ignore_errors=True)

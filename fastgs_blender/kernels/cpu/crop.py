@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""crops.kept_by for one position, for kernels."""
+"""Crops one position by boxes inside kernels, as crops.kept_by does for arrays."""
 from __future__ import annotations
 
 from .jit import inline

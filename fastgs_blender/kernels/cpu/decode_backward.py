@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Backward of decode.py: gradients of the blended features, of their weight, and of the decoder's two matrices."""
+"""Backward pass of decode.py: gradients of the blended features, of their weight, and of the decoder's two matrices."""
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of blended features through a model's decoder, and the gradients of that."""
+"""Decodes pictures of blended features with a model's decoder, on all threads; forward and backward pass."""
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How kernels are compiled and where the machine code is kept.
+"""Compiles kernels with numba, and keeps the machine code in a cache folder.
 
 Kernels are compiled without Python's lock and without numba's own threads (see threads.py).  The code is cached in a folder
 that the user may write to (cache.py).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Backward of project.py: from gradients of splats to gradients of the model's arrays (rasterisers.md 3.3).
+"""Backward pass of project.py: from gradients of splats to gradients of the model's arrays.
 
 Every row has one Gaussian, so that nothing is added up across rows.  What the forward pass computed is computed again.
 """
@@ -280,7 +280,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
 
 @kernel
 def observe(first, last, source, g_geometry, g_absolute, attributes, size, gradient, absolute, seen, radius):
-    """Add the rows first..last of one view to the statistics of training (training/statistics.py), one number per Gaussian each.
+    """Add the rows first..last of one view to the statistics of training (training/core/statistics.py), each [N].
 
     size: of the whole image, in pixels.
     """

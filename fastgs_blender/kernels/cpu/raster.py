@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rasterise: blend the splats of each 16 x 16 tile front to back, eight pixels at a time.
+"""Rasterises: blends the splats of each 16 x 16 tile front to back, eight pixels at a time.
 
 The state of a tile is one local array of planes of 256 pixels: transmittance, then the channels, then the median depth.
 A pixel that is finished keeps its transmittance with the sign turned.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Backward of raster.py: how the loss changes with each splat.
+"""Backward pass of raster.py: the gradient of the loss with respect to each splat.
 
 Each tile goes through its list back to front and writes one row of sums for every entry; then the rows of a splat, one per
 tile, are added up in the order of the tiles.  Nothing is shared between threads, so the gradients have the same bytes for any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blending splats into a camera's window, and the gradients of that: tile lists, kernels, and pictures too large for one go."""
+"""Blends splats into a camera's window, forward and backward: makes tile lists, runs kernels, and cuts large pictures into bands."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ class RasterState:
 
 @dataclass(frozen=True, eq=False)
 class RasterGradients:
-    """d loss / d splats, for the M rows of geometry and attributes; zeros where nothing was state.
+    """d loss / d splats, for the M rows of geometry and attributes; zeros for splats that were not drawn.
 
     geometry [M, 5] float64, log2_opacity [M] float32, channels [M, C] float32
     absolute [M, 2] float32: sums over pixels of |d loss / d mean_x| and |d loss / d mean_y|

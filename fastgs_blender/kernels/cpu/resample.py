@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures drawn again through a map of positions: cubic where pixels keep their size, the mean of an area where they shrink."""
+"""Resamples pictures at a map of positions: cubic where pixels keep their size, area means where they shrink."""
 from __future__ import annotations
 
 import math

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eight floats at once.
+"""Vectors of eight float32 for numba kernels: arithmetic, masks, loads and stores as LLVM vector instructions.
 
 LLVM does not vectorise the blending loop of its own accord reliably, so its body is written with vectors here.  They become
 AVX on x86, pairs of NEON registers on ARM; no instruction is named.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Spherical harmonics for one Gaussian: appearance.sh_basis written out for scalars, and its derivative."""
+"""Spherical harmonics for one Gaussian: appearance.sh_basis as scalar code, and its derivative."""
 from __future__ import annotations
 
 from .jit import inline

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Projecting instances to splats (slice, crop, cull, project), and the gradients of that."""
+"""Projects instances to splats (slice, crop, cull, project), on all threads; forward and backward pass."""
 from __future__ import annotations
 
 from dataclasses import dataclass

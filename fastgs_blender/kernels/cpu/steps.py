@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a training step does to all parameters, on the CPU: penalties, random moves, Adam."""
+"""The parts of a training step that update all parameters, on the CPU: penalties, random moves, Adam."""
 from __future__ import annotations
 
 import numpy as np

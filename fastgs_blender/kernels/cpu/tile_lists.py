@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lists of the splats that touch each 16 x 16 tile of a camera's window, front to back."""
+"""Makes the lists of splats that touch each 16 x 16 tile of a camera's window, front to back, on all threads."""
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tile lists: which splats touch which 16 x 16 tile, exactly, front to back.
+"""Kernels that find which splats touch which 16 x 16 tile, exactly, and list them front to back.
 
 Splats come sorted, so a counting sort by tile that keeps their order is all it takes.  A tile is listed if the ellipse in
 which alpha reaches the cut crosses the tile's pixel centres; each row of tiles gets the ellipse's exact extent there.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training step on the CPU: the picture of one view, its loss, and the way back to the model's parameters."""
+"""A training step on the CPU: the picture of one view, its loss, and the backward pass to the model's parameters."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from .splats import ProjectedSplats, project_backward, project_instances
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What splat() leaves for backward(): the instance, its layout, its splats, the blended channels [h, w, C], and the rasteriser's
+    """What splat() stores for backward(): the instance, its layout, its splats, the blended channels [h, w, C], and the rasteriser's
     state."""
 
     instance: ViewedInstance

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Gaussians that a camera shows, front to back: what a viewport sorts before every frame."""
+"""Culls and sorts the Gaussians that a camera sees, front to back, for viewports."""
 from __future__ import annotations
 
 import math

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compile the kernels that pictures usually need, ahead of the first picture: python -m fastgs_blender.kernels.cpu.warm."""
+"""Compiles the kernels that pictures usually need, before the first picture: python -m fastgs_blender.kernels.cpu.warm."""
 from __future__ import annotations
 
 import numpy as np

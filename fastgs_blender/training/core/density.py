@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Density control: where Gaussians are added, moved and taken away.  A strategy is a class here, listed in STRATEGIES.
+"""Density control adds, moves and removes Gaussians during training.  Each strategy is a class here, listed in STRATEGIES.
 
-It is asked once after every step, works on the rows of the optimiser, and draws from generators of the step alone, so that a
+It runs once after every step, works on the rows of the optimiser, and its random numbers depend on the step alone, so that a
 resumed run and every process of a distributed one decide the same.
 """
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .schedule import DENSITY, NOISE, generator
 
 
 class Strategy:
-    """What all strategies share: when they act, and how many Gaussians there may be.
+    """Base class of the strategies: at which steps they act, and how many Gaussians they may add.
 
     settings, extent (of the capture), template (a model of the kinds that are trained), centres [C, 3] of the cameras
     """
@@ -34,16 +34,16 @@ class Strategy:
         return self.first < iteration <= self.last and iteration % self.settings.densify_every == 0
 
     def _room(self, iteration: int, count: int) -> int:
-        """How many Gaussians may be added now: an equal share of what is left for every time still to come.
+        """How many Gaussians may be added now: what is left is shared equally among the remaining calls.
 
-        Were all added as soon as they are asked for, the blur of the beginning would have them, and nothing be left for detail.
+        If all were added at once, the blurred beginning of training would use them up, and none would be left for detail.
         """
         s = self.settings
         times = (self.last - iteration) // s.densify_every + 1
         return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
 
     def acts(self, iteration: int) -> bool:
-        """Whether after_step() is to be called after this step (counted from 1)."""
+        """Whether after_step() must be called after this step (counted from 1)."""
         return self.due(iteration)
 
     def after_step(self, iteration: int, optimiser, statistics, rates) -> bool:
@@ -54,16 +54,16 @@ class Strategy:
         raise NotImplementedError
 
     def penalise(self, backend, arrays: dict, gradients: dict) -> None:
-        """Add to the gradients of every step what depends on no view; arrays and gradients are the backend's."""
+        """Add the gradients of penalties that depend on no view; called at every step, with arrays and gradients of the backend."""
 
     def shake(self, backend, iteration: int, arrays: dict, rates: dict) -> None:
         """Move the backend's arrays at random after every step (counted from 1)."""
 
 
 class Default(Strategy):
-    """3DGS' rules: where the picture wants a Gaussian elsewhere, small ones are cloned and large ones split; faint ones go.
+    """The rules of 3DGS: Gaussians with large screen gradients are cloned if small and split if large; faint ones are removed.
 
-    When more ask than may come, those with the largest gradient come first.
+    Where more qualify than may be added, those with the largest gradients come first.
     """
 
     name = "default"
@@ -98,7 +98,7 @@ class Default(Strategy):
         statistics.take(rows)
 
     def _distance(self, optimiser):
-        """To the nearest camera [N].  What is large and close to a camera is fog, which cameras opposite take for the sky."""
+        """Distance to the nearest camera [N].  Large Gaussians close to a camera are fog, which opposite cameras see as sky."""
         position = optimiser.arrays["position"].astype(np.float64)
         nearest = np.full(len(position), np.inf)
         for centre in self.centres:
@@ -132,15 +132,15 @@ class Default(Strategy):
         optimiser.append(born)
 
     def _move_in_time(self, born, rng):
-        """New temporal centres.  What is counted from the centre is counted anew, so that the copies stay on their course."""
+        """Draw new temporal centres for copies; their motion is re-expanded about these, so that their trajectories stay the same."""
         new = rng.uniform(0, 1, len(born["mu_tau"])).astype(np.float32)
         shift(born, new, self.template)
 
 
 class MCMC(Strategy):
-    """3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): the dead are reborn where there is opacity, noise explores.
+    """3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): transparent Gaussians move to opaque ones; noise explores.
 
-    A Gaussian that takes in others shares its opacity with them, so that together they look as it did: o' = 1 - (1 - o)^(1/n),
+    A Gaussian shares its opacity with those that move to it, so that together they look as it did: o' = 1 - (1 - o)^(1/n),
     and the scale shrinks accordingly.
     """
 
@@ -188,7 +188,7 @@ class MCMC(Strategy):
         optimiser.append({name: array[source].copy() for name, array in arrays.items() if _per_gaussian(name)})
 
     def _share(self, optimiser, source):
-        """Opacity and scale of the Gaussians that will be n + 1 in the place of one."""
+        """Opacity and scale of Gaussians of which n + 1 copies replace one."""
         arrays = optimiser.arrays
         rows, copies = np.unique(source, return_counts=True)
         count = np.minimum(copies + 1, self.most)
@@ -211,7 +211,7 @@ STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}
 
 
 def shift(arrays, centre, template):
-    """Give rows another temporal centre without changing their course: polynomials about the centre are expanded about the new one.
+    """Move the temporal centre of rows without changing their trajectories: polynomials are expanded about the new centre.
 
     Time features mean nothing far from where they were learnt and begin anew.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Several processes, one training: torchrun starts them, each takes its share of every step's views, sums make them one.
+"""Distributed training: torchrun starts the processes, each renders its share of a step's views, and gradients are summed.
 
 All hold the same Gaussians and take the same steps; only the first writes.  gloo joins processors, NCCL joins GPUs.
 """
@@ -17,7 +17,7 @@ from ...util.errors import FastGSError
 
 @dataclass(frozen=True)
 class Group:
-    """The processes of this run: `rank` of `size`, and the device that their sums travel through (None: alone)."""
+    """The processes of this run: this one's `rank`, their number `size`, and the device of their sums (None: one process)."""
 
     rank: int = 0
     size: int = 1
@@ -28,7 +28,7 @@ class Group:
         return self.rank == 0
 
     def total(self, arrays: list[np.ndarray]) -> None:
-        """Replace float arrays of equal shapes in all processes by their sums, in place; one message for all of them."""
+        """Replace float arrays (of equal shapes in all processes) by their sums over the processes, in place; sent as one message."""
         if self.device is None:
             return
         import torch
@@ -54,11 +54,11 @@ class Group:
         array[...] = flat.cpu().numpy()
 
     def share(self, value):
-        """The first process' value, anything that JSON can hold, in all of them."""
+        """Send the first process' value (anything that JSON can hold) to all processes; returns it."""
         return json.loads(self._share_bytes(json.dumps(value).encode() if self.first else b""))
 
     def share_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The first process' arrays in all of them."""
+        """Send the first process' arrays to all processes; returns them."""
         if self.device is None:
             return arrays
         import safetensors.numpy
@@ -78,7 +78,7 @@ class Group:
         return content.cpu().numpy().tobytes()
 
     def first_does(self, work):
-        """What work() returns in the first process, None in the others; its error is raised in all, so that none waits for ever."""
+        """Run work() in the first process; returns its result there, None in the others.  Its error is raised in all processes."""
         if self.device is None:
             return work()
         result = error = None

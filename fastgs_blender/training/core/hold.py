@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gaussians of which pictures show next to nothing keep the colours that they began with.
+"""Pulls the features of backdrop Gaussians that pictures hardly show towards their first values.
 
-Adam's steps are as long for a Gaussian of which one picture shows a fringe as for one in the middle of all of them.  Those of the
+Adam's steps are as long for a Gaussian at the edge of one picture as for one in the middle of all pictures.  Gaussians of the
 backdrop at the edge of what was filmed would take on any colour that helps the fringe, and a camera that stands elsewhere would see
 blotches.  A pull towards the first colours, as strong as a few pixels, decides where there are no more pixels than that.
 """
@@ -17,7 +17,7 @@ OFF = 0.1
 
 
 def held_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """The array for a model that begins with these features [N, F]; points that know their size [N] (backdrop.py) are held."""
+    """The values [N, F] to hold features at: those given for points with a known size [N] (backdrop.py), NaN for all others."""
     return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
 
 

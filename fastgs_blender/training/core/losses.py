@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's penalty of quick motion, for every basis; the loss of the pictures is a kernel (kernels/protocol.py)."""
+"""The paper's motion regulariser, for every basis; the photometric loss is a kernel (kernels/protocol.py)."""
 from __future__ import annotations
 
 import numpy as np

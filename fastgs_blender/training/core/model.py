@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kinds of the model that is trained, from the settings; and the model of the arrays that an optimiser holds."""
+"""Makes the empty model that the settings describe, and a model from the arrays that an optimiser holds."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ PLACE = slice(6, 9)
 
 
 def motion_basis(motion: str, order: int, clip: Clip) -> Basis:
-    """The basis of positions for a clip; order 0 is the usual one, but at most 0.4 coefficients a frame.
+    """The basis of positions for a clip; order 0 chooses the usual order, with at most 0.4 coefficients per frame.
 
     But for the printed form the clip covers just the part of the period that leaves motion free (motion-bases study):
     half-period cosines run from the first frame to the last, the Fourier series over the middle 80 % of its period.

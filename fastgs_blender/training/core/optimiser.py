@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The optimiser: the arrays that are trained and Adam's moments of them, and the changes of rows that density control makes."""
+"""The optimiser: the trained arrays with Adam's moments, and the changes of rows that density control makes."""
 from __future__ import annotations
 
 from contextlib import contextmanager
@@ -88,7 +88,7 @@ class Optimiser:
         self._hand_over(rows)
 
     def waits(self, rows):
-        """How many steps, the coming one included, each row's next move stands for, [N] of the backend; 0 for the other rows."""
+        """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.waits(rows, self.moved, self.steps + 1)
 
     def step(self, gradients: dict, rows, rates: dict) -> None:

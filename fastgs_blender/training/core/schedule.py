@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What happens at which step: learning rates, views and picture size.  Functions of the step alone, so there is nothing to save."""
+"""The schedule of training: learning rates, views and picture size as functions of the step alone, so that nothing must be saved."""
 from __future__ import annotations
 
 from functools import lru_cache
@@ -41,13 +41,13 @@ def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dic
 
 
 def reduction(settings, iteration: int) -> int:
-    """By what the pictures are made smaller at this step: 4, 2, then 1 (more steps of warm_up begin smaller)."""
+    """The factor by which pictures are reduced at this step: 4, 2, then 1 (more warm_up values begin smaller)."""
     ahead = sum(iteration < end * settings.iterations for end in settings.warm_up)
     return 2**ahead
 
 
 class Views:
-    """Which shots are seen at which step: all of one moment, every moment once a round, every shot of a moment equally often."""
+    """Chooses the shots of each step: of one moment each, every moment once per round, every shot of a moment equally often."""
 
     def __init__(self, shots, seed: int):
         self.seed = seed
@@ -57,7 +57,7 @@ class Views:
         self.moments = [moments[t] for t in sorted(moments)]
 
     def at(self, iteration: int, count: int) -> list[int]:
-        """Indices of `count` shots for a step.  A moment with fewer shots is helped out by the next moments."""
+        """Indices of `count` shots for a step.  If a moment has fewer shots, the rest come from the next moments."""
         chosen: list[int] = []
         slot = 0
         per_step = max(1, -(-count // max(len(m) for m in self.moments)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every option of a training run in one frozen table, that goes into JSON and back."""
+"""All options of a training run in one frozen dataclass, their presets and checks, and their conversion to and from JSON."""
 from __future__ import annotations
 
 import math
@@ -29,7 +29,7 @@ class Settings:
     The run
       iterations      steps of the optimiser
       batch           views per step and process, of one moment where there are as many
-      seed            of everything random; nothing else decides what a run gives
+      seed            of all random numbers; the result depends on nothing else
       preset          the name of the table below that the other values began from
 
     The model
@@ -39,19 +39,19 @@ class Settings:
       temporal        opacity over time: radial (eq. 6), or always the same
       appearance      features with decoder (STG, FAST-GS), or plain colours, or spherical harmonics by degree
       activation      of the decoder's output
-      decoder_place   whether the decoder sees where the camera is, as STG's does; with few cameras it learns them by heart
+      decoder_place   whether the decoder gets the camera's position, as STG's does; with few cameras it overfits to them
       antialiased     opacity compensated for the blur of a pixel
 
     The loss
       dssim           share of D-SSIM beside L1
       motion_weight   lambda of the motion regulariser
       regulariser     reading of its norm: mean over the Gaussians, or one norm over all of them (group)
-      opaque_weight   of the mean transparency, where the capture shows something in every pixel
+      opaque_weight   weight of the mean transparency as a penalty, where the capture shows something in every pixel
       masks           cut: what lies outside is transparent; weight: what lies inside counts foreground_weight times;
                       only: nothing else counts; off; auto: cut for pictures with alpha, weight for mask files that show
                       the foreground, only for those that say which pixels are valid
       foreground_weight  see masks
-      background      what is seen through transparent parts while training; auto: random where pictures are cut, else black
+      background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
     Learning rates (position and motion in extents), as STG's
       position_rate, position_rate_end   exponential decay from one to the other
@@ -66,7 +66,7 @@ class Settings:
       start_model     a model, as a bake makes one, whose Gaussians are starting points
       points          most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
-      backdrop_hold   pixels whose wish it takes to move a colour of theirs by 0.1 (hold.py)
+      backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (hold.py)
       start_opacity   their opacity
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side
@@ -78,13 +78,13 @@ class Settings:
       densify_from, densify_until, densify_every   first and last step as fractions of the run, and steps between
       gradient        plain mean gradient on the screen, or the sum of absolute ones per pixel
       threshold       of that gradient, in units of the screen's half side
-      dense_size      larger Gaussians are split, smaller ones cloned
+      dense_size      scale in extents: larger Gaussians are split, smaller ones cloned
       grow            at most this fraction is added at once
-      prune_opacity   those below go
-      near_size       those larger than this times their distance to the nearest camera go too
+      prune_opacity   Gaussians below this opacity are removed
+      near_size       Gaussians larger than this times their distance to the nearest camera are removed too
       reset_every     steps between opacity resets, 0: none
       copied_time     temporal centre of copies: the original's, or random
-      noise, opacity_weight, scale_weight    mcmc's exploration and its pull towards little and small
+      noise, opacity_weight, scale_weight    mcmc: strength of the random moves; weights of the penalties on opacity and on scale
 
     Resolution
       warm_up         fractions of the run that see pictures at a quarter and at half the size end here

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Screen statistics: what training measures of each Gaussian in its pictures, for density control to decide by."""
+"""Screen statistics: sums of each Gaussian's gradients, views and radii in the pictures, from which density control decides."""
 from __future__ import annotations
 
 import numpy as np

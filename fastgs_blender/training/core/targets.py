@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a step compares its picture with: a shot's pixels at the step's size, what is seen through it, what each pixel counts."""
+"""The target of a training step: a shot's pixels at the step's size, the background, and the weight of each pixel."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class Target:
 
 
 def use_of_mask(settings, capture, shot, mask) -> str:
-    """What a shot's mask is for: cut, weight, only, or off where it has none."""
+    """How a shot's mask is used: cut, weight, only, or off where it has none."""
     if mask is None or settings.masks == "off":
         return "off"
     if settings.masks != "auto":
@@ -36,12 +36,12 @@ def use_of_mask(settings, capture, shot, mask) -> str:
 
 
 def cover_of(use: str, pixels) -> np.ndarray | None:
-    """How much of each pixel [h, w] the model is to fill; None: all of it.  use: as use_of_mask() gives it."""
+    """The share of each pixel [h, w] that the model must cover; None: all of it.  use: the result of use_of_mask()."""
     return pixels.mask if use == "cut" else None if use == "off" else pixels.alpha
 
 
 def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
-    """The target of a shot; key says which random background it has, where one is wanted."""
+    """The target of a shot; key seeds the random background, where the settings ask for one."""
     pixels = store.pixels(shot)
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
     use = use_of_mask(settings, capture, shot, mask)
@@ -69,7 +69,7 @@ def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
 
 
 def smaller(image: np.ndarray, reduction: int) -> np.ndarray:
-    """Means of reduction x reduction pixels [h // r, w // r, ...]; what does not fill a whole one at the right and below is left out."""
+    """Means over blocks of r x r pixels [h // r, w // r, ...]; incomplete blocks at the right and at the bottom are left out."""
     if reduction == 1:
         return image
     h, w = (n // reduction for n in image.shape[:2])

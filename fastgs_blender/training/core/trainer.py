@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The trainer: render, compare, go down the gradient, control the density; and the whole state in between for checkpoints."""
+"""The trainer: renders, compares, follows the gradient and controls the density; gives its whole state for checkpoints."""
 from __future__ import annotations
 
 import time
@@ -99,7 +99,7 @@ class Trainer:
                 "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(drawn[0]), "reduction": reduction}
 
     def _join(self, gradients, seen, values, statistics):
-        """The sums over all processes of what each has: gradients by name, seen [N], [sum of values [4]]; and the statistics'."""
+        """Sum over all processes: gradients by name, seen [N], values [4], and the statistics; returns the first three."""
         backend = self.backend
         host = {name: backend.numpy(gradient) for name, gradient in gradients.items()}
         seen, sums = backend.numpy(seen), np.sum(backend.read(*values), 0)
@@ -112,7 +112,7 @@ class Trainer:
         return {name: backend.array(gradient) for name, gradient in host.items()}, backend.array(seen), [backend.array(sums)]
 
     def _penalise(self, gradients, rows):
-        """Add the gradients of what does not depend on the views; returns L_M-reg, [1] of the backend."""
+        """Add the gradients of penalties that do not depend on the views; returns L_M-reg, [1] of the backend."""
         s, backend, arrays = self.settings, self.backend, self.optimiser.arrays
         value = backend.zeros((1,), np.float64)
         if s.motion_weight and self.template.basis.terms:
@@ -132,7 +132,7 @@ class Trainer:
         self.strategy.shake(self.backend, self.iteration, self.optimiser.arrays, rates)
 
     def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
-        """The model as it is now; its arrays are those that are being trained."""
+        """The model as it is now; its arrays are the trained ones, not copies."""
         arrays = {name: self.backend.numpy(array) for name, array in self.optimiser.arrays.items()}
         return with_arrays(self.template, arrays, provenance)
 
@@ -145,7 +145,7 @@ class Trainer:
         return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict]:
-        """Everything that the rest of the run depends on: arrays, and JSON values."""
+        """All state on which the rest of the run depends: arrays, and JSON values."""
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
         clip = self.capture.clip
@@ -186,7 +186,7 @@ def measure(model, capture, store, settings, shots, backend: str = "cpu"):
 
 
 def fingerprint(capture) -> dict:
-    """What tells captures apart: their time line and the number and size of the pictures trained on."""
+    """A fingerprint of a capture: its time line, and the number and size of the training pictures."""
     first = capture.training[0].camera
     return {"frames": capture.clip.frame_count, "views": len(capture.views), "pictures": len(capture.training),
             "size": f"{first.width} x {first.height}"}

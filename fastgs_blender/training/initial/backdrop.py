@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points far behind the scene, in the colours of the pictures there: sky and smooth walls give no features to start from.
+"""Starting points far behind the scene, in the colours of the pictures there: sky and smooth walls have no features to triangulate.
 
-Without them training explains the far with Gaussians right before the cameras, which no other camera agrees with.
+Without them training reproduces the background with Gaussians directly in front of each camera, wrong for all other cameras.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COVER = 1.2
 
 
 def with_backdrop(capture, store, settings, points: Points) -> Points:
-    """The points, and up to settings.backdrop times settings.points more on a sphere about them, where pictures show none of them
+    """The points, and up to settings.backdrop times settings.points more on a sphere around them, in directions where pictures show none
     and near there.
 
     Where pictures are cut out by masks there is no backdrop.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras of a capture that came without poses: COLMAP's mapper (pycolmap) on the pictures of one frame.
+"""Finds the cameras of a capture without poses, by COLMAP's mapper (pycolmap) on the pictures of one frame.
 
 The rig stands still and all its cameras see the scene at once, so one frame says where they are.  Pictures of one size are taken
 to come from one kind of camera.
@@ -118,7 +118,7 @@ def _upright(poses) -> np.ndarray:
 
 
 def keep(path, capture, cameras, lenses):
-    """Write the poses of a capture's views into a file, aside and renamed."""
+    """Write the poses of a capture's views into a file: first under another name, then renamed."""
     values = {view: {**{n: getattr(c, n) for n in ("width", "height", "fx", "fy", "cx", "cy")},
                      "world_to_camera": c.world_to_camera.tolist(), "lens": asdict(lenses[view])} for view, c in cameras.items()}
     with replacing([path]) as (part,):

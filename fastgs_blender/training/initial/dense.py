@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a whole scene in time from its pictures: triangulated features say where it lies, plane sweeps fill in its surfaces.
+"""Starting points over space and time from the pictures: triangulated features bound the scene, plane sweeps add its surfaces.
 
-Places that look the same at other moments belong to all times; those that do not carry the moment at which they were found.
+Points that look the same at other moments belong to all times; all others carry the moment at which they were found.
 """
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
 
 
 def _features(capture, store, settings, moments) -> Points:
-    """Features triangulated at these moments."""
+    """Points triangulated from features at these moments."""
     extract = features.extractor()
     clouds = []
     for shots in moments:
@@ -83,7 +83,7 @@ def _features(capture, store, settings, moments) -> Points:
 
 
 def votes(cloud: Points, pictures, depths) -> np.ndarray:
-    """How many pictures [2, P] of a moment show each point, and how many see through where it would be or show another colour there.
+    """Counts [2, P] of a moment's pictures that agree with each point, and that contradict it (they see through it, or another colour).
 
     A picture in which something is before the point says nothing.
     """
@@ -102,14 +102,14 @@ def votes(cloud: Points, pictures, depths) -> np.ndarray:
 
 
 def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
-    """At most so many of the points, at random: each surface keeps its share, where an even choice would prefer strays."""
+    """At most so many of the points, drawn at random: each surface keeps its share; an even spacing would prefer stray points."""
     if len(points) <= most:
         return points
     return points.take(np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
 
 
 def among_others(points: Points) -> Points:
-    """The points without those that lie by themselves, alone or a few together: surfaces have many."""
+    """The points without isolated ones and small isolated groups: surfaces have many neighbours."""
     if len(points) <= COMPANY:
         return points
     apart = neighbour_distance(points.xyz, count=COMPANY)
@@ -117,7 +117,7 @@ def among_others(points: Points) -> Points:
 
 
 def chosen_moments(capture) -> list[list[Shot]]:
-    """The shots to train on at up to MOMENTS evenly spread frames; of a camera that films alone, shots of all times together."""
+    """The training shots at up to MOMENTS evenly spread frames, grouped by frame; with one shot per frame, one group of all times."""
     by_frame: dict[int, list[Shot]] = {}
     for shot in capture.training:
         by_frame.setdefault(shot.frame, []).append(shot)
@@ -128,14 +128,14 @@ def chosen_moments(capture) -> list[list[Shot]]:
 
 
 def spread(values, most):
-    """At most so many of a list, evenly."""
+    """At most so many items of a list, evenly spread."""
     if len(values) <= most:
         return list(values)
     return [values[i] for i in np.round((np.arange(most) + 0.5) * len(values) / most - 0.5).astype(int)]
 
 
 def picture(capture, store, settings, shot, side):
-    """A shot's rgb with its longer side at most `side`, the camera of that, and where it counts [h, w] or None for everywhere."""
+    """A shot's rgb with its longer side at most `side`, the camera at that size, and the mask [h, w] of valid pixels (None: all)."""
     pixels = store.pixels(shot)
     reduction = -(-max(pixels.rgb.shape[:2]) // side)
     use = use_of_mask(settings, capture, shot, pixels.mask)
@@ -147,7 +147,7 @@ def picture(capture, store, settings, shot, side):
 
 
 def depth_range(capture) -> tuple[float, float]:
-    """Depths between which the scene lies if nothing else is known: around what the cameras look at together."""
+    """Nearest and farthest depth of the scene if no points are known: around the point at which the cameras look together."""
     centres = capture.centres()
     distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
     distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
@@ -155,7 +155,7 @@ def depth_range(capture) -> tuple[float, float]:
 
 
 def depths_of(xyz, capture) -> tuple[float, float]:
-    """Depths between which everything lies that points of it show; a good deal beyond them, for what has no features."""
+    """Nearest and farthest depth of the points in all cameras, widened for surfaces that have no features."""
     depths = np.concatenate([project(shot.camera, xyz)[1][visible(shot.camera, xyz)] for shot in spread(capture.training, 64)])
     if len(depths) < FEW:
         return depth_range(capture)
@@ -169,7 +169,7 @@ def joined(clouds: list[Points]) -> Points:
 
 
 def evenly(points: Points, most: int) -> Points:
-    """At most so many of the points, spread evenly: the first in each cell of a grid that is as fine as the number allows."""
+    """At most so many of the points, evenly spread: the first in each cell of the finest grid that gives no more."""
     if len(points) <= most:
         return points
     low = points.xyz.min(0)

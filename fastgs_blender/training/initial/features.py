@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points where pictures of one moment agree: COLMAP's SIFT features, matched along epipolar lines and triangulated by pycolmap.
+"""Triangulates points of one moment: COLMAP's SIFT features, matched along epipolar lines and triangulated by pycolmap.
 
 The poses are known, so that a match need only be looked for along a line, and nothing random decides: the same pictures give
 the same points in every run.
@@ -30,7 +30,7 @@ LEAST_ANGLE, MOST_ANGLE = 2.0, 60.0
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Of one picture: places [F, 2] in its pixels, unit descriptors [F, 128], and the camera of that size."""
+    """The features of one picture: places [F, 2] in pixels, unit descriptors [F, 128], and the camera at that picture size."""
 
     places: np.ndarray
     descriptors: np.ndarray
@@ -105,7 +105,7 @@ def matches(a: Features, b: Features) -> np.ndarray:
 
 
 def tracks(features: list[Features]) -> list[list[tuple[int, int]]]:
-    """Features of several pictures that are one point: lists of (picture, feature), of each picture one at most."""
+    """Groups of features that show the same point: lists of (picture, feature), at most one feature per picture."""
     looking = np.array([f.camera.world_to_camera[2, :3] for f in features])
     starts = np.cumsum([0, *(len(f.places) for f in features)])
     parent = np.arange(starts[-1])
@@ -136,7 +136,7 @@ def tracks(features: list[Features]) -> list[list[tuple[int, int]]]:
 
 
 def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Points [P, 3] of the tracks, and for each the pictures that see it: before them, within ON_LINE of its features, at an angle."""
+    """Points [P, 3] of the tracks, and the pictures of each: in front of them, within ON_LINE of its features, at a wide enough angle."""
     pycolmap = pycolmap_module()
     poses = [f.camera.world_to_camera[:3] for f in features]
     inverse = [np.linalg.inv(matrix(f.camera)) for f in features]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pixels and world points of pinhole cameras, for what comes before training."""
+"""Projects and unprojects points with pinhole cameras, for the preparation of training."""
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The model that training begins with: a Gaussian for each starting point."""
+"""Makes the model that training begins with: one Gaussian for each starting point."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from .neighbours import neighbour_distance
 
 
 def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: float) -> GaussianModel:
-    """The model that training begins with: one Gaussian a point; NaN in a point's t: it is there all the time.
+    """The model that training begins with: one Gaussian per point; a point with t = NaN is visible at all times.
 
     Isotropic, as large as the point says, else start_size times the mean distance to the three nearest points of the same time
     (3DGS, 3.1 of the recipe), not moving.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far apart points stand: the distance to the nearest others, by k-d trees turned against each other."""
+"""Distances of points to their nearest neighbours, by several rotated k-d trees."""
 from __future__ import annotations
 
 import numpy as np

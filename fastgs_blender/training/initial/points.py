@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where training starts: points triangulated from the pictures, else what the layout brings, a given model, random points.
+"""Chooses the starting points: triangulated from the pictures, the layout's point file, a given model, or random points.
 
-Which of them it was, and how many points, is said.  Nothing but the seed and the pictures decides what comes out.
+The source and the number of points are printed.  The result depends on the seed and the pictures alone.
 """
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOURCES = {"triangulate": "triangulated features", "file": "the layout's point f
 
 
 def initial_points(capture, store, settings, say=print) -> Points:
-    """The points that training starts from, at most settings.points; t is NaN for points that are there all the time.
+    """The points that training starts from, at most settings.points; t is NaN for points that are visible at all times.
 
     settings.start  "auto": a given model, else the first source that gives points, in SOURCES' order; or a source's name
     Raises FastGSError where the wanted source gives none.
@@ -44,7 +44,7 @@ def initial_points(capture, store, settings, say=print) -> Points:
             break
         refused.append(f"{SOURCES[kind]}: only {len(points)}.")
     for reason in refused:
-        say(f"not used as a start: {reason}")
+        say(f"no starting points from this source: {reason}")
     found = len(points)
     points = thinned(points, settings.points, settings.seed)
     timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
@@ -76,7 +76,7 @@ def from_model(capture, store, settings):
     from ... import formats
 
     if not settings.start_model:
-        raise FastGSError("starting from a model needs one: --init-model FILE.")
+        raise FastGSError("no model to start from is named; give one with --init-model FILE.")
     model = formats.load(settings.start_model)
     turn = (INTO_BLENDER[capture.axes].T @ INTO_BLENDER[model.axes]).T
     times = [None] if model.clip.frame_count < 2 else spread(sorted({shot.t for shot in capture.training}), MOMENTS)
@@ -92,7 +92,7 @@ def from_model(capture, store, settings):
 
 
 def random_points(capture, store, settings):
-    """Points behind random pixels, at all depths that at least half as many cameras see as see any; in the pixels' colours."""
+    """Points behind random pixels in the pixels' colours, where at least half as many cameras see as at the best-seen place."""
     rng = generator(settings.seed, POINTS, 3)
     shots = spread(capture.training, 64)
     near, far = depth_range(capture)
@@ -108,7 +108,7 @@ def random_points(capture, store, settings):
     xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
     seen = sum(visible(camera, xyz) for camera in cameras)
     common = seen >= seen.max(initial=0) / 2
-    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where the cameras look together"
+    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where several cameras look"
 
 
 _MAKERS = {"triangulate": triangulated, "file": from_file, "model": from_model, "random": random_points}

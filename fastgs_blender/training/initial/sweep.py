@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces between the features: a plane sweep at a quarter of the pictures' size, of one moment's pictures with known poses.
+"""Plane sweep: finds surfaces between the features, from one moment's pictures at a quarter of their size and their known poses.
 
-For every pixel of every picture the depth at which its neighbours show the same colours (Collins 1996; best half of the
-neighbours, so that what hides the place from some does not matter).  Depths that several pictures agree on are surfaces.
+It finds for every pixel of every picture the depth at which its neighbours show the same colours (Collins 1996; best half of the
+neighbours, so that occlusion in some does not matter).  Where several pictures agree on a depth there is a surface.
 """
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _depths(picture, others, depths) -> Depths:
 
 
 def surfaces(pictures, found: list[Depths | None]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and two others have the same depth
+    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and two other pictures have the same depth
     (one, where there is only one)."""
     clouds = []
     others_needed = min(2, sum(depths is not None for depths in found) - 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A barrier at which tests hold a training process at a step.  Without the environment variable it does nothing.
+"""Holds a training process at a step, for tests alone.  Without the environment variable it does nothing.
 
 FASTGS_BARRIER names a file with a line such as "step 12" or "checkpoint 12":
 

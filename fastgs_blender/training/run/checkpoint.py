@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checkpoints hold the whole state of a run as one safetensors file, written aside and renamed, so that there is always a whole one."""
+"""Writes and reads checkpoints: the whole state of a run in one safetensors file, never half written (temporary file, then renamed)."""
 from __future__ import annotations
 
 import json
@@ -21,7 +21,7 @@ ADVICE = "it is no usable checkpoint, so delete it to train from the beginning"
 
 
 def save(folder, arrays: dict[str, np.ndarray], about: dict) -> None:
-    """Replace the folder's checkpoint.  Whatever goes wrong, the previous one is whole; FastGSError says what it was."""
+    """Replace the folder's checkpoint.  If that fails, the previous one is kept, and FastGSError gives the reason."""
     path = Path(folder) / CHECKPOINT
 
     def write(part):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reports a run's progress: a bar, a log of JSON lines, TensorBoard, a status file for other programs, preview pictures, a plot.
 
-Nothing here decides anything, and nothing here stops a run: what cannot be written is said once and left out.
+It has no influence on the result and never stops a run: a file that cannot be written gives one warning and is left out.
 """
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class Reporter(Silent):
                     self.board.add_scalar(name, value, row["iteration"])
 
     def _drop_log_after(self, iteration):
-        """Lines of steps that are done again, and a line that a kill cut short, go."""
+        """Remove from the log the lines of steps that will be repeated, and a line that a kill cut short."""
         path = self.folder / LOG
         if not path.exists():
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Long captures: cut into segments of one length that overlap, trained each for itself, and joined into one model that plays through.
+"""Cuts long captures into overlapping segments of equal length, which are trained separately, and joins their models into one.
 
 All segments share the first one's decoder, so that their Gaussians can be blended in one picture (joining.py).
 """

@@ -40,7 +40,7 @@ _locks: dict[str, BinaryIO | None] = {}
 
 
 class Stopped(KeyboardInterrupt):
-    """The user ended the run; the message says how to go on."""
+    """The user ended the run; the message says how to continue it."""
 
 
 def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Settings:
@@ -78,7 +78,7 @@ def _begin(out: Path, wanted: dict, make, resume: bool, overwrite: bool) -> Sett
                                   "continue it, or train into another folder.")
         return settings
     if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
-        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite begins anew.")
+        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the beginning.")
     settings = make(wanted)
     if not resume:
         for name in (CHECKPOINT, MODEL, REPORT, LOG, STATUS):
@@ -146,7 +146,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
 
 
 def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number):
-    """The model of one segment, or of a whole short capture: trained, continued, or finished already.
+    """Train one segment (a short capture is one segment), continue it, or load it if it is finished; returns its model.
 
     decoder  the model whose decoder it shares, None: it learns its own
     """
@@ -165,7 +165,7 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
         except FastGSError as error:
             if last:
                 raise
-            reporter.say(f"{error} Training goes on, and tries again.")
+            reporter.say(f"{error} Training continues and will try again.")
 
     if found is None:
         group.first_does(lambda: save(False))
@@ -181,7 +181,7 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
 
 
 def _keep_segment(model, folder, reporter):
-    """The finished segment's model takes the place of its checkpoint."""
+    """Replace the checkpoint of a finished segment by its model."""
     checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
     formats.save(model, folder / SEGMENT_MODEL)
     (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -244,7 +244,7 @@ def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, flo
 
 
 def preview_shots(capture) -> list:
-    """Some shots, spread over the time of the first held-out view; of the first view, where none is held out."""
+    """Shots for previews, spread over the time of the first held-out view, or of the first view where none is held out."""
     pool = capture.held_out or capture.training
     shots = [shot for shot in pool if shot.view == pool[0].view]
     picked = np.unique(np.linspace(0, len(shots) - 1, min(PREVIEW_SHOTS, len(shots))).round().astype(int))

@@ -241,7 +241,7 @@ def test_a_malformed_job_is_passed_over_with_a_note(make_jobs, tmp_path, content
         assert [found.id for found in known.all()] == [job.id] and known.get("x") is None
         known.all()
     note, = caplog.records
-    assert "x.json" in note.message and "passed over" in note.message
+    assert "x.json" in note.message and "skipped" in note.message
     assert known.start_next().id == job.id
 
 

@@ -170,7 +170,7 @@ def test_without_features_the_layouts_points_are_next(blank, rng):
     said = []
     points = initial_points(replace(capture, points=brought), store, settings(), said.append)
     np.testing.assert_allclose(points.xyz, brought.xyz, rtol=1e-6)
-    assert "not used as a start" in said[0]
+    assert "no starting points from this source" in said[0]
     assert "point file" in said[-1]
 
 
