@@ -140,8 +140,8 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
             copies = yield from undistorted.steps(capture, distorted)
             capture.shots[:] = [copies.get(shot, shot) for shot in capture.shots]
         elif distorted:
-            self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their pictures; "
-                                     f"import again with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
+            self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their pictures; import "
+                                     f"again with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
         return {view: reel_of([shot for shot in capture.shots if shot.view == view]) for view in capture.views}
 
     def _fit_scene(self, scene, capture, made):
