@@ -18,7 +18,7 @@ help:
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
 .venv/ready: pyproject.toml tools/constraints.txt
-	@tools/make_venv.sh .venv 3.11 5.0.1 train
+	@tools/make_venv.sh .venv 3.11 5.0.1 train,torch
 .venv313/ready: pyproject.toml
 	@tools/make_venv.sh .venv313 3.13 5.2.3
 .venvs/4.2.23/ready: pyproject.toml
