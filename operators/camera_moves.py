@@ -158,7 +158,7 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
     bl_idname = "fastgs.camera_through"
     bl_label = "Path Through Cameras"
 
-    closed: BoolProperty(name="Closed", description="Come back to the first camera", default=False)
+    closed: BoolProperty(name="Closed", description="Return to the first camera at the end", default=False)
     new_camera: BoolProperty(name="New Camera", description="Animate a new camera, which becomes the scene's camera", default=True)
 
     @classmethod

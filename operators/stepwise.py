@@ -37,7 +37,7 @@ class Stepwise:
         self._steps, self._timer, self._told = steps, None, time.monotonic()
         self.in_window, self._interactive = self._interactive and not bpy.app.background, False
         context.window_manager.progress_begin(0, 100)
-        outcome = self._go_on(context, 0.0 if self.in_window else math.inf)  # what is wrong from the start is told at once
+        outcome = self._go_on(context, 0.0 if self.in_window else math.inf)  # errors at the start are reported at once
         if outcome is None:
             self._timer = context.window_manager.event_timer_add(0.01, window=context.window)
             context.window_manager.modal_handler_add(self)

@@ -84,7 +84,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
             done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True, **chosen)
         except RuntimeError as error:  # it has said why in Blender's own way
             return self._fail(FastGSError(str(error).strip().removeprefix("Error: ")))
-        return {'CANCELLED'} if 'CANCELLED' in done else {'FINISHED'}  # the capture goes on by itself
+        return {'CANCELLED'} if 'CANCELLED' in done else {'FINISHED'}  # the capture continues by itself
 
     def _add(self, context):
         scene = context.scene
@@ -171,7 +171,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
                             options={'SKIP_SAVE'})
 
     def invoke(self, context, event):
-        """Look in a thread, so that Blender goes on meanwhile."""
+        """Check in a thread, so that Blender stays usable meanwhile."""
         try:
             work = self._work(context)
         except FastGSError as error:
@@ -215,7 +215,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
             self._found = FastGSError(f"the capture could not be checked ({error}).")
 
     def _report(self, found):
-        """Report Facts, or the error there was instead."""
+        """Report Facts, or the error that occurred instead."""
         if isinstance(found, FastGSError):
             self.report({'ERROR'}, sentence(found))
             return {'CANCELLED'}

@@ -71,7 +71,7 @@ class FASTGS_OT_train_resume(_JobOperator, bpy.types.Operator):
 
     def act(self, context, known, job, state):
         if state.running or state.kind in ('QUEUED', 'FINISHED'):
-            raise FastGSError(f"{job.name} has nothing to resume: it is {state.text.lower()}.")
+            raise FastGSError(f"{job.name} cannot be resumed now; its state is: {state.text.lower()}.")
         others = [other for other in known.all() if other.id != job.id and known.state(other).running]
         if others and not self.wait:
             known.ask(job, 'QUEUED')

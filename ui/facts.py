@@ -26,7 +26,7 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
         rows.append(("Frames", f"{clip.frame_count:,} at {number(clip.fps)} fps ({clip.duration:.2f} s)"))
     else:
         rows.append(("Frames", "a still"))
-    with suppress(OSError):  # a missing file is told as an error
+    with suppress(OSError):  # a missing file is reported as an error elsewhere
         rows.append(("File Size", size(Path(objects.abspath(obj)).stat().st_size)))
     return rows
 

@@ -84,7 +84,7 @@ class State:
 
     @property
     def share(self) -> float:
-        """How much of the run is done, 0..1."""
+        """The share of the run that is done, 0..1."""
         whole = self.values.get("iterations") or 0
         return min((self.values.get("iteration") or 0) / whole, 1.0) if whole else 0.0
 

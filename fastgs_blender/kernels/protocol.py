@@ -85,7 +85,7 @@ class Splatted:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """How a picture differs from its target.
+    """The loss of a picture against its target, and its gradients.
 
     values  [4] float64: loss, mean absolute difference, SSIM, mean squared difference
     rgb     d (share * loss) / d rgb [h, w, 3]
@@ -159,7 +159,7 @@ class TrainingBackend(PictureBackend, Protocol):
         """The Gaussians whose value in seen [N] is not 0."""
 
     def count(self, rows: Rows) -> Array:
-        """How many they are, [1] float64."""
+        """The number of these rows, [1] float64."""
 
     def waits(self, rows: Rows, moved: Array, step: int) -> Array:
         """[N]: for the rows, step - moved (the steps that their next move stands for); 0 for all others.

@@ -33,7 +33,7 @@ def _step(positions, row, column, down):
 
 @inline
 def _samples(dx, dy):
-    """How many samples a step of that length needs."""
+    """Number of samples that a step of that length needs."""
     return min(max(int(math.sqrt(dx * dx + dy * dy) + 0.5), 1), MOST)
 
 

@@ -213,7 +213,7 @@ STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}
 def shift(arrays, centre, template):
     """Move the temporal centre of rows without changing their trajectories: polynomials are expanded about the new centre.
 
-    Time features mean nothing far from where they were learnt and begin anew.
+    Features that depend on time are set to zero: far from the old centre they have no meaning.
     """
     delta = (centre - arrays["mu_tau"]).astype(np.float64)
     for basis, constant, name in ((template.basis, "position", "motion"), (template.rotation_basis, "rotation", "rotation_motion")):

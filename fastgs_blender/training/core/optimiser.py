@@ -103,7 +103,7 @@ class Optimiser:
         self.backend.adam(rows, tensors, self.betas, self.moved, self.steps)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything as NumPy arrays, the optimiser's own on the CPU: copy them if it goes on."""
+        """Everything as NumPy arrays; on the CPU these are the optimiser's own, so copy them before further steps."""
         state = {f"{kind}.{name}": self.backend.numpy(array) for kind, part in PARTS.items() for name, array in getattr(self, part).items()}
         return {**state, "moved": self.backend.numpy(self.moved), "steps": np.array([self.steps]), "betas": np.array(self.betas)}
 

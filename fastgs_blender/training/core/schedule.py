@@ -14,7 +14,7 @@ VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
 
 
 def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
-    """Random numbers that depend on nothing but these whole numbers."""
+    """A random generator seeded by these whole numbers alone."""
     return np.random.default_rng([seed, purpose, *step])
 
 

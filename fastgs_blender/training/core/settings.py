@@ -67,7 +67,7 @@ class Settings:
       points          most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
       backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (hold.py)
-      start_opacity   their opacity
+      start_opacity   opacity of the starting Gaussians
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side
       static_life     the same for points without a time
@@ -77,9 +77,9 @@ class Settings:
       max_gaussians   never more than this
       densify_from, densify_until, densify_every   first and last step as fractions of the run, and steps between
       gradient        plain mean gradient on the screen, or the sum of absolute ones per pixel
-      threshold       of that gradient, in units of the screen's half side
+      threshold       of that gradient: above it Gaussians are cloned or split; in units of half the image's size
       dense_size      scale in extents: larger Gaussians are split, smaller ones cloned
-      grow            at most this fraction is added at once
+      grow            largest share of Gaussians that is added at once
       prune_opacity   Gaussians below this opacity are removed
       near_size       Gaussians larger than this times their distance to the nearest camera are removed too
       reset_every     steps between opacity resets, 0: none

@@ -20,7 +20,7 @@ EMPTY = 5
 MOST_SHOTS, MOMENTS = 40, 5
 """Poses whose pictures are looked at; and pictures of each, whose median has nothing in it that passes by."""
 BEYOND = 25.0
-"""Degrees about what is seen to which the backdrop goes on, for cameras that look there later."""
+"""Degrees by which the backdrop extends beyond the directions that pictures show, for later cameras that look there."""
 
 
 COVER = 1.2

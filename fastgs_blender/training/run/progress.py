@@ -206,7 +206,7 @@ class Reporter(Silent):
         except (FastGSError, OSError) as error:
             if what not in self.unwritable:
                 self.unwritable.add(what)
-                self.say(f"{what} could not be written ({str(error).rstrip('.')}); training goes on.")
+                self.say(f"{what} could not be written ({str(error).rstrip('.')}); training continues.")
             return None
 
 

@@ -55,7 +55,7 @@ def part(capture: Capture, span: Span) -> Capture:
 
 
 def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> GaussianModel:
-    """One model of the whole clip.  Where two segments overlap the later fades in while the earlier is there, and then the earlier out.
+    """Join the segments' models into one of the whole clip.  In an overlap the later one fades in first, then the earlier one fades out.
 
     A flank takes a quarter of the overlap: it lies where the neighbour is fully shown.
     """
