@@ -34,11 +34,11 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
 
     training_choice: bpy.props.EnumProperty(
         name="Training Python", description="The Python that trains, in a process of its own",
-        items=(('AUTO', "Automatic", "The environment that was made here, else Blender's own Python if it has PyTorch", 0),
-               ('CHOSEN', "Existing", "An environment that has PyTorch", 1)),
+        items=(('AUTO', "Automatic", "The environment that was made here, else Blender's own Python", 0),
+               ('CHOSEN', "Existing", "An environment of your own", 1)),
         default='AUTO')
     training_python: bpy.props.StringProperty(
-        name="Environment", description="Folder of a Python environment that has PyTorch, or its python program", subtype='FILE_PATH')
+        name="Environment", description="Folder of a Python environment that has numba, safetensors, pillow and tqdm, or its python program", subtype='FILE_PATH')
     package_index: bpy.props.StringProperty(
         name="Package Index", description="Where packages for a new environment come from, as pip's --index-url; empty for the usual one")
 

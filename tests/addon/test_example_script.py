@@ -9,7 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 from image_files import read_png
-from test_training_jobs import compiled, moving_scene, toy  # noqa: F401 (fixtures)
+from test_capture_scene import moving_scene  # noqa: F401 (fixtures)
+from test_training_jobs import compiled, toy  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "examples" / "capture_train_render.py"
