@@ -38,7 +38,8 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
                ('CHOSEN', "Existing", "An environment of your own", 1)),
         default='AUTO')
     training_python: bpy.props.StringProperty(
-        name="Environment", description="Folder of a Python environment that has numba, safetensors, pillow and tqdm, or its python program", subtype='FILE_PATH')
+        name="Environment", description="Folder of a Python environment that has numba, safetensors, pillow and tqdm, or its python "
+        "program", subtype='FILE_PATH')
     package_index: bpy.props.StringProperty(
         name="Package Index", description="Where packages for a new environment come from, as pip's --index-url; empty for the usual one")
 
