@@ -130,7 +130,7 @@ def weights_at(basis, t):
 
 
 def plain(array: np.ndarray) -> np.ndarray:
-    """The same memory as an ordinary array, so that read-only and memory-mapped models need no kernels of their own."""
+    """The same memory as an ordinary array, so that read-only models need no kernels of their own."""
     if type(array) is np.ndarray and array.flags.writeable:
         return array
 
