@@ -1,47 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels: what they say, when they show, and that all they draw exists.
-
-Blender gives out no layout in background, so a recorder stands in for it; it refuses what Blender would refuse.
-"""
+"""The panels: what they say, when they show, and that all they draw exists."""
 from types import SimpleNamespace
 
 import bpy
 import pytest
-
-ICONS = set(bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items.keys())
-
-
-class Layout:
-    """Records (kind, text, alert) of everything drawn; containers share one record."""
-
-    def __init__(self, record=None, alert=False):
-        self.record = [] if record is None else record
-        self.alert = alert
-        self.use_property_split = self.use_property_decorate = True
-        self.alignment = 'EXPAND'
-
-    def _inside(self, **options):
-        assert set(options) <= {"align", "factor", "heading"}
-        return Layout(self.record, self.alert)
-
-    row = column = box = split = _inside
-
-    def _note(self, kind, text, icon):
-        assert icon in ICONS, icon
-        self.record.append((kind, text, self.alert))
-
-    def label(self, text="", icon='NONE'):
-        self._note("label", text, icon)
-
-    def prop(self, data, name, text=None, icon='NONE'):
-        assert name in data.bl_rna.properties, name
-        self._note("prop", name, icon)
-
-    def operator(self, name, text="", icon='NONE'):
-        module, function = name.split(".")
-        assert function in dir(getattr(bpy.ops, module)), name
-        self._note("operator", name, icon)
-        return SimpleNamespace()
+from panel_recorder import Layout
 
 
 def drawn(cls, **context):

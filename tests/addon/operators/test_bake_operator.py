@@ -204,7 +204,7 @@ def test_the_report_says_order_and_residual(bake, add, capfd):
 
 @pytest.mark.parametrize(("action", "frames"), [("Robot_Running", (0, 9.5, 17, 21.5))])
 def test_a_real_character(fg, target, action, frames):
-    file = Path(__file__).resolve().parents[3] / "shared" / "data" / "robot" / "RobotExpressive.blend"
+    file = Path(__file__).resolve().parents[4] / "shared" / "data" / "robot" / "RobotExpressive.blend"
     if not file.is_file():
         pytest.skip("the folder of real inputs is absent")
     bpy.ops.wm.open_mainfile(filepath=str(file))

@@ -24,8 +24,8 @@ FEW = ("--set", "points=60", "--set", "warm_up=", "--set", "preview_every=5", "-
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory):
     """A capture of three views and two frames, as a FAST-GS capture."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "library"))
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "library"))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
     try:
         from toy_captures import write_capture
 
@@ -158,7 +158,7 @@ assert bpy.ops.fastgs.train(capture=sys.argv[3], out=sys.argv[4], iterations=40,
 
 def test_training_goes_on_when_blender_is_closed(module, compiled, toy, tmp_path, barrier):
     """A Blender begins a run and ends at once; the next one finds the run alive, stops it, and goes on with it."""
-    tools = Path(__file__).resolve().parents[2] / "tools"
+    tools = Path(__file__).resolve().parents[3] / "tools"
     barrier.hold_at("step 5")
     subprocess.run([sys.executable, "-c", OTHER, tools, tmp_path / "user", toy, tmp_path / "run", *FEW], check=True, capture_output=True,
                    timeout=GUARD)

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import bpy
 import numpy as np
+import panel_recorder
 import pytest
-import test_ui
 from image_files import read_png
 from mathutils import Matrix
 
@@ -138,8 +138,8 @@ def test_the_panel_shows_runs(module, scene, monkeypatch, kind, words):
              'PAUSED': "Paused"}
     job = jobs.Job("1", "/out/robot", "/capture", "python")
     monkeypatch.setattr(watch, "_found", [(job, jobs.State(kind, texts[kind], values))])
-    monkeypatch.setattr(test_ui.Layout, "progress", progress, raising=False)
-    layout = test_ui.Layout()
+    monkeypatch.setattr(panel_recorder.Layout, "progress", progress, raising=False)
+    layout = panel_recorder.Layout()
     panel = next(cls for cls in module("ui").CLASSES if cls.__name__ == "FASTGS_PT_training_runs")
     context = SimpleNamespace(scene=scene, region=SimpleNamespace(width=300), preferences=bpy.context.preferences)
     panel.draw(SimpleNamespace(layout=layout), context)

@@ -10,7 +10,7 @@ import bpy
 import pytest
 from held_runs import until
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from image_files import read_png
 from test_capture_scene import moving_scene  # noqa: F401 (fixtures)
 from test_training_jobs import compiled, toy  # noqa: F401
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SCRIPT = ROOT / "examples" / "capture_train_render.py"
 SMALLER = {"width=640, height=480": "width=64, height=48, samples=4",
            "preset='DRAFT'": "preset='DRAFT', iterations=250, max_gaussians=3000",
