@@ -32,7 +32,7 @@ def describe(model: GaussianModel) -> dict:
 def understand(values: dict) -> dict:
     """The inverse of describe(): keyword arguments for GaussianModel, for those keys that `values` has.
 
-    An appearance with a decoder comes back as Features with no weights yet.  Unknown keys are passed over.
+    An appearance with a decoder comes back as Features with no weights yet.  Unknown keys are ignored.
     Raises FastGSError for anything that is not what it should be.
     """
     if not isinstance(values, dict):
@@ -68,7 +68,7 @@ def comments(model: GaussianModel, keys: tuple[str, ...]) -> tuple[list[str], li
 
 
 def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
-    """understand() of the lines that comments() wrote; other lines are passed over, whoever wrote them."""
+    """understand() of the lines that comments() wrote; other lines are ignored, whoever wrote them."""
     values = {}
     for line in lines:
         tag, key, text = [*line.split(" ", 2), "", ""][:3]

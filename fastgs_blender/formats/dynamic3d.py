@@ -2,7 +2,7 @@
 """`params.npz` of Dynamic 3D Gaussians: the same Gaussians at every frame, their places, rotations and colours in tables.
 
 Arrays: means3D [T, N, 3], rgb_colors [T, N, 3] (or [N, 3]), unnorm_rotations [T, N, 4] w x y z, logit_opacities [N, 1], log_scales [N, 3]
-or [N, 1]; seg_colors, cam_m and cam_c are passed over.  Between frames their code has no rule: here all is linear, rotations on the nearer
+or [N, 1]; seg_colors, cam_m and cam_c are ignored.  Between frames their code has no rule: here all is linear, rotations on the nearer
 side and normalised.  Frame f of T lies at t = f / T.
 """
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """`.4dgs` of avala-ai (version 1): quantised Gaussians that travel straight, fade like a bell and live in a window of time.
 
 Records (opcode, length, content) between two magics.  Read are the header, the grids, the table of windows, chunks and delta chunks of
-attributes, bands of spherical harmonics, object tracks and the frame of reference; sound, cameras, sensors and the index are passed over.
+attributes, bands of spherical harmonics, object tracks and the frame of reference; sound, cameras, sensors and the index are ignored.
 Both temporal models are read: gaussian-birth, and keyframe-delta, whose states become Gaussians with windows (fourdgs_states.py).
 A Gaussian is seen at win_lo <= T < win_hi while exp(-((T - mu) / sigma)^2 / 2) >= cutoff; T in seconds, colours as displayed.
 """
@@ -127,7 +127,7 @@ def _track(scene: Scene, content: wire.Cursor) -> None:
 
 
 def _frame(scene: Scene, content: wire.Cursor, path: Path) -> None:
-    """The scene's own frame of reference; others, which have names, are passed over."""
+    """The scene's own frame of reference; others, which have names, are ignored."""
     if content.text():
         return
     hand, up, _ = content.unpack("3B")

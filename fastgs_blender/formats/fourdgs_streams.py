@@ -79,7 +79,7 @@ def unpacked(block: Cursor, codec: str, size: int) -> Cursor:
 
 
 def streams(cursor: Cursor, count: int, what: str) -> dict[int, np.ndarray]:
-    """The attributes [count, channels] int64 of a run of streams; those that are not known are passed over."""
+    """The attributes [count, channels] int64 of a run of streams; those that are not known are ignored."""
     found, seen = {}, set()
     while cursor:
         attribute, values = stream(cursor, count)

@@ -2,7 +2,7 @@
 """The PLY of INRIA's 3D Gaussian splatting: static Gaussians with spherical harmonics.
 
 Columns, by name and in any order: x y z, f_dc_0..2, f_rest_* (all of red, then green, then blue), opacity (logit),
-scale_0..2 (ln), rot_0..3 (w x y z); nx ny nz and others are passed over.  `comment SplatRenderMode: mip` (Brush) and
+scale_0..2 (ln), rot_0..3 (w x y z); nx ny nz and others are ignored.  `comment SplatRenderMode: mip` (Brush) and
 `comment antialiased 1` (Postshot) make the model antialiased; the blur stays 0.3, for the file does not say another.
 """
 from __future__ import annotations

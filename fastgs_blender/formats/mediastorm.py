@@ -51,6 +51,6 @@ class MediastormPly(Format):
 
 
 def last_frame(seconds: np.ndarray, fps: float) -> int:
-    """The last whole frame that does not lie behind all the times; those that are no times are passed over."""
+    """The last whole frame that does not lie behind all the times; those that are no times are ignored."""
     times = seconds[np.isfinite(seconds) & (np.abs(seconds) <= LONGEST)]
     return max(0, math.floor(float(times.max(initial=0.0)) * fps + 1e-3))

@@ -57,7 +57,7 @@ def packed_arrays(path: Path) -> Mapping[str, PackedArray]:
     """The arrays of numbers in an .npz file by name; raises FastGSError.
 
     What an array's header claims and what the zip's table says is the same.  Arrays of anything but numbers and truth values are
-    passed over.
+    ignored.
     """
     found = {}
     with reading(path), _archive(path) as archive:

@@ -59,7 +59,7 @@ def format_named(name: str) -> ModuleType:
 def save_path(path: CameraPath, file, name: str = "fastgs", picture: Picture | None = None) -> None:
     """Write a camera path in the format of that name, aside and renamed.
 
-    What the format cannot hold is told by a LossWarning.  Raises FastGSError where the file cannot be written.
+    A LossWarning says what the format cannot hold.  Raises FastGSError where the file cannot be written.
     """
     module = format_named(name)
     try:
