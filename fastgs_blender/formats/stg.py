@@ -71,7 +71,7 @@ class SpacetimeGaussians(Format):
             if shift.size:
                 arrays["position"] += shift
             arrays["temporal"] *= -2
-        arrays["motion"] = arrays["motion"].reshape(-1, len(powers) // 3, 3)
+        arrays["motion"] = arrays["motion"].reshape(len(shift), len(powers) // 3, 3)
         arrays["rotation_motion"] = arrays["rotation_motion"][:, None]
         arrays["opacity"], arrays["mu_tau"] = arrays["opacity"][:, 0], arrays["mu_tau"][:, 0]
         kinds = {"clip": Clip(settings.get("frames", FRAMES)), "basis": basis, "appearance": appearance} | kinds
@@ -133,7 +133,7 @@ def _motion_columns(header: ply.Header, recorded: Basis | None) -> tuple[Basis, 
     fourier = recorded if isinstance(recorded, Fourier) else Fourier(width // 2)
     if count == 9 and not isinstance(recorded, Fourier):
         return recorded or Polynomial(3), [f"motion_{i}" for i in range(9)], []
-    if rest or width < 2 or recorded not in (None, fourier) or width - fourier.terms not in (0, 1):
+    if rest or (recorded is None and width < 2) or recorded not in (None, fourier) or width - fourier.terms not in (0, 1):
         raise FastGSError(f"its {count} columns motion_* fit neither a cubic (9) nor {'its' if recorded else 'a'} Fourier series; "
                           "export it again.")
     first = width - fourier.terms

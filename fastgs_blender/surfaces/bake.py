@@ -68,18 +68,21 @@ class BakeReport:
         if self.reached:
             return None
         return (f"the motion is followed to {100 * self.mean_residual / self.size:.3g} % of the object's size instead of"
-                f" {100 * self.tolerance:.3g} %, with the highest order that is safe or allowed ({self.order}, up to"
-                f" {self.band_limit:.3g} Hz): sample more times per frame, allow a higher order, or bake fewer frames at once.")
+                f" {100 * self.tolerance:.3g} %, with the highest order that is safe or allowed ({self.motion}):"
+                " sample more times per frame, allow a higher order, or bake fewer frames at once.")
+
+    @property
+    def motion(self) -> str:
+        """The basis in words."""
+        if isinstance(self.basis, Static):
+            return "no motion"
+        return f"{self.basis.name} of order {self.order}, up to {self.band_limit:.3g} Hz" if self.band_limit else "straight motion"
 
     def __str__(self) -> str:
         def share(x):
             return f"{x:.3g} ({100 * x / self.size:.2g} %)"
 
-        if isinstance(self.basis, Static):
-            motion = "no motion"
-        else:
-            motion = f"{self.basis.name} of order {self.order}, up to {self.band_limit:.3g} Hz"
-        return (f"{self.gaussians:,} Gaussians, {motion}, off by {share(self.mean_residual)} on average"
+        return (f"{self.gaussians:,} Gaussians, {self.motion}, off by {share(self.mean_residual)} on average"
                 f" and {share(self.max_residual)} at most, size {self.size:.3g}")
 
 

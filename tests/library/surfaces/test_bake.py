@@ -59,6 +59,7 @@ def test_a_growing_sphere_needs_one_number_per_axis():
     model, report = baked(lambda t: (1 + t) * points, triangles)
     assert model.basis.terms == 1 and report.mean_residual < 1e-5
     assert len(model.rotation_motion[0]) == 0  # nothing turns
+    assert ", straight motion," in str(report) and "Hz" not in str(report)
     for t in (0.1, 0.73):
         s = fg.slice_model(model, t)
         radius = np.linalg.norm(s.position, axis=1)
