@@ -13,7 +13,7 @@ import os
 
 from ..model.motion import trained_motions
 from ..util.errors import FastGSError
-from .shared import note, print_json, use_threads
+from .shared import note, print_json, say, use_threads
 
 FLAGS = {
     "motion": (str, "KIND", f"{', '.join(trained_motions())} or static (default: cosine)"),
@@ -33,9 +33,10 @@ OTHER_FLAGS = {"start": "--init"}
 
 
 def add_arguments(parser):
-    parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
+    parser.add_argument("capture", nargs="?", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises; not "
+                        "needed with --resume")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
-    parser.add_argument("--resume", action="store_true", help="continue the run in that folder")
+    parser.add_argument("--resume", action="store_true", help="continue the run in that folder, with its capture and its options")
     parser.add_argument("--overwrite", action="store_true", help="start again from the beginning if the folder has a run already")
     parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long to train, how large a model (default: standard)")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
@@ -52,34 +53,21 @@ def add_arguments(parser):
 
 
 def run(args):
-    from ..captures import open_capture
-    from ..captures.pixels.checks import check
-    from ..captures.pixels.store import FrameStore
-    from ..training.core.distributed import joined
-    from ..training.initial.calibrate import with_poses
-    from ..training.run import session
+    from ..training.run.launch import launch, source_of
 
     use_threads(args.threads)
-    wanted = options(args)
-    with joined() as group:
-        settings = group.first_does(lambda: session.begin(args.out, wanted, lambda w: make(args, w), args.resume, args.overwrite))
-        settings = session.from_dict(group.share(settings.to_dict() if settings else None))
-        capture = open_capture(args.capture, scale=args.scale, frames=frames_slice(args.frames), layout=args.layout,
-                               held_out=tuple(args.held_out.split(",")) if args.held_out else None)
-        for remark in capture.notes if group.first else ():
-            note(remark)
-        check(capture)
-        if not capture.posed:
-            store = FrameStore(capture, session.MEMORY)
-            group.first_does(lambda: with_poses(capture, store, args.out, note))
-            capture = with_poses(capture, store, args.out)
-        report = session.train(capture, FrameStore(capture, session.MEMORY), settings, args.out, group, args.quiet)
-    if group.first:
-        if args.json:
-            print_json(report)
-        else:
-            quality = f", {report['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in report else ""
-            note(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
+    if args.capture is None and not args.resume:
+        raise FastGSError("name the CAPTURE to train on; only a run that is resumed (--resume) knows its own.")
+    held_out = None if args.held_out is None else [name for name in args.held_out.split(",") if name]
+    source = source_of(args.capture, args.layout, args.scale, frames_slice(args.frames), held_out)
+    report = launch(source, args.out, options(args), args.resume, args.overwrite, args.quiet, note)
+    if not report:  # one of several processes, and not the first
+        return
+    if args.json:
+        print_json(report)
+    else:
+        quality = f", {report['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in report else ""
+        say(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
 
 
 def options(args) -> dict:
@@ -97,13 +85,6 @@ def options(args) -> dict:
     if args.preset:
         wanted["preset"] = args.preset
     return wanted
-
-
-def make(args, wanted: dict):
-    """The settings of a new run."""
-    from ..training.core.settings import settings
-
-    return settings(**{"preset": "standard", **wanted})
 
 
 def frames_slice(text: str | None) -> slice | None:

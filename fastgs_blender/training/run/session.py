@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import threading
 from collections.abc import Callable
@@ -24,10 +23,12 @@ from ...formats.base import generator
 from ...util import locks
 from ...util.errors import FastGSError
 from ...util.reading import read_json
-from ..core.settings import Settings, from_dict
+from ..core.settings import Settings
 from ..core.state import is_duration
 from . import checkpoint
-from .files import CHECKPOINT, LOCK, LOG, MODEL, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS, STATUS
+from . import plan as plans
+from .files import CHECKPOINT, LOCK, MODEL, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
+from .plan import NOTHING, Plan, Source
 from .progress import Reporter, Silent
 
 PREVIEW_SHOTS = 4
@@ -43,13 +44,12 @@ class Stopped(KeyboardInterrupt):
     """The user ended the run; the message says how to continue it."""
 
 
-def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Settings:
-    """The settings of the run in a folder, which is made where there is none.
+def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, overwrite: bool,
+          source: Source = NOTHING) -> Plan:
+    """The plan of the run in a folder, which is made where there is none; see plan.begin().
 
-    wanted  the options that were asked for by name; make(wanted) gives the settings of a new run
-    A run that is resumed has the settings it began with.  No other process can train in the folder until train() has ended, or
-    this process.  Raises FastGSError where another one does, where the run's settings contradict what is wanted, or where a run is in
-    the folder already and neither resume nor overwrite says what to do with it.
+    No other process can train in the folder until train() or release() has been called, or this process has ended.  Raises FastGSError
+    where another one does.
     """
     out = Path(out)
     try:
@@ -60,45 +60,26 @@ def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, ove
     if key not in _locks:
         _locks[key] = _lock(out)
     try:
-        return _begin(out, wanted, make, resume, overwrite)
+        for folder in (out, *(out / SEGMENTS).glob("*")):
+            checkpoint.remove_leftovers(folder)
+        return plans.begin(out, wanted, source, make, resume, overwrite)
     except BaseException:
-        _release(key)
+        release(out)
         raise
 
 
-def _begin(out: Path, wanted: dict, make, resume: bool, overwrite: bool) -> Settings:
-    for folder in (out, *(out / SEGMENTS).glob("*")):
-        checkpoint.remove_leftovers(folder)
-    old = _earlier(out / RUN)
-    if old is not None and resume:
-        settings = from_dict(old)
-        for name, value in wanted.items():
-            if getattr(settings, name) != value:
-                raise FastGSError(f"the run in {out} has {name} = {getattr(settings, name)}, not {value}; leave the option out to "
-                                  "continue it, or train into another folder.")
-        return settings
-    if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
-        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the beginning.")
-    settings = make(wanted)
-    if not resume:
-        for name in (CHECKPOINT, MODEL, REPORT, LOG, STATUS):
-            (out / name).unlink(missing_ok=True)
-        shutil.rmtree(out / SEGMENTS, ignore_errors=True)
-    checkpoint.write_json(out / RUN, {"settings": settings.to_dict()})
-    return settings
-
-
-def train(capture, store, settings: Settings, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
+def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
     """Train, or continue, the run in a folder; returns the report, in the first process.
 
-    capture, store  see captures.base; settings  what begin() gave; group  distributed.Group
-    Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.
+    capture, store  see captures.capture; plan  what begin() gave; group  distributed.Group
+    Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.  A run that fails before its first checkpoint leaves
+    no plan behind, so that the corrected one can start.
     """
     from ..core.distributed import Group
     from .segments import spans
 
     group = group or Group()
-    out = Path(out)
+    out, settings = Path(out), plan.settings
     cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
     if len(cuts) > 1 and settings.motion == "keyframes":
         raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
@@ -108,6 +89,7 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
     if group.first:
         if key not in _locks:
             _locks[key] = _lock(out)
+        plans.write(out, plan)
         done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     try:
@@ -118,10 +100,12 @@ def train(capture, store, settings: Settings, out, group=None, quiet: bool = Fal
         raise
     except BaseException as error:
         reporter.status("failed", reason=str(error) or type(error).__name__)
+        if group.first and not isinstance(error, SystemExit):
+            plans.forget(out)
         raise
     finally:
         reporter.close()
-        _release(key)
+        release(out)
 
 
 def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
@@ -262,17 +246,6 @@ def peak_memory() -> int | None:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _earlier(path: Path) -> dict | None:
-    """The settings of the run in a folder, if there is one."""
-    if not path.exists():
-        return None
-    values = read_json(path, advice="delete it to train from the beginning")
-    settings = values.get("settings") if isinstance(values, dict) else None
-    if not isinstance(settings, dict):
-        raise FastGSError(f"{path}: it holds no settings; delete it to train from the beginning.")
-    return settings
-
-
 def _lock(out: Path) -> BinaryIO | None:
     """The lock of a run's folder; None where the file system has no locks.  Raises FastGSError where another process has it."""
     try:
@@ -287,8 +260,9 @@ def _lock(out: Path) -> BinaryIO | None:
     return lock
 
 
-def _release(key: str) -> None:
-    lock = _locks.pop(key, None)
+def release(out) -> None:
+    """Let other processes train in the folder again."""
+    lock = _locks.pop(os.path.realpath(out), None)
     if lock is not None:
         lock.close()
 

@@ -165,8 +165,8 @@ def test_mutations_of_the_small_files(tmp_path, monkeypatch):
 
         begun = session.begin(folder, {}, lambda wanted: chosen, True, False)
         try:
-            done, elapsed = session.progress_so_far(folder, 2, begun.iterations)
-            assert done == begun.iterations and elapsed >= 0
+            done, elapsed = session.progress_so_far(folder, 2, begun.settings.iterations)
+            assert done == begun.settings.iterations and elapsed >= 0
             Reporter(folder, 100, 60, quiet=True).close()
             write_plot(folder / "plot.png", folder / "log.jsonl")
         finally:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A whole training run: from the name of a capture to a folder with the finished model."""
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ... import formats
+from ...captures.pixels.checks import check
+from ...captures.pixels.store import FrameStore
+from ...model.gaussians import GaussianModel
+from ..core.distributed import joined
+from ..core.settings import settings
+from ..initial.calibrate import with_poses
+from . import session
+from .files import MODEL
+from .plan import Source, plan_from_dict
+
+
+def train(capture: str | Path | None, out: str | Path, *, preset: str | None = None, resume: bool = False, overwrite: bool = False,
+          layout: str | None = None, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
+          quiet: bool = True, **options: Any) -> GaussianModel:
+    """Train a model from a capture of several cameras; returns it when the training has ended.
+
+    capture    folder or file of the capture; None with resume: that of the run
+    out        folder of the run: it gets model.safetensors, checkpoints, previews, the log and report.json
+    preset     "draft", "standard" (default) or "final"
+    resume     continue the run in that folder, with its own capture and options; overwrite: replace it
+    layout, scale, frames, held_out  see open_capture()
+    quiet      print no progress
+    options    any option of docs/training.md: iterations, motion, order, max_gaussians, seed ...
+
+    Raises FastGSError, and KeyboardInterrupt where it is stopped; then resume=True continues it.
+
+    Example:
+        model = fg.train("my-capture", "run", preset="draft", iterations=500)
+    """
+    source = source_of(capture, layout, scale, frames, held_out)
+    wanted = {**options, "preset": preset} if preset else dict(options)
+    launch(source, out, wanted, resume, overwrite, quiet, lambda text: None)
+    return formats.load(Path(out) / MODEL)
+
+
+def source_of(capture, layout, scale, frames: slice | None, held_out) -> Source:
+    """The Source of open_capture()'s arguments."""
+    part = None if frames is None else (frames.start or 0, 1 << 30 if frames.stop is None else frames.stop, frames.step or 1)
+    return Source(None if capture is None else str(Path(capture).absolute()), layout, scale, part,
+                  None if held_out is None else tuple(held_out))
+
+
+def launch(source: Source, out, wanted: Mapping[str, Any], resume: bool, overwrite: bool, quiet: bool, note: Callable[[str], None]) -> dict:
+    """Begin or continue a run and train it to its end; returns the report, in the first process of several, else {}.
+
+    wanted  the settings that were asked for by name; note: told remarks on the capture
+    """
+    def new(chosen):
+        return settings(**{"preset": "standard", **chosen})
+
+    with joined() as group:
+        plan = group.first_does(lambda: session.begin(out, dict(wanted), new, resume, overwrite, source))
+        try:
+            plan = plan_from_dict(group.share(plan.to_dict() if plan else None))
+            capture = plan.source.open()
+            for remark in capture.notes if group.first else ():
+                note(remark)
+            check(capture)
+            if not capture.posed:
+                store = FrameStore(capture, session.MEMORY)
+                group.first_does(lambda: with_poses(capture, store, out, note))
+                capture = with_poses(capture, store, out)
+            return session.train(capture, FrameStore(capture, session.MEMORY), plan, out, group, quiet)
+        finally:
+            session.release(out)

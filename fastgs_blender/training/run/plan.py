@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a run is: the capture that it is trained on and its settings.  run.json in the run's folder records both.
+
+begin() makes the plan of a new run, or brings back that of a run which is resumed.  It changes nothing in the folder: a run that
+cannot start leaves everything as it was.
+"""
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from ...captures import open_capture
+from ...captures.capture import Capture
+from ...util.errors import FastGSError
+from ...util.reading import read_json
+from ..core.settings import Settings, from_dict
+from . import checkpoint
+from .files import CHECKPOINT, LOG, MODEL, REPORT, RUN, SEGMENTS, STATUS
+
+DAMAGED = "delete it to train from the beginning"
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a run is trained on, as open_capture() takes it; None where the layout of the capture decides.
+
+    capture  the folder or file
+    frames   first frame, end (not included) and step of the part that is used
+    """
+
+    capture: str | None = None
+    layout: str | None = None
+    scale: float | None = None
+    frames: tuple[int, int, int] | None = None
+    held_out: tuple[str, ...] | None = None
+
+    def open(self) -> Capture:
+        """The capture; raises FastGSError."""
+        if self.capture is None:
+            raise FastGSError("the folder of the run does not say what it was trained on; name the capture.")
+        frames = None if self.frames is None else slice(*self.frames)
+        return open_capture(self.capture, scale=self.scale, frames=frames, held_out=self.held_out, layout=self.layout)
+
+
+NOTHING = Source()
+"""Nothing was said of the capture."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run: what it is trained on, its settings, and whether it starts from the beginning."""
+
+    settings: Settings
+    source: Source
+    fresh: bool = True
+
+    def to_dict(self) -> dict:
+        """Plain JSON values."""
+        source = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self.source).items()}
+        return {"settings": self.settings.to_dict(), "source": source, "fresh": self.fresh}
+
+
+def plan_from_dict(values: object, where: str = "the plan of a run") -> Plan:
+    """The inverse of Plan.to_dict; raises FastGSError, which names `where`.  Runs of earlier versions name no source."""
+    settings = values.get("settings") if isinstance(values, dict) else None
+    if not isinstance(values, dict) or not isinstance(settings, dict):
+        raise FastGSError(f"{where}: it holds no settings; {DAMAGED}.")
+    source = values.get("source") or {}
+    wrong = "source" if not isinstance(source, dict) else next((name for name, value in source.items() if not _sound(name, value)), None)
+    if wrong:
+        raise FastGSError(f"{where}: its {wrong} is not valid; {DAMAGED}.")
+    source = {name: tuple(value) if isinstance(value, list) else value for name, value in source.items()}
+    return Plan(from_dict(settings), Source(**source), values.get("fresh") is True)
+
+
+def _sound(name: str, value: object) -> bool:
+    if name not in {field.name for field in fields(Source)}:
+        return False
+    if value is None:
+        return True
+    if name == "scale":
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1
+    if name == "frames":
+        return (isinstance(value, list) and len(value) == 3 and all(isinstance(v, int) and 0 <= v < 1 << 31 for v in value)
+                and value[2] > 0)
+    texts = value if name == "held_out" else [value]
+    return isinstance(texts, list) and all(isinstance(text, str) and "\0" not in text for text in texts)
+
+
+def read_plan(out) -> Plan | None:
+    """The plan of the run in a folder, None where there is none; raises FastGSError where it cannot be read."""
+    path = Path(out) / RUN
+    if not path.exists():
+        return None
+    return replace(plan_from_dict(read_json(path, advice=DAMAGED), str(path)), fresh=False)
+
+
+def begin(out, wanted: dict, source: Source, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Plan:
+    """The plan of the run in a folder; the caller holds the folder's lock.
+
+    wanted, source  the options that were asked for by name; make(wanted) gives the settings of a new run
+    A run that is resumed has the settings and the capture it began with.  Raises FastGSError where these contradict what is asked
+    for, or where a run is in the folder already and neither resume nor overwrite says what to do with it.
+    """
+    out = Path(out)
+    old = read_plan(out) if resume else None
+    if old is not None:
+        for name, value in wanted.items():
+            _agree(out, name, getattr(old.settings, name), value)
+        return replace(old, source=_continued(out, old.source, source))
+    if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
+        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the beginning.")
+    return Plan(make(wanted), source, fresh=not resume)
+
+
+def _continued(out: Path, old: Source, new: Source) -> Source:
+    """What a resumed run is trained on.  A capture that was moved is taken from its new place."""
+    for name in ("layout", "scale", "frames", "held_out"):
+        if getattr(new, name) is not None and old.capture is not None:
+            _agree(out, name, getattr(old, name), getattr(new, name))
+    if old.capture is None:
+        return new
+    if new.capture is None or os.path.realpath(new.capture) == os.path.realpath(old.capture):
+        return old
+    if os.path.exists(old.capture):
+        raise FastGSError(f"the run in {out} is trained on {old.capture}, not on {new.capture}; leave the capture out to continue it, or "
+                          "train into another folder.")
+    return replace(old, capture=new.capture)
+
+
+def _agree(out: Path, name: str, old: object, new: object) -> None:
+    if old != new:
+        raise FastGSError(f"the run in {out} has {name} = {_words(old)}, not {_words(new)}; leave the option out to continue it, or train "
+                          "into another folder.")
+
+
+def _words(value: object) -> str:
+    return "its default" if value is None else ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def write(out, plan: Plan) -> None:
+    """Record the plan, and remove from the folder what an earlier run left there if this one starts from the beginning."""
+    out = Path(out)
+    if plan.fresh:
+        for name in (CHECKPOINT, MODEL, REPORT, LOG, STATUS):
+            (out / name).unlink(missing_ok=True)
+        shutil.rmtree(out / SEGMENTS, ignore_errors=True)
+    checkpoint.write_json(out / RUN, {name: value for name, value in plan.to_dict().items() if name != "fresh"})
+
+
+def forget(out) -> None:
+    """Remove the plan of a run that has failed before its first checkpoint: there is nothing to resume."""
+    out = Path(out)
+    if not (out / CHECKPOINT).exists() and not any((out / SEGMENTS).glob("*/*")):
+        (out / RUN).unlink(missing_ok=True)

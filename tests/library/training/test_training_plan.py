@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run knows what it is: --resume brings back everything, and a start that fails leaves nothing in the way."""
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from toy_captures import write_capture
+
+import fastgs_blender as fg
+from fastgs_blender import cli
+from fastgs_blender.training.run.files import CHECKPOINT, MODEL, RUN
+from fastgs_blender.training.run.plan import Source, plan_from_dict, read_plan
+
+SHORT = ["--init", "file", "--quiet", *(text for option in ("iterations=6", "points=60", "preview_every=0", "warm_up=") for text in
+                                        ("--set", option))]
+PART = ["--scale", "0.5", "--frames", "1:3", "--held-out", "cam01,cam03"]
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory):
+    return write_capture(tmp_path_factory.mktemp("toy") / "capture")
+
+
+@pytest.fixture(scope="module")
+def finished(toy, tmp_path_factory):
+    """A run of a few steps on a part of the capture."""
+    out = tmp_path_factory.mktemp("run") / "run"
+    assert cli.main(["train", str(toy), "--out", str(out), *PART, *SHORT]) == 0
+    return out
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A copy of that run which lacks its model: it is to be finished again."""
+    out = tmp_path / "run"
+    shutil.copytree(finished, out)
+    (out / MODEL).unlink()
+    return out
+
+
+def test_resume_needs_the_folder_alone(run, finished, capsys):
+    assert cli.main(["train", "--resume", "--out", str(run), "--quiet"]) == 0
+    again = fg.load(run / MODEL)
+    assert (run / MODEL).read_bytes() == (finished / MODEL).read_bytes()
+    known = json.loads(again.provenance["trained_on"])
+    assert known["scale"] == 0.5 and known["views"] == ["cam00", "cam02", "cam04"] and again.clip.frame_count == 3
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (["--scale", "1"], "scale = 0.5, not 1.0"), (["--frames", "0:3"], "frames = 1, 4, 1, not 0, 4, 1"),
+    (["--held-out", "cam00"], "held_out = cam01, cam03, not cam00"), (["--layout", "colmap"], "layout = its default, not colmap"),
+    (["--set", "iterations=7"], "iterations = 6, not 7"), (["--preset", "draft"], "preset = standard, not draft")])
+def test_what_contradicts_the_run_is_refused(run, toy, capsys, options, words):
+    for capture in ([], [str(toy)]):
+        assert cli.main(["train", *capture, "--resume", "--out", str(run), *options]) == 2
+        assert words in capsys.readouterr().err
+    assert not (run / MODEL).exists()
+
+
+def test_another_capture_is_refused_unless_the_first_has_moved(run, toy, tmp_path, capsys):
+    copy = tmp_path / "copy"
+    shutil.copytree(toy, copy)
+    assert cli.main(["train", str(copy), "--resume", "--out", str(run)]) == 2
+    assert f"trained on {toy}, not on {copy}" in capsys.readouterr().err
+    values = json.loads((run / RUN).read_text())
+    values["source"]["capture"] = str(tmp_path / "where it was")
+    (run / RUN).write_text(json.dumps(values))
+    assert cli.main(["train", str(copy), "--resume", "--out", str(run), "--quiet"]) == 0
+    assert read_plan(run).source == Source(str(copy), None, 0.5, (1, 4, 1), ("cam01", "cam03"))
+
+
+def test_a_start_that_fails_does_not_block_the_corrected_one(toy, tmp_path, capsys):
+    out = tmp_path / "run"
+    missing = ["--init", "model", "--init-model", str(tmp_path / "none.ply")]  # noticed when the capture is open
+    for wrong in (["--layout", "nothing"], ["--scale", "7"], ["--held-out", "nobody"], missing):
+        assert cli.main(["train", str(toy), "--out", str(out), *SHORT, *wrong]) == 2
+        said = capsys.readouterr().err
+        assert "Traceback" not in said and "already" not in said
+        assert not (out / RUN).exists()
+    assert cli.main(["train", str(toy), "--out", str(out), *SHORT]) == 0
+
+
+def test_a_failed_overwrite_keeps_the_earlier_run(finished, tmp_path, capsys):
+    out = tmp_path / "run"
+    shutil.copytree(finished, out)
+    before = {name: (out / name).read_bytes() for name in (MODEL, CHECKPOINT, RUN)}
+    assert cli.main(["train", str(tmp_path / "no capture"), "--out", str(out), "--overwrite"]) == 2
+    assert {name: (out / name).read_bytes() for name in before} == before
+
+
+def test_a_capture_is_named_unless_a_run_knows_it(tmp_path, finished, capsys):
+    assert cli.main(["train", "--out", str(tmp_path / "new")]) == 2
+    assert "name the CAPTURE" in capsys.readouterr().err
+    old = {"settings": read_plan(finished).settings.to_dict()}  # as earlier versions wrote it
+    (tmp_path / RUN).write_text(json.dumps(old))
+    assert cli.main(["train", "--resume", "--out", str(tmp_path)]) == 2
+    assert "name the capture" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", [3, {"capture": 3}, {"scale": 0}, {"scale": True}, {"frames": [1, 2]}, {"frames": [0, 4, 0]},
+                                    {"held_out": "cam01"}, {"held_out": [1]}, {"other": 1}, {"capture": "a\0b"}])
+def test_plans_that_make_no_sense(source):
+    with pytest.raises(fg.FastGSError, match="not valid"):
+        plan_from_dict({"settings": {}, "source": source}, "run.json")
+    assert plan_from_dict({"settings": {}, "source": {"capture": "a", "frames": [0, 4, 1]}}).source == Source("a", frames=(0, 4, 1))
+
+
+def test_training_from_python_gives_the_model(toy, tmp_path):
+    from fastgs_blender.training.run.launch import train
+
+    model = train(toy, tmp_path / "run", scale=0.5, frames=slice(0, 2), start="file", iterations=3, points=50, preview_every=0)
+    assert model.clip.frame_count == 2 and len(model) < 80
+    with pytest.raises(fg.FastGSError, match="already"):
+        train(toy, tmp_path / "run")
