@@ -8,10 +8,11 @@
 """
 from .cameras.camera import Camera
 from .cameras.cameras_json import load_cameras
-from .formats import load, save
+from .formats import load, open_source, save
 from .model.appearance import RGB, SH, Changing, Features
 from .model.gaussians import Clip, GaussianModel, Raster
 from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
+from .model.sequence import Sequence
 from .model.slicing import Slice, freeze, slice_model
 from .model.temporal import Always, Radial, Window, WindowedRadial
 from .rendering.api import render
@@ -22,6 +23,6 @@ from .util.version import VERSION
 __version__ = VERSION
 __all__ = [
     "RGB", "SH", "Always", "BakeReport", "Camera", "Changing", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel",
-    "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Slice", "Static", "Window", "WindowedRadial", "bake",
-    "freeze", "load", "load_cameras", "render", "save", "slice_model",
+    "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "Window", "WindowedRadial", "bake",
+    "freeze", "load", "load_cameras", "open_source", "render", "save", "slice_model",
 ]

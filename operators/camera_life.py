@@ -49,7 +49,7 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
         if animation and animation.action and camera_keys.curves(obj).find(path):
             self.report({'ERROR'}, f'"{obj.name}" has an animated offset already; delete its keys first (Object Properties > Time).')
             return {'CANCELLED'}
-        rate = (settings.fps or 24.0) * scene.render.fps_base / scene.render.fps
+        rate = settings.fps * scene.render.fps_base / scene.render.fps if settings.fps else 1.0
         lost = settings.speed * rate * (1 - self.speed)  # capture frames that each slow frame of the scene takes away
         ramp = min(self.ramp, self.length / 2)
         begin, end = float(self.start), float(self.start + self.length)

@@ -10,6 +10,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..engine import compiling
 from ..fastgs_blender.formats import FORMATS, readable
+from ..fastgs_blender.formats.sequences import grouped
 from ..scene.splats.importing import Options, import_files
 from ..scene.splats.proxy import LIMIT
 
@@ -30,6 +31,9 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
 
     relative_path: BoolProperty(
         name="Relative Path", description="Store the path relative to the .blend, once that is saved", default=True)
+    as_sequence: BoolProperty(
+        name="Numbered Files as Sequences", description="Make one object, an animation, of chosen files whose names differ in one number; "
+        "else each file becomes an object", default=True)
     orientation: EnumProperty(
         name="Orientation",
         items=(
@@ -53,6 +57,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(self, "relative_path")
+        layout.prop(self, "as_sequence")
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
         col = layout.column(heading="Scene")
@@ -66,9 +71,11 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
                 col.label(text=f"{known.name} ({', '.join(known.reads)})", translate=False)
 
     def paths(self) -> list[str]:
-        """The chosen files."""
+        """The chosen files, and patterns of the names of those that are sequences."""
         if any(file.name for file in self.files):
-            return [str(Path(bpy.path.abspath(self.directory or str(Path(self.filepath).parent)), file.name)) for file in self.files]
+            folder = bpy.path.abspath(self.directory or str(Path(self.filepath).parent))
+            chosen = [Path(folder, file.name) for file in self.files]
+            return [str(path) for path in (grouped(chosen) if self.as_sequence else chosen)]
         return [self.filepath] if self.filepath else []
 
     def execute(self, context):

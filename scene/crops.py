@@ -69,6 +69,9 @@ def write_cropped(obj, depsgraph, target: str) -> tuple[int, int]:
     if Path(target).resolve() == Path(source).resolve():
         raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
     model = objects.load_model(source)
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError(f"{source}: what the boxes leave of a sequence cannot be written as one file; turn it into one model first "
+                             "with fastgs convert, or export its frames.")
     left = cropped(model, crops_of(obj.evaluated_get(depsgraph), depsgraph))
     if not len(left):
         raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")

@@ -16,7 +16,8 @@ def frame_rate(fps: float) -> tuple[int, float]:
 def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
     """Give the scene the frame rate of the object's capture, and a range in which its clip plays once."""
     settings = obj.fastgs
-    scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
+    if settings.fps:  # a sequence without a rate of its own follows the scene's
+        scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
     speed = settings.speed or 1.0
     frames = (settings.frame_count - settings.offset) if speed > 0 else (settings.frame_count + settings.offset)
     start = max(round(settings.start_frame), 0)

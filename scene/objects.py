@@ -14,6 +14,9 @@ import bpy
 from mathutils import Matrix
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.formats.sequences import place_of
+from ..fastgs_blender.model.gaussians import Clip
+from ..fastgs_blender.model.sequence import FreeClip, Sequence, Source
 from ..fastgs_blender.util.identity import FileIdentity, status_of
 from ..fastgs_blender.util.reading import reading
 
@@ -22,10 +25,10 @@ log = logging.getLogger(__name__)
 
 @dataclass
 class _Entry:
-    """A file that was read: its model, or the sentence that says why it has none."""
+    """A file that was read: its model or sequence, or the sentence that says why it has none."""
 
     identity: FileIdentity
-    model: fg.GaussianModel | None = None
+    model: Source | None = None
     error: str | None = None
 
 
@@ -60,8 +63,8 @@ def abspath(obj: bpy.types.Object) -> str:
     return _key(bpy.path.abspath(path, library=origin.library))
 
 
-def load_model(path: str) -> fg.GaussianModel:
-    """The model of a file, from memory where the file has not changed since it was read.
+def load_model(path: str) -> Source:
+    """The model of a file, or the sequence that a path stands for, from memory where the file has not changed since it was read.
 
     Safe to call from several threads.  Raises FastGSError for a file that is missing or cannot be read; a broken file is
     not read again before it changes or reload() is called.
@@ -80,6 +83,18 @@ def load_model(path: str) -> fg.GaussianModel:
     return entry.model
 
 
+def is_sequence(obj: bpy.types.Object) -> bool:
+    """Whether an object shows a sequence, as far as is known without reading its file."""
+    entry = _entries.get(abspath(obj))
+    return entry is not None and isinstance(entry.model, Sequence)
+
+
+def clip_of(obj: bpy.types.Object) -> Clip:
+    """The clip of an object's file, from what the object knows of it."""
+    settings = obj.fastgs
+    return Clip(settings.frame_count, settings.fps) if settings.fps else FreeClip(settings.frame_count)
+
+
 def error_of(obj: bpy.types.Object) -> str | None:
     """Why an object cannot be shown, as a sentence, or None where nothing is known to be wrong.  Its file is not read.
 
@@ -89,7 +104,7 @@ def error_of(obj: bpy.types.Object) -> str | None:
     if not path:
         return None
     try:
-        status = status_of(path)
+        status = status_of(place_of(path))
     except fg.FastGSError as error:
         return str(error)
     entry = _entries.get(path)
@@ -135,10 +150,10 @@ def _key(path: str) -> str:
 
 
 def _read(path: str) -> _Entry:
-    identity = FileIdentity.of(path)
+    identity = FileIdentity.of(place_of(path))
     try:
         with reading(path):
-            return _Entry(identity, model=fg.load(path))
+            return _Entry(identity, model=fg.open_source(path))
     except fg.FastGSError as error:
         if error.__cause__ is not None:
             log.info("%s", error, exc_info=error.__cause__)

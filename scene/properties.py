@@ -53,7 +53,7 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     frame_count: IntProperty(
         name="Frames", description="Number of frames of the capture", min=0)
     fps: FloatProperty(
-        name="Frame Rate", description="Frames per second of the capture", min=0.0)
+        name="Frame Rate", description="Frames per second of the capture; 0 where it has none and follows the scene's", min=0.0)
 
     start_frame: FloatProperty(
         name="Start Frame", description="Scene frame on which the clip begins", default=1.0, override=_OWN)
@@ -66,6 +66,12 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', override=_OWN)
     after: EnumProperty(
         name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
+    subframes: EnumProperty(
+        name="Sub-Frames", description="What a sequence of files shows between two of its frames",
+        items=(
+            ('INTERPOLATE', "Interpolate", "What lies between the two; the nearer one where their Gaussians do not match", 0),
+            ('HOLD', "Hold", "The nearer frame", 1),
+        ), default='INTERPOLATE', override=_OWN)
     crops: CollectionProperty(
         type=FASTGS_PG_crop, name="Crop Boxes", description="Boxes outside or inside which nothing of the model is shown",
         override=_OWN | {'USE_INSERTION'})

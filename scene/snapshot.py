@@ -51,28 +51,32 @@ class Snapshot:
         """All of it as values that can be compared."""
         return self.frame, self.fps, tuple(item.state for item in self.instances)
 
-    def load(self, load_model=objects.load_model) -> tuple[list[Instance], list[tuple[str, str]]]:
+    def load(self, load_model=objects.load_model, read: bool = True) -> tuple[list[Instance], list[tuple[str, str]]]:
         """(the instances to render, [(object's name, why it is left out), ...]).  Reads the files that are not in memory.
 
-        An object that shows nothing at this time is in neither list.
+        An object that shows nothing at this time is in neither list.  With read=False frames of sequences are not read: an object
+        whose frame is not in memory is left out.
         """
         loaded, left_out = [], []
         for item in self.instances:
             try:
-                instance = self._load(item, load_model)
+                instance = self._load(item, load_model, read)
             except fg.FastGSError as error:
                 left_out.append((item.name, str(error)))
             else:
                 loaded += [] if instance is None else [instance]
         return loaded, left_out
 
-    def _load(self, item: FileInstance, load_model) -> Instance | None:
+    def _load(self, item: FileInstance, load_model, read: bool) -> Instance | None:
         if not (np.abs(item.placement) <= LIMIT).all():  # neither are NaN
             raise fg.FastGSError(f"its transform holds numbers beyond {LIMIT:g} or that are no numbers; "
                                  "clear its location, rotation and scale, or those of its parents.")
-        model = load_model(item.path)
-        frame = clip_frame(self.frame, self.fps, item.retime, model.clip)
-        return None if frame is None else Instance(model, item.placement, model.clip.t_of_frame(frame), item.settings)
+        source = load_model(item.path)
+        frame = clip_frame(self.frame, self.fps, item.retime, source.clip)
+        if frame is None:
+            return None
+        model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
+        return Instance(model, item.placement, t, item.settings)
 
 
 def take(depsgraph, visible=lambda obj: True) -> Snapshot:
@@ -101,7 +105,7 @@ def take(depsgraph, visible=lambda obj: True) -> Snapshot:
 def retime_of(obj) -> Retime:
     """How an evaluated object plays its clip."""
     settings = obj.fastgs
-    return Retime(settings.start_frame, settings.speed, settings.offset, settings.before, settings.after)
+    return Retime(settings.start_frame, settings.speed, settings.offset, settings.before, settings.after, settings.subframes == 'HOLD')
 
 
 def settings_of(obj, depsgraph) -> ObjectSettings:

@@ -14,6 +14,7 @@ class Retime:
     offset       frames of the capture that are skipped at the beginning
     before       'HIDE', 'HOLD', 'LOOP' or 'PING_PONG': what shows before the clip's first frame
     after        the same after its last
+    hold         whether a sequence shows the nearer frame between two, instead of what lies between them
     """
 
     start_frame: float = 1.0
@@ -21,6 +22,7 @@ class Retime:
     offset: float = 0.0
     before: str = 'HOLD'
     after: str = 'HOLD'
+    hold: bool = False
 
 
 def clip_frame(scene_frame: float, scene_fps: float, retime: Retime, clip) -> float | None:
@@ -30,11 +32,14 @@ def clip_frame(scene_frame: float, scene_fps: float, retime: Retime, clip) -> fl
 
         f = speed * (scene_frame - start_frame) * clip.fps / scene_fps + offset      (+ n - 1 where speed < 0)
 
+    A clip without a frame rate of its own has the scene's.
+
     Between 0 and n - 1 f itself shows.  Outside 'HOLD' shows the nearest of these two, 'LOOP' f mod n, 'PING_PONG' turns
     around at 0 and n - 1 (period 2 (n - 1)), and 'HIDE' shows f for 0 <= f < n only: the last frame lasts as long as any other.
     """
     n = clip.frame_count
-    f = retime.speed * (scene_frame - retime.start_frame) * clip.fps / scene_fps + retime.offset
+    rate = scene_fps if clip.free else clip.fps
+    f = retime.speed * (scene_frame - retime.start_frame) * rate / scene_fps + retime.offset
     if retime.speed < 0:
         f += n - 1
     # Blender stores single precision: a speed of 0.7 is a little less, and the first frame must not fall before itself

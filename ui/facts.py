@@ -8,32 +8,34 @@ from pathlib import Path
 
 import bpy
 
-from ..fastgs_blender.model.gaussians import Clip
 from ..scene import objects, snapshot, time
 
 
 def known(obj: bpy.types.Object) -> bool:
     """Whether the object's file has been read since the object was created."""
-    return obj.fastgs.frame_count > 0 and obj.fastgs.fps > 0
+    return obj.fastgs.frame_count > 0
 
 
 def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     """(label, value) pairs about an object's file."""
     settings = obj.fastgs
-    clip = Clip(settings.frame_count, settings.fps)
+    clip = objects.clip_of(obj)
     rows = [("Gaussians", f"{settings.gaussian_count:,}")]
-    if clip.frame_count > 1:
+    if clip.free:
+        rows.append(("Frames", f"{clip.frame_count:,} at the scene's frame rate"))
+    elif clip.frame_count > 1:
         rows.append(("Frames", f"{clip.frame_count:,} at {number(clip.fps)} fps ({clip.duration:.2f} s)"))
     else:
         rows.append(("Frames", "a still"))
+    path = Path(objects.abspath(obj))
     with suppress(OSError):  # a missing file is reported as an error elsewhere
-        rows.append(("File Size", size(Path(objects.abspath(obj)).stat().st_size)))
+        rows += [("File Size", size(path.stat().st_size))] if not path.is_dir() else []
     return rows
 
 
 def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
     """The capture's frame that is shown at the scene's current frame."""
-    clip = Clip(obj.fastgs.frame_count, obj.fastgs.fps)
+    clip = objects.clip_of(obj)
     rate = scene.render.fps / scene.render.fps_base
     at = time.clip_frame(scene.frame_current_final, rate, snapshot.retime_of(obj), clip)
     return "Nothing" if at is None else f"Frame {number(at)} (of 0 to {clip.frame_count - 1})"

@@ -69,6 +69,8 @@ def draw_time(layout, context):
     col = layout.column()
     col.prop(settings, "before")
     col.prop(settings, "after")
+    if objects.is_sequence(obj):
+        col.prop(settings, "subframes")
     if facts.known(obj):
         draw_rows(layout, [("Shown Now", facts.shown_now(obj, context.scene))])
         layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.rendering import visibility
 from ...fastgs_blender.rendering.instances import Instance
 from ...scene import objects
@@ -28,13 +29,13 @@ class Sorted:
     """A sorted snapshot.
 
     instances  that were sorted
-    models     of their files, by path
+    models     models and sequences of their files, by path
     left_out   (object's name, why it is not shown), see Snapshot.load
     order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances
     """
 
     instances: list[Instance]
-    models: dict[str, fg.GaussianModel]
+    models: dict[str, Source]
     left_out: list[tuple[str, str]]
     order: np.ndarray
 

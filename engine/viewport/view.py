@@ -150,7 +150,7 @@ class View:
         self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
-        instances, _ = snapshot.load(_known(answer.models))
+        instances, _ = snapshot.load(_known(answer.models), read=False)
         if [id(i.model) for i in instances] != [id(i.model) for i in answer.instances]:
             instances = answer.instances  # what came or went since is drawn when it has been sorted
         if instances:

@@ -4,6 +4,8 @@
 The format of OUT follows from its name.  Whatever that format cannot hold is reported at the end, one line each.
 --at FRAME writes the model as it is at that frame (counted from 0; fractions allowed); --at A:B or A:B:S (both ends included)
 writes one file a frame, and OUT then says where the number goes: out_####.ply or out_%04d.ply.
+IN may be a sequence: a folder or a zip of numbered files, or a pattern of their names (take_####.ply).  Without --at one model is fitted
+to its frames, which must hold the same Gaussians in the same order; what is lost says how well.
 """
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
 
 
 def add_arguments(parser):
-    parser.add_argument("input", metavar="IN", help="the model to read")
+    parser.add_argument("input", metavar="IN", help="the model, or the sequence, to read")
     parser.add_argument("output", metavar="OUT", help="the file to write")
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
@@ -27,6 +29,8 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
+    from ..model.from_frames import one_model
+    from ..model.sequence import Sequence
     from ..model.slicing import freeze
     from ..util.frames import parse_frames
 
@@ -35,9 +39,11 @@ def run(args):
     _refuse_existing(targets, args)
     losses = []
     with _collected(losses):
-        model = formats.load(args.input)
+        source = formats.open_source(args.input)
+        if isinstance(source, Sequence) and frames is None:
+            source = one_model(source)
     for target, frame in zip(targets, frames or [None], strict=True):
-        result = model if frame is None else freeze(model, model.clip.t_of_frame(float(frame)))
+        result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
         _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
         with _collected(losses, str(target), args.output):
             formats.save(result, target)
@@ -45,7 +51,7 @@ def run(args):
             size = human_bytes(target.stat().st_size)
             say(f"{target}: {len(result)} Gaussians, {size}")
     if args.json:
-        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(model), "losses": losses})
+        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(source), "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from ..util.errors import FastGSError
 from .shared import human_bytes, print_json, say
 
 CHUNK = 65_536
@@ -36,10 +37,10 @@ def run(args):
 
 
 def is_capture(path) -> bool:
-    """Whether a path is to be read as a capture: any folder, and files that a layout of captures knows."""
+    """Whether a path is to be read as a capture: a folder without a sequence of models, and files that a layout of captures knows."""
     path = Path(path)
     if path.is_dir():
-        return True
+        return not holds_sequence(path)
     if path.suffix.lower() not in CAPTURE_FILES or not path.is_file():
         return False
     from ..captures import recognised
@@ -47,20 +48,31 @@ def is_capture(path) -> bool:
     return recognised(path) is not None
 
 
+def holds_sequence(folder: Path) -> bool:
+    """Whether a folder holds the numbered files of a sequence of models."""
+    from ..formats.sequences import numbered_files
+
+    try:
+        return bool(numbered_files(folder))
+    except FastGSError:
+        return False
+
+
 def describe(path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
 
     file_format = formats.identify(path)
-    model = formats.load(path)
-    clip, low, high = model.clip, *bounds(model)
+    source = formats.open_source(path)
+    model, _ = source.moment(0.0)
+    clip, low, high = source.clip, *bounds(model)
     return {
         "file": str(path),
         "format": getattr(file_format, "name", str(file_format)),
-        "file_bytes": Path(path).stat().st_size,
+        "file_bytes": Path(path).stat().st_size if Path(path).is_file() else 0,
         "gaussians": len(model),
         "memory_bytes": model.nbytes,
-        "motion": _basis(model.basis, clip),
+        "motion": _basis(model.basis, clip) if source is model else {"basis": "a model for each frame", "terms": 0, "band_limit_hz": None},
         "rotation": _basis(model.rotation_basis, clip),
         "temporal_opacity": model.temporal_kind.name,
         "appearance": _appearance(model.appearance),
@@ -102,7 +114,8 @@ def bounds(model) -> tuple[list[float] | None, list[float] | None]:
 def text(facts: dict) -> str:
     """The facts for people."""
     clip, raster, box = facts["clip"], facts["raster"], facts["bounds"]
-    sizes = f"{human_bytes(facts['file_bytes'])} on disk, {human_bytes(facts['memory_bytes'])} in memory"
+    sizes = ", ".join([f"{human_bytes(facts['file_bytes'])} on disk"] * bool(facts["file_bytes"])
+                      + [f"{human_bytes(facts['memory_bytes'])} in memory"])
     lines = [
         ("file", facts["file"]),
         ("format", f"{facts['format']}, {sizes}"),

@@ -44,6 +44,7 @@ def add_arguments(parser):
 def run(args):
     from .. import formats
     from ..cameras.cameras_json import load_cameras
+    from ..model.gaussians import GaussianModel
     from ..rendering import images
     from ..util.frames import parse_frames
 
@@ -53,11 +54,12 @@ def run(args):
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = load_cameras(args.camera)
-    model = formats.load(args.model)
+    model = formats.open_source(args.model)
     if frames is None:
         frames = parse_frames(f"0:{model.clip.frame_count - 1}")
     cameras = _cameras(views, frames, args, size)
-    if any(not 0 <= frame < model.clip.frame_count for frame in (frames.numbers[0], frames.numbers[-1])) and model.basis.terms:
+    if any(not 0 <= frame < model.clip.frame_count for frame in (frames.numbers[0], frames.numbers[-1])) and (
+            isinstance(model, GaussianModel) and model.basis.terms):
         note(f"the clip has the frames 0 to {model.clip.frame_count - 1}; outside of these its motion is extrapolated.")
 
     out = Path(args.out)

@@ -5,6 +5,7 @@ A new format is one module with a Format, listed in FORMATS.
 """
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..model.gaussians import GaussianModel
+from ..model.sequence import Source
 from ..util.errors import FastGSError, LossWarning, printable
 from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
@@ -24,11 +26,13 @@ from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
 from .gltf import Gltf
+from .gsd import Gsd
 from .inria import Inria
 from .ksplat import Ksplat
 from .mediastorm import MediastormPly
 from .native import Native
 from .realtime4dgs import Realtime4DGS
+from .sequences import NumberedFiles, ZippedFiles, numbered_files, stands_for_many
 from .sog import Sog
 from .splat import Splat
 from .splat4d import Splat4d
@@ -41,8 +45,11 @@ from .unsupported import explain
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), Tsog(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Splat())
-FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *STATIC)
+SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
+FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
+FILES = NumberedFiles()
+"""What a path that is no file may be."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
 """Asked in this order to write, among those that share an extension."""
 
@@ -55,6 +62,32 @@ def readable() -> tuple[str, ...]:
 def writable() -> tuple[str, ...]:
     """The extensions that save() knows, with the dot, each once."""
     return tuple(dict.fromkeys(extension for known in WRITERS for extension in known.extensions))
+
+
+def open_source(path: str | os.PathLike) -> Source:
+    """What a path shows, as a source: the model in a file, or a Sequence whose frames are read when they are shown.
+
+    A sequence is a folder or a zip file of numbered model files, a pattern of their names such as frame_####.ply (sequences.py), or a
+    file of a format that is one.  Raises FastGSError.
+    """
+    path = Path(os.fsdecode(path))
+    with _reading(path):
+        known = _identify(path)
+        source = known.open(path, load)
+    if not source.provenance:
+        source.provenance = {"source": path.name, "format": known.name}
+    return source
+
+
+def fingerprint(path: str | os.PathLike) -> str:
+    """SHA-256 of a file's content; of a sequence, of its files' names and sizes.  Raises FastGSError."""
+    path = Path(os.fsdecode(path))
+    with reading(path):
+        if stands_for_many(path):
+            listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
+            return hashlib.sha256(listed.encode("utf-8", "surrogateescape")).hexdigest()
+        with open_file(path) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def identify(path: str | os.PathLike) -> Format:
@@ -118,10 +151,14 @@ def _reading(path: Path) -> Iterator[None]:
             yield
     except FastGSError as error:
         reason = str(error).removeprefix(printable(f"{path}: "))
+        if reason.startswith("cannot read "):  # a frame of the sequence at path
+            raise
         raise FastGSError(f"cannot read {path}: {reason}") from error.__cause__ or error
 
 
 def _identify(path: Path) -> Format:
+    if FILES.sniff(b"", path):
+        return FILES
     with open_file(path) as stream:
         head = stream.read(64)
     if not head:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
+from ..model.sequence import Source
 from ..util.errors import FastGSError, LossWarning
 from ..util.version import VERSION
 
@@ -41,6 +43,10 @@ class Format:
     def load(self, path: Path) -> GaussianModel:
         """The file's model; arrays may hold anything, finite or not.  Raises FastGSError."""
         raise NotImplementedError
+
+    def open(self, path: Path, load: Callable[[Path], GaussianModel]) -> Source:
+        """The file as a source: its model, or for a format of sequences a Sequence; load() reads another file whole."""
+        return load(path)
 
     def suits(self, model: GaussianModel) -> bool:
         """Whether this format is the one for such a model, among those that share its extension."""

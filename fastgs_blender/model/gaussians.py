@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
+from typing import ClassVar
 
 import numpy as np
 
@@ -48,8 +49,10 @@ class Clip:
 
     fps          frames per second of the capture
     start_frame  what the capture called its first frame
+    free         whether it has no frame rate of its own, see sequence.FreeClip
     """
 
+    free: ClassVar[bool] = False
     frame_count: int = 1
     fps: float = 30.0
     start_frame: int = 0
@@ -153,6 +156,10 @@ class GaussianModel:
     def nbytes(self) -> int:
         """Bytes of all arrays."""
         return sum(a.nbytes for a in self.arrays.values())
+
+    def moment(self, t: float, hold: bool = False, read: bool = True) -> tuple[GaussianModel, float]:
+        """The model to slice at t, and the time to slice it at: as of any source, see sequence.py."""
+        return self, t
 
     def take(self, index) -> GaussianModel:
         """The model of some of its Gaussians (indices or a mask)."""

@@ -9,6 +9,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
+from ..model.sequence import Sequence, Source
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
@@ -19,12 +20,12 @@ DECODER_LIMIT = 1e12
 """Weights of a decoder beyond which its colours may not fit into float32."""
 
 
-def render(model: GaussianModel | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
+def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
            progress=None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
-    model     one model, or a list of instances, sorted and blended together: instances.Instance, or (model, placement [4, 4] in the
-              world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
+    model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
+              placement [4, 4] in the world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
               depth         [h, w]  expected depth along the view axis, inf where alpha is 0
@@ -66,7 +67,8 @@ def _blended(backend, instances, camera, needs, progress) -> Blended:
 
 def _instances(model, camera, t) -> list[ViewedInstance]:
     """What render() was given, as instances before the camera; those that cannot be computed with, or are empty, are left out."""
-    found = [Instance(model, np.eye(4), t)] if isinstance(model, GaussianModel) else [_instance(each) for each in model]
+    alone = isinstance(model, (GaussianModel, Sequence))
+    found = [_instance((model, np.eye(4), t))] if alone else [_instance(each) for each in model]
     viewed = [instance.viewed(camera) for instance in found if len(instance.model)]
     for instance in viewed:
         if not instance.in_range:
@@ -82,6 +84,7 @@ def _instance(given) -> Instance:
     """The Instance of (model, placement [4, 4], t), perhaps with boxes or ObjectSettings as a fourth member."""
     if isinstance(given, Instance):
         return given
-    model, placement, t, *rest = given
+    source, placement, t, *rest = given
+    model, t = source.moment(t)
     settings = rest[0] if rest else ObjectSettings()
     return Instance(model, placement, t, settings if isinstance(settings, ObjectSettings) else ObjectSettings(settings))

@@ -18,7 +18,7 @@ SETTLED = 3.0
 """Seconds after its last change from which a file's time tells it from any later version: longer than the coarsest tick."""
 BLOCK = 4096
 BLOCKS = 64
-"""Blocks of a file, evenly spread from its first to its last, that its fingerprint is made of."""
+"""Blocks of a file, evenly spread from its first to its last, that its fingerprint is made of; a folder's is made of its names."""
 
 
 @dataclass
@@ -65,6 +65,10 @@ def status_of(path: str) -> tuple[int, int, int, int, int]:
 
 def _fingerprint(path: str) -> bytes:
     found = hashlib.blake2b(digest_size=16)
+    if os.path.isdir(path):
+        with reading(path):
+            found.update("\0".join(sorted(os.listdir(path))).encode("utf-8", "surrogateescape"))
+        return found.digest()
     with reading(path), open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
         last = max(size - BLOCK, 0)

@@ -22,6 +22,9 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
     `smooth` is the number of frames over which its motion is averaged.  Raises FastGSError where there are none.
     """
     model = objects.load_model(objects.abspath(obj))
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError("the Gaussians of a sequence cannot be followed from frame to frame; turn it into one model with "
+                             "fastgs convert.")
     fps = scene.render.fps / scene.render.fps_base
     retime, world = snapshot.retime_of(obj), np.array(obj.matrix_world)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.model.sequence import Source
 from .. import proxies
 from ..colour import rec709_to_working
 from .proxy_points import LIMIT, choose
@@ -21,14 +21,14 @@ COLOUR = "Color"
 RADIUS = "radius"
 
 
-def new_mesh(name: str, model: GaussianModel, limit: int = LIMIT) -> bpy.types.Mesh:
+def new_mesh(name: str, model: Source, limit: int = LIMIT) -> bpy.types.Mesh:
     """A mesh of the model's most telling points (at most `limit`), with their colour (scene linear) and radius as attributes."""
     mesh = bpy.data.meshes.new(name)
     fill(mesh, model, limit)
     return mesh
 
 
-def fill(mesh: bpy.types.Mesh, model: GaussianModel, limit: int = LIMIT) -> None:
+def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT) -> None:
     """Replace the mesh's points by those of the model; materials and everything else that hangs on the mesh stay."""
     points = choose(model, min(limit, LIMIT))
     count = len(points.position)

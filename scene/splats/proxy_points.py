@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
 from ..colour import srgb_to_linear
 
@@ -42,7 +43,7 @@ class Points:
     t: float
 
 
-def choose(model: GaussianModel, limit: int = LIMIT) -> Points:
+def choose(model: Source, limit: int = LIMIT) -> Points:
     """At most `limit` points of the model: important ones (opaque, large), from everywhere.
 
     They show the time at which most is to be seen.  Up to six of them are the outermost Gaussians of the whole clip, so that
@@ -64,14 +65,15 @@ def choose(model: GaussianModel, limit: int = LIMIT) -> Points:
     size = 1.5 * np.concatenate([np.sqrt(_area(p)) for p in parts])
     return Points(
         position=np.concatenate([p.position for p in parts]).astype(np.float32),
-        colour=np.concatenate([_colour(p, model) for p in parts]).astype(np.float32),
+        colour=np.concatenate([_colour(p, model.moment(times[best], hold=True)[0]) for p in parts]).astype(np.float32),
         radius=np.clip(size, 0.5 * spacing, max(spacing, np.median(size))).astype(np.float32),
         t=times[best],
     )
 
 
-def _sample(model: GaussianModel, t: float, limit: int) -> tuple[Slice, float]:
+def _sample(source: Source, t: float, limit: int) -> tuple[Slice, float]:
     """The Gaussians that are visible at t, or every n-th of them, and the inverse of the share that was taken."""
+    model, t = source.moment(t, hold=True)
     sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
     visible = np.flatnonzero(sigma >= model.raster.alpha_cut)
     every = visible[np.linspace(0, len(visible) - 1, limit).astype(int)] if len(visible) > limit else visible

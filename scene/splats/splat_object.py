@@ -2,13 +2,14 @@
 """Makes splat objects and lets them follow their files; import, bake and reload use it."""
 from __future__ import annotations
 
-import hashlib
+from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.formats import fingerprint
+from ...fastgs_blender.formats.sequences import title
+from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.util.errors import FastGSError, printable
-from ...fastgs_blender.util.reading import open_file, reading
 from .. import objects
 from . import proxy
 
@@ -30,7 +31,7 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     """
     path = bpy.path.abspath(path)
     model = objects.load_model(path)
-    name = bpy.path.display_name_from_filepath(path)
+    name = bpy.path.display_name_from_filepath(title(Path(path)))
     obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit))
     proxy.show_in_all_engines(obj)
     obj.fastgs.filepath = _relative(path) if relative else path
@@ -42,14 +43,13 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     return obj
 
 
-def write_facts(obj: bpy.types.Object, model: GaussianModel, path: str) -> None:
+def write_facts(obj: bpy.types.Object, model: Source, path: str) -> None:
     """Store what panels show of a file on the object.  Raises FastGSError where the file cannot be read."""
     settings = obj.fastgs
     settings.gaussian_count = len(model)
     settings.frame_count = model.clip.frame_count
-    settings.fps = model.clip.fps
-    with reading(path), open_file(path) as file:
-        settings.file_hash = hashlib.file_digest(file, "sha256").hexdigest()
+    settings.fps = 0.0 if model.clip.free else model.clip.fps
+    settings.file_hash = fingerprint(path)
 
 
 def show_file(obj: bpy.types.Object, path: str) -> None:

@@ -20,6 +20,7 @@ DOORS = {
 """Modules that load another by its name, against the order, and why.  They are no exception from the rule against circles."""
 BACKEND_USERS = {
     "fastgs_blender/captures/pixels/framefiles.py": {"cache"},  # decoded frames are kept beside compiled kernels
+    "fastgs_blender/formats/lz4.py": {"jit"},  # unpacks byte by byte, which Python alone is too slow for
     "scene/settings.py": {"cache"},  # Blender's folder for caches
     "engine/diagnostics.py": {"cache"},  # what is compiled
     "engine/compiling.py": {"cache", "warm"},  # compiles the kernels ahead, in a process of its own

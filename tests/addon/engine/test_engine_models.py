@@ -20,7 +20,7 @@ def objects(module):
 def reads(fg, monkeypatch):
     """The paths that were read from disk."""
     reads = []
-    monkeypatch.setattr(fg, "load", lambda path, load=fg.load: reads.append(str(path)) or load(path))
+    monkeypatch.setattr(fg, "open_source", lambda path, load=fg.open_source: reads.append(str(path)) or load(path))
     return reads
 
 

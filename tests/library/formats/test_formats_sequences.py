@@ -1,0 +1,343 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sequences: folders, patterns and zips of numbered files, .gsd; their frames, what lies between, memory, and fits to them."""
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+import threading
+import warnings
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import mutations
+import numpy as np
+import pytest
+from random_models import random_model
+
+import fastgs_blender as fg
+from fastgs_blender.formats.lz4 import unpack
+from fastgs_blender.formats.sequences import grouped, title
+from fastgs_blender.model import sequence
+from fastgs_blender.model.from_frames import one_model
+
+pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
+COUNT = 50
+SPEED = np.float32([0.5, -0.2, 0.1])
+
+
+def frame(i: int) -> fg.GaussianModel:
+    """The model of frame i: it moves straight, so that what lies between two frames is known."""
+    model = random_model(np.random.default_rng(4), COUNT, appearance="sh1", extent=2.0)
+    return replace(model, position=model.position + np.float32(i / 10) * SPEED)
+
+
+def write(folder: Path, numbers, name="take_{:04d}.ply", model=frame) -> Path:
+    folder.mkdir(exist_ok=True)
+    for number in numbers:
+        fg.save(model(number), folder / name.format(number))
+    return folder
+
+
+def place(source, f, **options):
+    """The first Gaussian's position at frame f of a source."""
+    return source.moment(source.clip.t_of_frame(f), **options)[0].position[0]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("sequence") / "take", range(1, 9))
+
+
+def test_each_frame_is_its_file_and_between_them_the_gaussians_move(folder):
+    source = fg.open_source(folder)
+    assert (source.clip.frame_count, source.clip.start_frame, source.clip.free, len(source)) == (8, 1, True, COUNT)
+    for f in range(8):
+        shown, t = source.moment(source.clip.t_of_frame(f))
+        for name, array in fg.load(folder / f"take_{f + 1:04d}.ply").arrays.items():
+            np.testing.assert_array_equal(getattr(shown, name), array)
+        assert t == 0
+    start = place(source, 0)
+    np.testing.assert_allclose(place(source, 2.25), start + 0.225 * SPEED, atol=1e-6)
+    np.testing.assert_array_equal(place(source, 2.25, hold=True), place(source, 2))
+    np.testing.assert_array_equal(place(source, 2.75, hold=True), place(source, 3))
+    for beyond, edge in ((-3, 0), (7.5, 7), (99, 7)):
+        np.testing.assert_array_equal(place(source, beyond), place(source, edge))
+
+
+def test_between_frames_whose_gaussians_do_not_match_the_nearer_one_is_shown(tmp_path):
+    def shuffled(i):
+        return frame(i).take(np.random.default_rng(i).permutation(COUNT))
+
+    for name, model in (("order", shuffled), ("count", lambda i: frame(i).take(np.arange(COUNT - i)))):
+        source = fg.open_source(write(tmp_path / name, range(3), model=model))
+        for f, nearer in ((0.4, 0), (0.6, 1), (1.5, 2)):
+            np.testing.assert_array_equal(place(source, f), place(source, nearer))
+        with pytest.raises(fg.FastGSError, match="same Gaussians in the same order"):
+            one_model(source)
+
+
+def test_numbers_have_steps_and_gaps(tmp_path):
+    source = fg.open_source(write(tmp_path / "steps", (10, 15, 25, 30)))
+    assert source.clip.frame_count == 5 and source.clip.start_frame == 10
+    np.testing.assert_allclose(place(source, 2), frame(20).position[0], atol=1e-6)
+    with pytest.warns(fg.LossWarning, match="1 of 5 frames are missing"):
+        fg.open_source(tmp_path / "steps")
+    assert fg.open_source(write(tmp_path / "times", (17000000001, 17000000101, 17900000000))).clip.frame_count == 3
+
+
+def test_paths_and_names(folder, tmp_path):
+    assert fg.open_source(folder / "take_####.ply").clip.frame_count == 8
+    part = fg.open_source(folder / "take_[0003-0005].ply")
+    assert part.clip.frame_count == 3 and part.clip.start_frame == 3
+    files = [folder / f"take_{i:04d}.ply" for i in range(1, 9)]
+    assert grouped([*files, tmp_path / "other.ply"]) == [folder / "take_####.ply", tmp_path / "other.ply"]
+    assert grouped(files[2:5]) == [folder / "take_[0003-0005].ply"]
+    assert grouped(files[:1]) == files[:1]
+    mixed = [Path(f"/nowhere/{name}") for name in ("cam2_7.spz", "cam2_08.spz", "cam2_a.spz", "walk1.safetensors", "walk2.safetensors")]
+    assert [path.name for path in grouped([*files, *mixed])] == ["take_####.ply", "cam2_####.spz", *(path.name for path in mixed[2:])]
+    for path, name in ((folder, "take"), (folder / "take_####.ply", "take"), (folder / "####.spz", "take"), (Path("a/b.zip"), "b.zip")):
+        assert title(path) == name
+
+
+@pytest.mark.parametrize("extension", ["spz", "sog"])
+def test_spz_and_sog_in_a_zip(tmp_path, extension):
+    files = write(tmp_path / "frames", range(3), "f{:d}." + extension)
+    with zipfile.ZipFile(tmp_path / "frames.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(files.iterdir()):
+            archive.write(file, f"inner/{file.name}")
+        archive.writestr("__MACOSX/inner/._f0." + extension, b"x")
+        archive.writestr("readme.txt", b"x")
+    source = fg.open_source(tmp_path / "frames.zip")
+    for i in range(3):
+        shown, loaded = source.moment(source.clip.t_of_frame(i))[0], fg.load(files / f"f{i}.{extension}")
+        np.testing.assert_array_equal(shown.position, loaded.position)
+        np.testing.assert_array_equal(shown.features, loaded.features)
+
+
+def test_a_zip_with_one_model_is_that_model(folder, tmp_path):
+    with zipfile.ZipFile(tmp_path / "one.zip", "w") as archive:
+        archive.write(folder / "take_0001.ply", "point_cloud.ply")
+    model = fg.open_source(tmp_path / "one.zip")
+    assert isinstance(model, fg.GaussianModel) and len(model) == COUNT
+
+
+def test_a_rewritten_frame_is_read_again(folder, tmp_path):
+    source = fg.open_source(write(tmp_path / "live", range(3)))
+    before = place(source, 1)
+    fg.save(frame(9), tmp_path / "live" / "take_0001.ply")
+    assert not np.array_equal(place(source, 1), before)
+
+
+def test_memory_is_bounded_and_the_next_frames_are_read_ahead(monkeypatch):
+    """With frames that are computed, and a reader that says which were read."""
+    one = frame(0).nbytes
+    monkeypatch.setattr(sequence, "cache", sequence.Cache(limit=5 * one))
+    made, ready = [], threading.Condition()
+
+    def read(i):
+        with ready:
+            made.append(i)
+            ready.notify_all()
+        return frame(i)
+
+    source = fg.Sequence(sequence.FreeClip(40), np.arange(40), read)
+    place(source, 0)
+    place(source, 1)
+    with ready:
+        assert ready.wait_for(lambda: {2, 3, 4} <= set(made), 30), made
+    for f in range(2, 40):
+        place(source, f)
+        assert sequence.cache.nbytes() <= 5 * one
+    assert source.nbytes == sequence.cache.nbytes()
+    with pytest.raises(sequence.NotRead):
+        source.moment(0.5, read=False)
+    np.testing.assert_array_equal(place(source, 39, read=False), frame(39).position[0])
+
+
+def test_several_threads_read_a_frame_once():
+    made = []
+    source = fg.Sequence(sequence.FreeClip(3), np.arange(3), lambda i: made.append(i) or frame(i))
+    threads = [threading.Thread(target=place, args=(source, 2)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made.count(2) == 1
+
+
+def test_what_cannot_be_opened_is_said(tmp_path, folder):
+    def refused(path, *words, open_=fg.open_source):
+        with pytest.raises(fg.FastGSError) as error:
+            open_(path)
+        assert all(word in str(error.value) for word in (path.name, *words)), error.value
+
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", "holds no numbered model files")
+    write(write(tmp_path / "two", (1, 2)), (1, 2), "b{:d}.ply")
+    refused(tmp_path / "two", "2 sequences", "take_####.ply", "b####.ply")
+    refused(tmp_path / "two" / "c_####.ply", "no such files")
+    refused(folder, "sequence", "open_source", open_=fg.load)
+    moving = random_model(np.random.default_rng(0), 5, basis="cubic", rotation_basis="line", temporal="radial")
+    refused(write(tmp_path / "moving", (1, 2), model=lambda i: moving), "changes over time itself")
+    write(tmp_path / "broken", range(3))
+    (tmp_path / "broken" / "take_0001.ply").write_bytes(b"ply\nnonsense")
+    source = fg.open_source(tmp_path / "broken")
+    with pytest.raises(fg.FastGSError, match=r"take_0001\.ply"):
+        place(source, 1)
+    np.testing.assert_array_equal(place(source, 2), fg.load(tmp_path / "broken" / "take_0002.ply").position[0])
+
+
+def test_a_sequence_is_rendered_as_its_frames_are(folder):
+    source = fg.open_source(folder)
+    camera = fg.Camera(40, 30, 30.0, 30.0, 20.0, 15.0, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 6], [0, 0, 0, 1]]))
+    for f in (0, 5):
+        image = fg.render(source, camera, source.clip.t_of_frame(f))["rgb"]
+        np.testing.assert_array_equal(image, fg.render(fg.load(folder / f"take_{f + 1:04d}.ply"), camera)["rgb"])
+
+
+def curved(i: int) -> fg.GaussianModel:
+    """Frame i of 20 of a moving, turning, changing cloud."""
+    t = i / 20
+    model = random_model(np.random.default_rng(4), COUNT, appearance="sh1", extent=2.0)
+    turn = model.rotation / np.linalg.norm(model.rotation, axis=1, keepdims=True) + t * np.float32([0.3, 0.1, 0, 0])
+    sign = 1 if i % 2 else -1  # exporters do not mind which of the two a quaternion is
+    return replace(model, position=model.position + np.float32(np.sin(2 * t)) * SPEED, rotation=sign * turn,
+                   features=model.features + np.float32(0.4 * t * t))
+
+
+def test_one_model_moves_as_the_frames_do(tmp_path):
+    source = fg.open_source(write(tmp_path / "curved", range(20), model=curved))
+    with pytest.warns(fg.LossWarning, match="RMS error"):
+        model = one_model(source)
+    assert model.clip == fg.Clip(20, 24.0)
+    for i in (0, 7, 19):
+        a, b = fg.slice_model(model, i / 20, cull=False), fg.slice_model(curved(i), 0, cull=False)
+        np.testing.assert_allclose(a.position, b.position, atol=0.02)
+        np.testing.assert_allclose(np.abs(np.sum(a.rotation * b.rotation, 1)), 1, atol=1e-3)
+        np.testing.assert_allclose(a.features, b.features, atol=0.03)
+        np.testing.assert_allclose(a.scale, b.scale, rtol=1e-5)
+        np.testing.assert_allclose(a.opacity, b.opacity, atol=1e-5)
+
+
+def test_command_line(tmp_path, folder):
+    def fastgs(*args):
+        done = subprocess.run([sys.executable, "-m", "fastgs_blender", *map(str, args)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    fastgs("convert", folder, tmp_path / "model.safetensors")
+    model = fg.load(tmp_path / "model.safetensors")
+    np.testing.assert_allclose(fg.slice_model(model, 3 / 8, cull=False).position, frame(4).position, atol=0.02)
+    fastgs("convert", folder / "take_####.ply", tmp_path / "part_##.spz", "--at", "2:3")
+    assert (tmp_path / "part_03.spz").is_file()
+    facts = json.loads(fastgs("info", folder, "--json"))
+    assert facts["clip"]["frame_count"] == 8 and facts["gaussians"] == COUNT
+
+
+def lz4(data: bytes) -> bytes:
+    """An LZ4 block: of literals, but for one repetition that overlaps itself."""
+    def length(n):
+        return (n << 4, b"") if n < 15 else (0xF0, bytes([255] * ((n - 15) // 255) + [(n - 15) % 255]))
+
+    head, rest = data[:20], data[20:]
+    again = next((k for k in range(len(rest), 3, -1) if rest[:k] == (head[-4:] * (k // 4 + 1))[:k]), 0)
+    token, more = length(20)
+    block = bytes([token | min(again - 4, 15) if again else token]) + more + head
+    if again:
+        block += b"\4\0" + (bytes([255] * ((again - 19) // 255) + [(again - 19) % 255]) if again >= 19 else b"")
+        rest = rest[again:]
+    else:
+        block, rest = b"", data
+    token, more = length(len(rest))
+    return block + bytes([token]) + more + rest
+
+
+def gsd(models: list[fg.GaussianModel], kinds=(0, 1, 1, 1)) -> bytes:
+    """A .gsd file as the module's docstring has it."""
+    blocks, infos = [], []
+    for model in models:
+        s = fg.slice_model(model, 0, cull=False)
+        side = int(np.ceil(np.sqrt(len(model))))
+        x, y, z = s.position.T
+        w, i, j, k = s.rotation.T
+        tables = [np.stack([z, x, -y, 0 * x], -1), np.stack([k, i, -j, w], -1), np.c_[s.scale[:, [2, 0, 1]], s.opacity]]
+        colour = np.zeros((len(model), -(-s.features.shape[1] // 4) * 4))
+        colour[:, :s.features.shape[1]] = s.features
+        tables += list(colour.reshape(len(model), -1, 4).transpose(1, 0, 2))
+        data = b""
+        for table, kind in zip(tables, [*kinds[:3], *[kinds[3]] * (len(tables) - 3)]):
+            pixels = np.zeros((side * side, 4))
+            pixels[:len(table)] = table
+            raw = pixels.astype("<f2" if kind else "<f4").view("u1")
+            data += raw.reshape(side * side, -1).T.tobytes()
+        blocks.append(lz4(data))
+        infos.append({"compressedSize": len(blocks[-1]), "gaussianCount": len(model), "textureWidth": side, "textureHeight": side})
+    names = ("positionPrecision", "rotationPrecision", "scaleOpacityPrecision", "shPrecision")
+    degree = models[0].appearance.degree
+    header = json.dumps({"version": 1, "frameCount": len(models), "targetFPS": 25.0, "shDegree": degree, "frames": infos,
+                         **dict(zip(names, kinds))}).encode()
+    return b"GSD1" + struct.pack("<I", len(header)) + header + b"".join(struct.pack("<I", len(b)) + b for b in blocks)
+
+
+def test_gsd(tmp_path):
+    models = [frame(i).take(np.arange(COUNT - 3 * i)) for i in range(3)]
+    for kinds, tolerance in (((0, 0, 0, 0), 1e-5), ((0, 1, 1, 1), 4e-3)):
+        (tmp_path / "m.gsd").write_bytes(gsd(models, kinds))
+        source = fg.open_source(tmp_path / "m.gsd")
+        assert source.clip == fg.Clip(3, 25.0)
+        for i, model in enumerate(models):
+            a, b = fg.slice_model(source.moment(i / 3)[0], 0, cull=False), fg.slice_model(model, 0, cull=False)
+            np.testing.assert_array_equal(a.position.astype(np.float32), b.position.astype(np.float32))
+            np.testing.assert_allclose(np.abs(np.sum(a.rotation * b.rotation, 1)), 1, atol=tolerance)
+            for name in ("scale", "opacity", "features"):
+                np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=tolerance, atol=tolerance)
+
+
+def test_lz4_blocks():
+    for data in (b"", b"abc", bytes(range(256)) * 5, b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail"):
+        block = lz4(data) if len(data) > 20 else bytes([len(data) << 4]) + data
+        assert unpack(block, len(data)).tobytes() == data
+    packed = lz4(b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail")
+    assert len(packed) < 50
+    for wrong, size in ((packed, 1223), (packed[:-1], 1224), (packed, 10**12), (b"\x10a\0\0", 100), (b"\x10a\5\0", 100), (b"\xf0", 20)):
+        with pytest.raises(fg.FastGSError, match="damaged"):
+            unpack(wrong, size)
+
+
+def all_frames(path: Path) -> None:
+    source = fg.open_source(path)
+    for f in np.arange(0, min(source.clip.frame_count, 4), 0.5):
+        model, t = source.moment(source.clip.t_of_frame(f))
+        s = fg.slice_model(model, t, cull=False)
+        assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
+
+
+def test_mutated_gsd(tmp_path):
+    unpack(b"\0", 0)  # compiled before the limits of the campaign
+    models = [frame(i).take(np.arange(5)) for i in range(2)]
+    told = mutations.campaign("gsd", lambda folder: all_frames(folder / "m.gsd"), {"two frames": {"m.gsd": gsd(models)}}, tmp_path)
+    assert min(told.values(), default=1) > 0
+
+
+def test_mutated_zips(tmp_path):
+    small = write(tmp_path / "small", range(2), model=lambda i: frame(i).take(np.arange(3)))
+    with zipfile.ZipFile(tmp_path / "small.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(small.iterdir()):
+            archive.write(file, file.name)
+    (tmp_path / "seeds").mkdir()
+    told = mutations.campaign("zip of frames", lambda folder: all_frames(folder / "m.zip"),
+                              {"two frames": {"m.zip": (tmp_path / "small.zip").read_bytes()}}, tmp_path / "seeds")
+    assert min(told.values(), default=1) > 0
+
+
+def test_a_bomb_in_a_zip_is_not_unpacked(tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for i in (1, 2):
+            archive.writestr(f"f{i}.ply", b"\0" * (64 << 20))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(fg.FastGSError, match="far larger"):
+            fg.open_source(tmp_path / "bomb.zip")
