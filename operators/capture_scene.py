@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
+from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from ..fastgs_blender.util.errors import FastGSError
+from ..fastgs_blender.util.errors import FastGSError, printable
+from ..scene.filming import progress
 from ..scene.filming.film import Plan, film_steps
 from ..scene.filming.options import CaptureOptions
 from ..scene.splats.splat_object import sentence
-from ..scene.training import folders
+from ..scene.training import folders, watch
 from .stepwise import Stepwise
 
 
@@ -20,7 +23,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
 
     bl_idname = "fastgs.capture_scene"
     bl_label = "Capture This Scene"
-    doing = "Capturing"
+    doing = "Filming"
 
     out: StringProperty(
         name="Folder", description="Folder for the capture; empty: a new folder beside the .blend", subtype='DIR_PATH')
@@ -36,6 +39,9 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
         return context.mode == 'OBJECT'
 
     def invoke(self, context, event):
+        for name in CaptureOptions.__annotations__:  # as the Train panel has them
+            if not self.properties.is_property_set(name):
+                setattr(self, name, getattr(context.scene.fastgs.training, name))
         self._interactive = True
         return self.execute(context)
 
@@ -50,10 +56,22 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
     def _film(self, context):
         """Yields the progress in pictures, and returns notes for the user."""
         self._out = bpy.path.abspath(self.out) if self.out else folders.unused("capture")
+        shown = progress.current = progress.Filming(printable(Path(self._out).name))
         try:
-            return (yield from film_steps(context.scene, self._plan(context), self._out))
+            with closing(film_steps(context.scene, self._plan(context), self._out)) as steps:
+                while True:
+                    try:
+                        shown.step(*next(steps))
+                    except StopIteration as end:
+                        return end.value
+                    progress.measure(context.scene, self)
+                    watch.redraw()
+                    yield shown.done, shown.whole
         except RuntimeError as error:  # Blender's own words about a render that failed
             raise FastGSError(f"a picture could not be rendered ({str(error).strip()}); render the scene by itself to see why.") from error
+        finally:
+            progress.current = None
+            watch.redraw()
 
     def _plan(self, context) -> Plan:
         scene = context.scene
@@ -80,8 +98,8 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
         self.report({'INFO'}, f"The capture is in {self._out}; it took {time.monotonic() - self._began:.0f} s")
         if self.train:
             try:
-                bpy.ops.fastgs.train('INVOKE_DEFAULT' if self.in_window else 'EXEC_DEFAULT',
-                                     source='FOLDER', capture=self._out, start_frame=self.frame_start)
+                bpy.ops.fastgs.train('INVOKE_DEFAULT' if self.in_window else 'EXEC_DEFAULT', source='FOLDER', capture=self._out,
+                                     start_frame=self.frame_start, hide_originals=context.scene.fastgs.training.hide_originals)
             except RuntimeError as error:  # the capture is there all the same
                 self.report({'ERROR'}, str(error).strip().removeprefix("Error: "))
         return {'FINISHED'}

@@ -10,6 +10,9 @@ import bpy
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene.splats.splat_object import sentence
 
+VIEW = ({'MOUSEMOVE', 'INBETWEEN_MOUSEMOVE', 'MIDDLEMOUSE', 'WHEELUPMOUSE', 'WHEELDOWNMOUSE', 'TRACKPADPAN', 'TRACKPADZOOM',
+         'NDOF_MOTION', 'HOME', 'NUMPAD_PERIOD'} | {f"NUMPAD_{number}" for number in range(10)})
+"""Events that turn and move the view."""
 BUDGET = 0.1
 """Seconds of work between two looks at the keyboard."""
 REPORT_EVERY = 5.0
@@ -23,6 +26,8 @@ class Stepwise:
     """
 
     doing = "Working"
+    free = False
+    """Whether the scene may be edited during this work; otherwise the view alone can be turned."""
     interrupted = "{} was interrupted; finished parts are kept, and the next call continues from there"
     _interactive = False
     in_window = False
@@ -48,9 +53,11 @@ class Stepwise:
             self._close(context)
             self.report({'INFO'}, self.interrupted.format(self.doing))
             return {'CANCELLED'}
-        if event.type != 'TIMER':
-            return {'RUNNING_MODAL'}  # nobody edits what is being worked on
-        return self._go_on(context, BUDGET) or {'RUNNING_MODAL'}
+        if event.type.startswith('TIMER'):  # others wait for theirs, such as panels that move; this work's own finds nobody else
+            return self._go_on(context, BUDGET) or {'PASS_THROUGH'}
+        if self.free or (event.type in VIEW and not event.ctrl and not event.alt):
+            return {'PASS_THROUGH'}
+        return {'RUNNING_MODAL'}  # nobody edits what is being worked on
 
     def cancel(self, context):
         self._close(context)
@@ -81,7 +88,8 @@ class Stepwise:
         context.window_manager.progress_update(100 * done / max(whole, 1))
         text = f"{self.doing}: {done} of {whole}" if whole != 1 else f"{self.doing}: {done:.0%}"
         if not bpy.app.background and context.workspace:
-            context.workspace.status_text_set(f"{text}   (Esc interrupts)" if self.in_window else text)
+            rest = "Esc interrupts" if self.free else "only the view can be turned; Esc interrupts"
+            context.workspace.status_text_set(f"{text}   ({rest})" if self.in_window else text)
         if not self.in_window and time.monotonic() - self._told > REPORT_EVERY:
             self._told = time.monotonic()
             print(f"FAST-GS: {text}", flush=True)

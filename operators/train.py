@@ -16,7 +16,7 @@ from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene.splats.splat_object import sentence
 from ..scene.training import alignment, folders, installation, plates, results, watch
-from ..scene.training.options import TrainingOptions, arguments
+from ..scene.training.options import EXISTING, TrainingOptions, arguments
 
 REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
@@ -30,12 +30,10 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
     start_frame: IntProperty(name="Start Frame", description="Scene frame of the capture's first frame; by default the scene's first frame")
     existing: EnumProperty(
-        name="Existing Run", description="What to do if the folder contains a run already",
-        items=(
-            ('REFUSE', "Refuse", "Say so", 0),
-            ('RESUME', "Continue", "Continue it", 1),
-            ('OVERWRITE', "Overwrite", "Begin anew", 2),
-        ), default='REFUSE')
+        name="Existing Run", description="What to do if the folder contains a run already", items=EXISTING, default='REFUSE')
+    hide_originals: BoolProperty(
+        name="Hide Originals", description="Hide the objects that the capture was filmed from once the model is in the scene",
+        default=False, options={'SKIP_SAVE'})
     import_result: BoolProperty(name="Import When Done", description="Add the finished model to the scene", default=True)
     wait: BoolProperty(
         name="Wait", description="Return only when training has ended; the default without a window", default=False)
@@ -46,19 +44,19 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
     def invoke(self, context, event):
         settings = context.scene.fastgs.training
-        for name in (*TrainingOptions.__annotations__, "import_result"):
+        for name in (*TrainingOptions.__annotations__, "existing", "import_result"):
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(settings, name))
-        if self.source == 'SCENE':
-            return self._capture_first(context, settings)
+        if self.source == 'SCENE' and self.existing != 'RESUME':
+            return self._capture_first(context)
         return self.execute(context)
 
     def execute(self, context):
-        if self.source == 'SCENE':
-            self.report({'ERROR'}, "Capture the scene first, with fastgs.capture_scene, and train on its folder.")
-            return {'CANCELLED'}
         try:
-            job = self._add(context)
+            place = folders.place(self.out, self.existing)
+            if place.trouble:
+                raise FastGSError(place.trouble)
+            job = self._job(context, place)
         except FastGSError as error:
             return self._fail(error)
         if self.wait or (bpy.app.background and not self.properties.is_property_set("wait")):
@@ -72,46 +70,58 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         self.report({'INFO'}, f"{job.name}: training {'waits for its turn' if state.kind == 'QUEUED' else 'has begun'}")
         return {'FINISHED'}
 
-    def _capture_first(self, context, settings):
-        from ..scene.filming.options import CaptureOptions
-
-        chosen = {name: getattr(settings, name) for name in CaptureOptions.__annotations__}
-        try:
-            installation.python()  # without one, filming would be for nothing
+    def _capture_first(self, context):
+        try:  # what is wrong with these would make filming useless
+            installation.python()
+            place = folders.place(self.out, self.existing)
+            if place.trouble:
+                raise FastGSError(place.trouble)
+            done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True)
         except FastGSError as error:
             return self._fail(error)
-        try:
-            done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True, **chosen)
         except RuntimeError as error:  # it has said why in Blender's own way
             return self._fail(FastGSError(str(error).strip().removeprefix("Error: ")))
         return {'CANCELLED'} if 'CANCELLED' in done else {'FINISHED'}  # the capture continues by itself
 
-    def _add(self, context):
+    def _job(self, context, place):
+        """The job of the run that was asked for, in the queue: a new one, or the one that is on the list and continues."""
+        if place.existing == "--resume":
+            known = installation.jobs()
+            before = next((job for job in known.all() if job.out == place.out), None)
+            if before is not None:
+                known.ask(before, 'QUEUED')
+                return before
+        return self._add(context, place)
+
+    def _add(self, context, place):
         scene = context.scene
         if not self.properties.is_property_set("start_frame"):
             self.start_frame = scene.frame_start
-        python = installation.python()
-        out = bpy.path.abspath(self.out) if self.out else folders.unused("training")
-        if self.source == 'CAMERAS':
-            capture = plates.write_capture(context, Path(out) / "capture")
-        else:
-            capture = bpy.path.abspath(self.capture).rstrip("/\\")
-            if not capture:
-                raise FastGSError("no capture is chosen; choose its folder.")
-            if not Path(capture).exists():
-                raise FastGSError(f"{capture}: there is no such capture; check the folder.")
+        python, capture = installation.python(), self._capture(context, place)
         pixels, views, frames = checks.picture_size(capture)
         size = checks.size_of(self.preset, self.iterations, self.max_gaussians)
         _, memory = checks.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
-        for remark in checks.before_start(out, memory):
+        for remark in checks.before_start(place.out, memory):
             self.report({'WARNING'}, sentence(remark))
-        options = arguments(self)
-        if (Path(capture) / "points.ply").is_file():
+        options = arguments(self) if place.existing != "--resume" else []  # a run continues with its own
+        if options and (Path(capture) / "points.ply").is_file():
             options += ["--set", "start=file"]  # what a capture brings along is better than what can be guessed
         about = {"blend": bpy.data.filepath, "process": os.getpid(), "start_frame": self.start_frame, "import": self.import_result,
-                 "world": alignment.world_of(scene, capture)}
-        existing = {'REFUSE': "", 'RESUME': "--resume", 'OVERWRITE': "--overwrite"}[self.existing]
-        return installation.jobs().add(out, capture, python, options, about, existing)
+                 "hide": self.hide_originals, "world": alignment.world_of(scene, capture)}
+        return installation.jobs().add(place.out, capture, python, options, about, place.existing)
+
+    def _capture(self, context, place) -> str:
+        """The capture's folder; that of the scene's own cameras is written first.  Raises FastGSError."""
+        if self.source == 'SCENE':
+            raise FastGSError("Capture the scene first, with fastgs.capture_scene, and train on its folder.")
+        if self.source == 'CAMERAS':
+            return plates.write_capture(context, Path(place.out) / "capture")
+        capture = bpy.path.abspath(self.capture).rstrip("/\\")
+        if not capture:
+            raise FastGSError("no capture is chosen; choose its folder.")
+        if not Path(capture).exists():
+            raise FastGSError(f"{capture}: there is no such capture; check the folder.")
+        return capture
 
     def _run(self, context, job):
         """Start the job at once and wait until it has ended."""
@@ -137,7 +147,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         print(f"FAST-GS: {job.name} {watch.summary(state)}", flush=True)
         if self.import_result:
             try:
-                results.add_model(context, job, Path(job.out) / MODEL)
+                results.add_finished(context, job)
             except FastGSError as error:
                 return self._fail(error)
         self.report({'INFO'}, f"{job.name}: {watch.summary(state)}; {Path(job.out) / MODEL}")

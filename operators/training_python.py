@@ -8,7 +8,7 @@ from ..fastgs_blender.jobs import environment as pythons
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import settings
 from ..scene.splats.splat_object import sentence
-from ..scene.training import installation
+from ..scene.training import installation, watch
 
 
 def offline_reason() -> str:
@@ -28,10 +28,12 @@ class FASTGS_OT_test_training_python(bpy.types.Operator):
 
     def execute(self, context):
         try:
-            report = pythons.inspect(installation.python())
+            python = installation.python()
+            report = installation.tested[python] = pythons.inspect(python)
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
+        watch.redraw()
         self.report({'INFO' if report.ready else 'ERROR'}, report.sentence)
         return {'FINISHED'} if report.ready else {'CANCELLED'}
 

@@ -2,16 +2,19 @@
 """Operators on the list of training runs: pause, resume, stop, remove, and bring models and reports into Blender."""
 from __future__ import annotations
 
+import threading
 import time
-from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects
 from ..scene.splats.splat_object import sentence
-from ..scene.training import installation, results, watch
+from ..scene.training import displays, installation, results, watch
+
+REPORT_WIDTH, REPORT_PICTURE = 460, 12.0
+"""Width of the report's dialog in pixels, and height of its picture in rows of text."""
 
 
 class _JobOperator:
@@ -105,6 +108,15 @@ class FASTGS_OT_train_forget(_JobOperator, bpy.types.Operator):
     bl_idname = "fastgs.train_forget"
     bl_label = "Remove from List"
 
+    def invoke(self, context, event):
+        try:
+            _, job, _ = self.found()
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        return context.window_manager.invoke_confirm(
+            self, event, title=f"Take {job.name} off the list of runs?", message=f"Its folder stays: {job.out}", confirm_text="Remove")
+
     def act(self, context, known, job, state):
         known.forget(job)
 
@@ -114,29 +126,118 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
 
     bl_idname = "fastgs.train_import"
     bl_label = "View Model"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    def invoke(self, context, event):
+        """Read an unfinished run in a thread, so that Blender stays usable meanwhile."""
+        try:
+            _, job, state = self.found()
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        if state.kind == 'FINISHED':
+            return self.execute(context)
+        self.job, self._answer = job.id, None
+        self._thread = threading.Thread(target=self._read, args=(job.out,), daemon=True)
+        self._thread.start()
+        self._timer = context.window_manager.event_timer_add(0.1, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set(f"Reading the model of {job.name} so far")
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context, event):
+        if event.type != 'TIMER' or self._thread.is_alive():
+            return {'PASS_THROUGH'}
+        self.cancel(context)
+        return self.execute(context)
+
+    def cancel(self, context):
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+
+    def _read(self, out):
+        """Write the model so far and read it into memory; touches nothing of Blender's data."""
+        try:
+            path = intermediate().write_model(out)
+            objects.load_model(str(path))
+            self._answer = path
+        except FastGSError as error:
+            self._answer = error
+        except Exception as error:  # in a thread nobody else would tell
+            self._answer = FastGSError(f"{out}: its model so far could not be read ({error}).")
 
     def act(self, context, known, job, state):
-        path = Path(job.out) / MODEL
-        so_far = state.kind != 'FINISHED'
-        if so_far:
-            from ..fastgs_blender.training.run.intermediate import write_model
+        answer = getattr(self, "_answer", None)
+        if isinstance(answer, FastGSError):
+            raise answer
+        if state.kind == 'FINISHED':
+            obj, so_far = results.add_finished(context, job), ""
+        else:
+            obj, so_far = results.add_model(context, job, answer or intermediate().write_model(job.out)), " so far"
+        return f"{obj.name}: {obj.fastgs.gaussian_count:,} Gaussians{so_far}"
 
-            path = write_model(job.out)
-        obj = results.add_model(context, job, path)
-        return f"{obj.name}: {obj.fastgs.gaussian_count} Gaussians{' so far' if so_far else ''}"
+
+def intermediate():
+    """The module that makes models of unfinished runs, loaded only when it is needed: it brings the trainer along."""
+    from ..fastgs_blender.training.run import intermediate as module
+
+    return module
 
 
 class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
-    """Write the run's report into a text: quality in the held-out views, size, time, settings"""
+    """Show the run's quality in the held-out views, its picture beside the truth, size, time and settings; OK keeps it as a text"""
 
     bl_idname = "fastgs.train_report"
     bl_label = "Report"
 
+    show_settings: BoolProperty(name="Settings", description="Show the run's settings", default=False, options={'SKIP_SAVE'})
+
+    def invoke(self, context, event):
+        try:
+            _, job, _ = self.found()
+            self._report = results.report_of(job)
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        self.job = job.id
+        return context.window_manager.invoke_props_dialog(
+            self, width=REPORT_WIDTH, title=f"Report of {job.name}", confirm_text="Keep as Text")
+
+    def check(self, context):
+        return True  # the settings are shown or hidden at once
+
+    def draw(self, context):
+        layout = self.layout
+        rows_of(layout, self._report.numbers)
+        if self._report.picture is not None:
+            icon = displays.icon_of(self._report.picture)
+            if icon:
+                layout.template_icon(icon_value=icon, scale=REPORT_PICTURE)
+                layout.label(text="Model beside truth")
+        row = layout.row()
+        row.alignment = 'LEFT'
+        row.prop(self, "show_settings", icon='TRIA_DOWN' if self.show_settings else 'TRIA_RIGHT', emboss=False)
+        if self.show_settings:
+            rows_of(layout, self._report.settings)
+
     def act(self, context, known, job, state):
         text = bpy.data.texts.get("FAST-GS Report") or bpy.data.texts.new("FAST-GS Report")
         text.use_fake_user = False
-        text.from_string(results.report_text(job))
+        text.from_string(results.report_of(job).text)
+        text.cursor_set(0)
+        for area in context.screen.areas if context.screen else ():
+            if area.type == 'TEXT_EDITOR':
+                area.spaces.active.text, area.spaces.active.top = text, 0
         return f"The report is in the text {text.name}"
+
+
+def rows_of(layout, rows):
+    """Draw pairs of text in two columns."""
+    col = layout.column(align=True)
+    for name, value in rows:
+        split = col.split(factor=0.3)
+        split.label(text=name)
+        split.label(text=value)
 
 
 CLASSES = (

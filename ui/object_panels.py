@@ -24,10 +24,10 @@ def draw_rows(layout, rows):
         split.label(text=value)
 
 
-def draw_trouble(col, context, text):
+def draw_trouble(col, context, text, icon='ERROR'):
     """Draw the error message, on several lines if it is long."""
     for i, line in enumerate(facts.lines(text, context.region.width, context.preferences.system.ui_scale or 1.0)):
-        col.label(text=line, icon='BLANK1' if i else 'ERROR')
+        col.label(text=line, icon='BLANK1' if i else icon)
 
 
 def draw_model(layout, context):

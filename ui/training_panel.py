@@ -2,30 +2,80 @@
 """The panels of training in the sidebar of the 3D view, and its line in the status bar."""
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from ..fastgs_blender.jobs import checks
-from ..scene.training import plates, results, watch
+from ..scene.filming import progress
+from ..scene.settings import EXTENSION
+from ..scene.training import folders, installation, plates, readiness, results, watch
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
 ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 'ERROR', 'FINISHED': 'CHECKMARK'}
 
 
-def estimate_rows(scene, settings) -> list[tuple[str, str]]:
-    """Time and memory that a run will need, if the size of the pictures is known."""
+def estimate_rows(context, settings) -> list[tuple[str, str]]:
+    """Time and memory that filming and training will need, if the number and the size of the pictures are known."""
+    scene = context.scene
     pixels = pictures = 0
+    filming = 0.0
     if settings.source == 'SCENE':
         pixels = settings.width * settings.height
         frames = (scene.frame_end - scene.frame_start) // settings.frame_step + 1
-        pictures = settings.count * frames if settings.cameras in ('DOME', 'ARC') else 0
+        pictures = frames * readiness.count_of_cameras(context, settings.cameras, settings.count)
+        filming = progress.estimate(scene, settings, pictures)
     elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
         pixels, pictures = found.width * found.height, found.views * found.frames
     if not pixels:
         return [("Estimate", "Check first" if settings.source == 'FOLDER' else "Not known yet")]
     iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
     seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
-    return [("Estimate", f"about {results.duration(seconds)}"), ("Memory", f"about {facts.size(memory)}")]
+    rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
+    if settings.source == 'SCENE':
+        rows.append(("Filming", f"{results.duration(filming)} of it"))
+    return [*rows, ("Memory", f"about {facts.size(memory)}")]
+
+
+def draw_place(layout, context, settings) -> str:
+    """Draw the folder of the results and what will happen to what is in it; returns why it cannot be used, "" where it can."""
+    layout.prop(settings, "out")
+    place = folders.place(settings.out, settings.existing)
+    if place.asks:
+        layout.prop(settings, "existing")
+    if not place.trouble:
+        draw_sentence(layout, context, place.text, 'INFO')
+    return place.trouble.replace(place.out, Path(place.out).name)
+
+
+def draw_start(layout, context, settings, misplaced):
+    """Draw the buttons, and why they cannot be pressed where that is so."""
+    unable, source = installation.trouble(), readiness.source_trouble(context)
+    reason = unable or misplaced or source
+    if reason:
+        draw_sentence(layout, context, reason)
+    if unable:
+        row = layout.row(align=True)
+        row.operator("fastgs.test_training_python", icon='CHECKMARK')
+        row.operator("preferences.addon_show", text="Preferences", icon='PREFERENCES').module = EXTENSION
+    row = layout.row(align=True)
+    if settings.source != 'CAMERAS':
+        other = row.row(align=True)
+        if settings.source == 'FOLDER':
+            other.enabled = not (unable or source)
+            other.operator("fastgs.train_check", icon='VIEWZOOM')
+        else:
+            other.enabled = not source
+            other.operator("fastgs.capture_scene", text="Capture Only", icon='OUTLINER_OB_CAMERA')
+    sub = row.row(align=True)
+    sub.enabled = not reason
+    sub.operator("fastgs.train", icon='PLAY')
+
+
+def draw_sentence(layout, context, text, icon='ERROR'):
+    """Draw a sentence on as many lines as it needs."""
+    draw_trouble(layout.column(align=True), context, text, icon)
 
 
 class _Sidebar:
@@ -62,13 +112,14 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
             col.prop(settings, "height")
         col = layout.column()
         col.prop(settings, "preset")
-        draw_rows(col, estimate_rows(context.scene, settings))
-        layout.prop(settings, "out")
+        draw_rows(col, estimate_rows(context, settings))
+        misplaced = draw_place(layout, context, settings)
         layout.prop(settings, "import_result", text="Import")
-        row = layout.row(align=True)
-        if settings.source == 'FOLDER':
-            row.operator("fastgs.train_check", icon='VIEWZOOM')
-        row.operator("fastgs.train", icon='PLAY')
+        if settings.source == 'SCENE':
+            row = layout.row()
+            row.enabled = settings.import_result
+            row.prop(settings, "hide_originals")
+        draw_start(layout, context, settings, misplaced)
 
 
 class FASTGS_PT_training_filming(_Sidebar, bpy.types.Panel):
@@ -121,11 +172,23 @@ class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        rows = watch.found()
-        if not rows:
+        rows = watch.ordered()
+        filming = progress.current
+        if filming is not None:
+            draw_filming(layout.box(), context, filming)
+        elif not rows:
             layout.label(text="None yet", icon='INFO')
         for job, state in rows:
             draw_job(layout.box(), context, job, state)
+
+
+def draw_filming(box, context, filming):
+    """Draw the filming under way."""
+    box.label(text=filming.name, icon='OUTLINER_OB_CAMERA')
+    left = f", {results.duration(filming.seconds_left)} left" if filming.seconds_left else ""
+    box.progress(factor=filming.share, text=f"Filming {100 * filming.share:.0f} %{left}")
+    draw_rows(box, [("Pictures", f"{filming.done:,} of {filming.whole:,}")])
+    draw_sentence(box, context, "Meanwhile only the view can be turned, between two pictures; Esc interrupts.", 'INFO')
 
 
 def draw_job(box, context, job, state):
@@ -147,6 +210,8 @@ def draw_job(box, context, job, state):
         col.alert = True
         draw_trouble(col, context, state.text)
     draw_rows(box, job_rows(state))
+    if not watch.belongs_here(job):
+        draw_rows(box, [("Of", Path(job.scene.get("blend", "")).name or "an unsaved file")])
     if state.kind == 'FINISHED' or state.values.get("iteration"):
         row = box.row(align=True)
         text = "Add Model" if state.kind == 'FINISHED' else "View Model So Far"
@@ -167,7 +232,7 @@ def job_rows(state) -> list[tuple[str, str]]:
     if values.get("psnr"):
         rows.append(("PSNR", f"{values['psnr']:.1f} dB"))
     if values.get("held_out_psnr"):
-        rows.append(("Held-Out PSNR", f"{values['held_out_psnr']:.2f} dB"))
+        rows.append(("Held Out", f"{values['held_out_psnr']:.2f} dB"))
     return rows
 
 
@@ -186,4 +251,4 @@ def unregister():
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
 
 
-CLASSES = (FASTGS_PT_training, FASTGS_PT_training_runs, FASTGS_PT_training_filming, FASTGS_PT_training_options)
+CLASSES = (FASTGS_PT_training, FASTGS_PT_training_filming, FASTGS_PT_training_options, FASTGS_PT_training_runs)

@@ -21,6 +21,8 @@ BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20,
 STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
 """Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
 CORES = 2
+PICTURE, SAMPLE = 0.5, 1.5e-6
+"""Seconds to render a picture of a filmed scene, and more for each pixel and sample, on two cores: of a simple scene in Cycles."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +133,8 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) ->
     seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
     held = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
     return seconds, BASE_MEMORY + held + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
+
+
+def filming(work: int, pictures: int) -> float:
+    """Seconds that filming a scene will take, very roughly, as scenes differ: pictures of so many pixels times samples."""
+    return pictures * (PICTURE + SAMPLE * work * CORES / max(os.cpu_count() or 1, 1))

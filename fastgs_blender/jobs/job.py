@@ -30,9 +30,10 @@ class Job:
     out       folder of the run; capture: what it is trained on; options: further arguments of `fastgs train`
     python    the training Python
     request   what the user asked for last: QUEUED, RUN, PAUSE or STOP
-    scene     about the scene that it belongs to, for the finished model: start_frame, world (name of an object), blend, process, import
+    scene     about the scene that it belongs to, for the finished model: start_frame, world (name of an object), blend, process, import,
+              hide (the objects that were filmed)
     existing  what the first start does with a run that is in the folder already: "" (refuses), --resume or --overwrite
-    begun     whether it has been started before
+    begun     whether an earlier process of it has begun its run, which is then continued
     started   when its process was started last, in seconds of the epoch
     console   length of console.log when that process began
     problem   why it could not be started, "" where it could
@@ -145,7 +146,8 @@ def _flag(value) -> bool:
     return isinstance(value, bool)
 
 
-_SCENE = {"start_frame": _integer(-(1 << 20), 1 << 20), "world": _text, "blend": _text, "process": _integer(0, 1 << 62), "import": _flag}
+_SCENE = {"start_frame": _integer(-(1 << 20), 1 << 20), "world": _text, "blend": _text, "process": _integer(0, 1 << 62),
+          "import": _flag, "hide": _flag}
 _CHECKS = {
     "id": lambda value: isinstance(value, str) and re.fullmatch(r"[\w.-]{1,100}", value) is not None,
     "out": _path, "capture": lambda value: _text(value) and bool(value), "python": lambda value: _text(value) and bool(value),

@@ -32,6 +32,7 @@ from ..util.outputs import replacing
 from . import causes
 from .environment import environment
 from .job import ENDED, LATEST, RUNNING, Job, State, job_values, read_job, read_status
+from .places import place_for
 
 log = logging.getLogger(__name__)
 QUEUE_LOCK = "queue.lock"
@@ -66,7 +67,10 @@ class Jobs:
         return self._read(self._file(name))
 
     def add(self, out, capture, python: str, options=(), scene=None, existing: str = "") -> Job:
-        """Put a new job at the end of the queue; the arguments are Job's.  Raises FastGSError where another job has that folder."""
+        """Put a new job at the end of the queue; the arguments are Job's.
+
+        Raises FastGSError where another job has that folder, or where a run is in it and `existing` does not say what becomes of it.
+        """
         out = str(Path(out).absolute())
         with self._changing():
             others = self.all()
@@ -75,7 +79,9 @@ class Jobs:
                     if self.state(other).kind not in ENDED:
                         raise FastGSError(f"{out} belongs to a training job that has not ended; choose another folder, or stop that job "
                                           "first.")
+                    _refuse_another_run(out, existing)
                     self._remove(other)
+            _refuse_another_run(out, existing)
             latest = max((other.created for other in others), default=0.0)
             created = min(max(self.clock(), math.nextafter(latest, math.inf)), LATEST)  # in order, whatever the clock does
             job = Job(self._new_id(created), out, str(capture), python, list(options), scene=scene or {}, created=created,
@@ -158,7 +164,7 @@ class Jobs:
     def state(self, job: Job) -> State:
         """The state of a job.  A process that ended without a final status has crashed; its output then gives the reason."""
         alive = self.alive(job)  # asked first: what a process writes before it ends is then known
-        values = read_status(Path(job.out) / STATUS)
+        values = read_status(Path(job.out) / STATUS) if job.started else {}  # before that, it tells of an earlier run in this folder
         status = values.get("state")
         if status == "finished":  # its process may still be clearing up
             return State('FINISHED', "Finished", values)
@@ -199,6 +205,9 @@ class Jobs:
         with self._take(job) as lock:
             if locks.is_held(out / LOCK):
                 raise FastGSError(f"{out}: another process is training in this folder; wait until it has ended, or choose another folder.")
+            if not job.started:
+                _refuse_another_run(out, job.existing)
+            begun = job.begun or (job.started > 0 and (out / STATUS).exists())
             try:
                 out.mkdir(parents=True, exist_ok=True)
                 (out / STATUS).unlink(missing_ok=True)  # that of an earlier process says nothing about this one
@@ -209,9 +218,9 @@ class Jobs:
                 raise FastGSError(f"{out}: the training job cannot write there ({reason}); choose another folder.") from error
             with console:
                 there = ["--resume"] if (out / RUN).exists() else []
-                more = there if job.begun else [job.existing] if job.existing else []
+                more = ["--overwrite"] if job.existing == "--overwrite" and not begun else there
                 self._change(job, console=os.fstat(console.fileno()).st_size, request="RUN", reported=False, problem="",
-                             started=self.clock())
+                             started=self.clock(), begun=begun)
                 inherited, variables = locks.handed_over(lock)
                 try:
                     child = subprocess.Popen(
@@ -222,7 +231,6 @@ class Jobs:
                     raise FastGSError(f"{job.python}: the training Python does not start ({reason}); choose another in the "
                                       "preferences.") from error
             self._children[job.id] = job.started, child
-            self._change(job, begun=True)
 
     def _take(self, job: Job) -> BinaryIO:
         """The job's lock, held by this program until it is closed."""
@@ -306,6 +314,12 @@ class Jobs:
                 self._passed_over.add(str(path))
                 log.warning("%s  This file is skipped.", error)
             return None
+
+
+def _refuse_another_run(out, existing: str) -> None:
+    """Raise FastGSError for a folder that holds a run, unless `existing` says what becomes of it."""
+    if not existing and (trouble := place_for(str(out), 'REFUSE').trouble):
+        raise FastGSError(trouble)
 
 
 class _Busy(FastGSError):

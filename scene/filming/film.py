@@ -16,11 +16,14 @@ from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.outputs import replacing
 from ...fastgs_blender.util.picture_files import read_exr, write_exr, write_png
+from ...fastgs_blender.util.reading import read_json
 from .studio import Studio
 from .subject import find
 
 POINTS = 20_000
 """Starting points that the depth gives."""
+FILMED = "filmed.json"
+"""In a capture's folder: which objects of the scene its pictures show."""
 AXES = "RFU"
 """A Blender scene's world: x right, y forward, z up."""
 
@@ -55,19 +58,18 @@ def film_steps(scene: bpy.types.Scene, plan: Plan, out):
     Pictures, masks and depth that are in the folder already are kept.  Raises FastGSError.
     """
     out = Path(out)
-    yield 0, len(plan.frames) * max(len(plan.cameras), 1)
+    yield 0, len(plan.frames) * (len(plan.cameras) or plan.count)
     with Studio(scene, plan.width, plan.height, plan.samples, plan.world) as studio:
         subject = find(studio, plan.frames, None if plan.selected is None else set(plan.selected))
         views = _chosen(studio, plan) if plan.cameras else _rig(plan, subject)
         _describe(out, scene, plan, views)
-        work = [(number, frame, view) for number, frame in enumerate(plan.frames) for view in views]
+        _list(out, subject.everything)
+        every = [(number, frame, view) for number, frame in enumerate(plan.frames) for view in views]
+        work = [(number, frame, view) for number, frame, view in every if not (out / view / f"{number + 1:04}.png").exists()]
         notes: set[str] = set()
         there = None
-        for done, (number, frame, view) in enumerate(work):
-            yield done, len(work)
-            name = f"{number + 1:04}"
-            if (out / view / f"{name}.png").exists():  # written last
-                continue
+        for done, (number, frame, view) in enumerate(work, len(every) - len(work)):
+            yield done, len(every)
             if frame != there:
                 studio.go_to(frame)
                 there = frame
@@ -76,9 +78,9 @@ def film_steps(scene: bpy.types.Scene, plan: Plan, out):
                 notes.add("the render engine has no Cryptomatte, so there are no masks")
             if picture.depth is None:
                 notes.add("the render engine gives no depth, so there are no starting points from it")
-            _write(out, view, name, picture)
+            _write(out, view, f"{number + 1:04}", picture)
         _write_points(out, plan, views)
-        yield len(work), len(work)
+        yield len(every), len(every)
     return sorted(notes)
 
 
@@ -143,6 +145,21 @@ def _describe(out: Path, scene, plan, views):
     except (OSError, ValueError, KeyError) as error:
         raise FastGSError(f"{out}: the capture cannot be written there ({getattr(error, 'strerror', None) or error}); choose another "
                           "folder.") from error
+
+
+def _list(out: Path, names):
+    """The file that says which of the scene's objects were filmed."""
+    with replacing([out / FILMED]) as (part,):
+        part.write_text(json.dumps({"objects": sorted(names)}, indent=1), "utf-8")
+
+
+def filmed_objects(out) -> list[str]:
+    """The names of the objects that a capture was filmed from; [] where its folder does not say."""
+    try:
+        names = read_json(Path(out) / FILMED)["objects"]
+    except (FastGSError, KeyError, TypeError):
+        return []
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
 def _write(out: Path, view: str, name: str, picture):

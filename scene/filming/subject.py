@@ -14,9 +14,11 @@ MOST_POINTS, MOST_INSTANCES, LOOKS = 300, 20_000, 16
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The subject of a capture: its objects' names (as in Cryptomatte); centre [3] and radius of its sphere; its lowest height."""
+    """The subject of a capture: its objects' names (as in Cryptomatte), those of all objects that pictures show; centre [3] and radius
+    of its sphere; its lowest height."""
 
     names: set[str]
+    everything: set[str]
     centre: np.ndarray
     radius: float
     floor: float
@@ -44,7 +46,7 @@ def find(studio, frames, chosen: set[str] | None = None) -> Subject:
     points = np.concatenate([item.points for item in found])
     centre = (points.min(0) + points.max(0)) / 2
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-3)
-    return Subject(set().union(*(item.names for item in found)), centre, radius, float(points[:, 2].min()))
+    return Subject(set().union(*(item.names for item in found)), set(everything), centre, radius, float(points[:, 2].min()))
 
 
 @dataclass(eq=False)

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 import bpy
+import bpy.utils.previews
 
 from ...fastgs_blender.jobs.job import Job
 from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
@@ -19,6 +20,8 @@ PREVIEW, LOSS, LOG = "FAST-GS Training", "FAST-GS Training Loss", "FAST-GS Train
 MOST_TEXT = 200_000
 _files: dict[str, FileIdentity] = {}
 """By name of an image or text: the file that it shows."""
+_icons = None
+"""Blender's collection of picture files as icons, made when it is needed."""
 
 
 def update(job: Job) -> None:
@@ -31,6 +34,30 @@ def update(job: Job) -> None:
     console = out / CONSOLE
     if _changed(LOG, console):
         _show_text(LOG, _end_of(console))
+
+
+def icon_of(path: Path) -> int:
+    """The number of an icon that shows a picture file; 0 where it cannot be read."""
+    global _icons
+    if _icons is None:
+        _icons = bpy.utils.previews.new()
+    try:
+        identity = FileIdentity.of(str(path))
+        key = f"{path} {identity.status}"  # a file that has changed is another picture
+        if key not in _icons:
+            _icons.clear()
+            _icons.load(key, str(path), 'IMAGE')
+        return _icons[key].icon_id
+    except (FastGSError, KeyError, RuntimeError):
+        return 0
+
+
+def unregister() -> None:
+    """Free the icons."""
+    global _icons
+    if _icons is not None:
+        bpy.utils.previews.remove(_icons)
+    _icons = None
 
 
 def _changed(name, path: Path) -> bool:

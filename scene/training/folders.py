@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chooses folders for captures and runs that the user did not name: beside the .blend, else in the extension's folder."""
+"""Chooses folders for captures and runs: what the user named, or a new one beside the .blend, else in the extension's folder."""
 from __future__ import annotations
 
 from pathlib import Path
 
 import bpy
 
-from . import installation
+from ...fastgs_blender.jobs.job import ENDED
+from ...fastgs_blender.jobs.places import Place, next_free, place_for
+from . import installation, watch
 
 
 def unused(kind: str) -> str:
@@ -16,8 +18,17 @@ def unused(kind: str) -> str:
         base = blend.parent / f"{blend.stem}-{kind}"
     else:
         base = installation.folder("training/untitled") / kind
-    place, number = base, 1
-    while place.exists():
-        number += 1
-        place = base.with_name(f"{base.name}-{number}")
-    return str(place)
+    return next_free(base, _busy())
+
+
+def place(out: str, wish: str) -> Place:
+    """Where a run goes whose folder the user named, or did not: out is "" then."""
+    if not out:
+        new = unused("training")
+        return Place(new, text=f"The run goes into the new folder {Path(new).name}.")
+    return place_for(str(Path(bpy.path.abspath(out)).absolute()), wish, _busy())
+
+
+def _busy() -> dict[str, str]:
+    """The folders of the jobs that have not ended, with the kinds of their states."""
+    return {job.out: state.kind for job, state in watch.found() if state.kind not in ENDED}

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.environment import NEEDED, Maker, python_in
+from ...fastgs_blender.jobs.environment import NEEDED, Maker, Report, python_in
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import settings
 
 maker: Maker | None = None
 """The environment that is being made, or was made last, in this Blender."""
+tested: dict[str, Report] = {}
+"""By Python: what its last test in this Blender found."""
 
 
 def folder(name: str) -> Path:
@@ -49,9 +51,19 @@ def python() -> str:
     if not is_making() and (found := python_in(str(made_environment()))):
         return found
     if lacking := [package for module, package in NEEDED.items() if importlib.util.find_spec(module) is None]:
-        raise FastGSError(f"Blender's own Python lacks {', '.join(lacking)}; install the zip for this system and Python, or choose an "
-                          "environment that has them in the extension's preferences.")
+        raise FastGSError(f"Blender's own Python lacks {', '.join(lacking)}; install the extension's zip for this system and Python "
+                          f"{sys.version_info[0]}.{sys.version_info[1]}, which brings them and needs no network, or choose an environment "
+                          "that has them in the preferences.")
     return sys.executable
+
+
+def trouble() -> str:
+    """Why nothing can be trained, in one sentence; "" where nothing is known to be wrong with the training Python."""
+    try:
+        report = tested.get(python())
+    except FastGSError as error:
+        return str(error)
+    return "" if report is None or report.ready else report.sentence
 
 
 def is_making() -> bool:

@@ -7,6 +7,13 @@ from ...fastgs_blender.jobs import checks
 from ...fastgs_blender.training.core.settings import PRESETS, Settings
 from ..filming.options import CaptureOptions
 
+EXISTING = (
+    ('REFUSE', "Refuse", "Say so", 0),
+    ('RESUME', "Go On", "Continue it from its last checkpoint, with the options that it began with", 1),
+    ('OVERWRITE', "Begin Anew", "Delete it, and train from the beginning", 2),
+    ('NEW', "New Folder", "Keep it, and train into the next free folder beside it", 3),
+)
+"""What becomes of a run that is in the folder already."""
 PREVIEWS = 30
 """Number of preview pictures that a run makes."""
 
@@ -50,8 +57,13 @@ class TrainingOptions:
 class FASTGS_PG_training(CaptureOptions, TrainingOptions, bpy.types.PropertyGroup):
     """The training panel's settings."""
 
+    existing: EnumProperty(
+        name="Existing Run", description="What becomes of the run that is in the folder already", items=EXISTING[1:], default='NEW')
     import_result: BoolProperty(
         name="Import When Done", description="Add the finished model to the scene, where its cameras are", default=True)
+    hide_originals: BoolProperty(
+        name="Hide Originals", description="Hide the objects that were filmed once their model is in the scene, in viewports and renders",
+        default=True)
 
 
 def arguments(options) -> list[str]:

@@ -2,14 +2,17 @@
 """Brings what a training run has made into Blender: its model as an object, its report as text."""
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from ...fastgs_blender.jobs.job import Job
-from ...fastgs_blender.training.run.files import PREVIEWS, REPORT
-from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.training.run.files import MODEL, PREVIEWS, REPORT
+from ...fastgs_blender.util.errors import FastGSError, printable
 from ...fastgs_blender.util.reading import read_json, reading
+from .. import objects
+from ..filming.film import filmed_objects
 from ..splats import splat_object
 from . import alignment
 
@@ -18,9 +21,10 @@ def add_model(context, job, path) -> bpy.types.Object:
     """Add a run's model to the scene, where its cameras are; the one that an earlier look at the same run added is used again."""
     if context.mode != 'OBJECT':
         bpy.ops.object.mode_set(mode='OBJECT')
-    before = next((obj for obj in context.scene.objects if obj.get("fastgs_job") == job.id), None)
+    before = next((obj for obj in context.scene.objects if obj.get("fastgs_job") == job.id), None) or _showing(context.scene, path)
     if before is not None and before.name in context.view_layer.objects:
         splat_object.show_file(before, str(path))
+        before["fastgs_job"] = job.id
         return before
     obj = splat_object.create(context, str(path), relative=True)
     obj["fastgs_job"] = job.id
@@ -30,27 +34,66 @@ def add_model(context, job, path) -> bpy.types.Object:
     return obj
 
 
-def report_text(job: Job) -> str:
-    """The run's report as lines; raises FastGSError where there is none yet."""
+def _showing(scene, path) -> bpy.types.Object | None:
+    """The object that shows this file already, as it does of a run that was begun anew."""
+    return next((obj for obj in scene.objects if objects.is_splat(obj) and Path(objects.abspath(obj)) == Path(path)), None)
+
+
+def add_finished(context, job: Job) -> bpy.types.Object:
+    """Add a finished run's model to the scene, and hide what it was filmed from, where that is wanted."""
+    obj = add_model(context, job, Path(job.out) / MODEL)
+    if job.scene.get("hide"):
+        hide_originals(context, job.capture)
+    return obj
+
+
+def hide_originals(context, capture: str) -> int:
+    """Hide the objects that a capture was filmed from, in viewports and renders; returns how many."""
+    found = [obj for name in filmed_objects(capture) if (obj := context.scene.objects.get(name)) and not objects.is_splat(obj)]
+    for obj in found:
+        if obj.name in context.view_layer.objects:
+            obj.hide_set(True)
+        if obj.is_editable:
+            obj.hide_render = True
+    return len(found)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A finished run's report: (label, value) pairs about its result and its settings, and its newest preview picture."""
+
+    numbers: list[tuple[str, str]]
+    settings: list[tuple[str, str]]
+    picture: Path | None
+
+    @property
+    def text(self) -> str:
+        """All of it as lines."""
+        picture = [("Model beside truth", str(self.picture))] if self.picture else []
+        return "\n".join(f"{name:<20} {value}".rstrip() for name, value in (*self.numbers, *picture, ("", ""), *self.settings)) + "\n"
+
+
+def report_of(job: Job) -> Report:
+    """The run's report; raises FastGSError where there is none yet."""
     path = Path(job.out) / REPORT
     if not path.exists():
         raise FastGSError(f"{job.out}: there is no report yet; it comes when training has finished.")
     with reading(path):
-        return _lines(job, read_json(path))
+        return _report(job, read_json(path))
 
 
-def _lines(job: Job, values: dict) -> str:
-    rows = [("Model", values["model"]), ("Gaussians", values["gaussians"]), ("Size", f"{values['model_bytes'] / 1e6:.2f} MB"),
-            ("Steps", values["iterations"]), ("Time", duration(values["seconds"]))]
+def _report(job: Job, values: dict) -> Report:
+    rows = []
     if values.get("held_out_psnr") is not None:
-        rows += [("Held-out views", ", ".join(values["held_out_views"])), ("Held-out PSNR", f"{values['held_out_psnr']:.2f} dB")]
+        rows += [("Held-out PSNR", f"{values['held_out_psnr']:.2f} dB")]
     if values.get("held_out_foreground_psnr") is not None:
         rows.append(("of the foreground", f"{values['held_out_foreground_psnr']:.2f} dB"))
-    picture = newest_preview(job)
-    if picture is not None:
-        rows.append(("Model beside truth", picture))
-    rows += [("", ""), *sorted(values["settings"].items())]
-    return "\n".join(f"{name:<20} {value}".rstrip() for name, value in rows) + "\n"
+    if values.get("held_out_psnr") is not None:
+        rows += [("Held-out views", ", ".join(values["held_out_views"]))]
+    rows += [("Gaussians", f"{values['gaussians']:,}"), ("Size", f"{values['model_bytes'] / 1e6:.2f} MB"),
+             ("Steps", f"{values['iterations']:,}"), ("Time", duration(values["seconds"])), ("Model", values["model"])]
+    return Report([(name, printable(value)) for name, value in rows],
+                  [(name, printable(str(value))) for name, value in sorted(values["settings"].items())], newest_preview(job))
 
 
 def duration(seconds: float) -> str:

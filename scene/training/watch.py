@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.job import RUNNING, Job, State
-from ...fastgs_blender.training.run.files import MODEL
+from ...fastgs_blender.jobs.job import Job, State
 from ...fastgs_blender.util.errors import FastGSError
 from . import displays, installation, results
 
@@ -33,14 +31,17 @@ def look() -> list[tuple[Job, State]]:
     return _found
 
 
-def current() -> tuple[Job, State] | None:
-    """The job that the panel shows: the running one, else the first waiting or paused one, else the last."""
+def ordered() -> list[tuple[Job, State]]:
+    """The jobs as the panel lists them: the running one, those that wait or are paused in their order, the others from the newest on."""
     rows = found()
-    for kinds in (RUNNING, ('PAUSED', 'QUEUED')):
-        for row in rows:
-            if row[1].kind in kinds:
-                return row
-    return rows[-1] if rows else None
+    running = [row for row in rows if row[1].running]
+    waiting = [row for row in rows if row[1].kind in ('PAUSED', 'QUEUED')]
+    return running + waiting + [row for row in reversed(rows) if row not in running and row not in waiting]
+
+
+def current() -> tuple[Job, State] | None:
+    """The first of them."""
+    return next(iter(ordered()), None)
 
 
 def begin() -> None:
@@ -86,7 +87,8 @@ def report_end(job: Job, state: State) -> None:
     with bpy.context.temp_override(window=window):
         if good and job.scene.get("import") and belongs_here(job):
             with contextlib.suppress(RuntimeError, FastGSError):  # it is in a mode in which nothing can be added; the panel has a button
-                results.add_model(bpy.context, job, Path(job.out) / MODEL)
+                results.add_finished(bpy.context, job)
+                bpy.ops.ed.undo_push(message="Add Trained Model")
         bpy.context.window_manager.popup_menu(
             lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
             icon='INFO' if good else 'ERROR')
@@ -135,4 +137,5 @@ def unregister():
     _found = None
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
+    displays.unregister()
     installation.unregister()

@@ -49,8 +49,8 @@ def operator(stepwise):
     return Operator()
 
 
-def event(kind):
-    return SimpleNamespace(type=kind)
+def event(kind, ctrl=False):
+    return SimpleNamespace(type=kind, ctrl=ctrl, alt=False)
 
 
 def test_a_script_waits(operator, context):
@@ -62,9 +62,23 @@ def test_in_a_window_it_goes_on_with_the_timer_once(operator, context, stepwise,
     monkeypatch.setattr(stepwise, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
     operator._interactive = True
     assert operator.begin(context, operator.steps()) == {'RUNNING_MODAL'} and not operator._interactive
-    assert operator.modal(context, event('MOUSEMOVE')) == operator.modal(context, event('TIMER')) == {'RUNNING_MODAL'}
+    assert operator.modal(context, event('X')) == {'RUNNING_MODAL'}
+    assert operator.modal(context, event('TIMER')) == {'PASS_THROUGH'}, "panels that move have timers of their own"
     assert operator.modal(context, event('TIMER')) == {'FINISHED'} and operator.closed
-    assert "Counting: 2 of 2   (Esc interrupts)" in context.told and context.told[-3:] == ["end", None, "no timer"]
+    assert "Counting: 2 of 2   (only the view can be turned; Esc interrupts)" in context.told
+    assert context.told[-3:] == ["end", None, "no timer"]
+
+
+def test_meanwhile_the_view_can_be_turned_and_a_free_work_leaves_the_rest_alone_too(operator, context, stepwise, monkeypatch):
+    monkeypatch.setattr(stepwise, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    operator._interactive = True
+    operator.begin(context, operator.steps())
+    for kind, ctrl, passes in (('MIDDLEMOUSE', False, True), ('WHEELUPMOUSE', False, True), ('WHEELUPMOUSE', True, False),
+                               ('NUMPAD_7', False, True), ('LEFTMOUSE', False, False), ('DEL', False, False)):
+        assert (operator.modal(context, event(kind, ctrl)) == {'PASS_THROUGH'}) == passes, kind
+    operator.free = True
+    assert operator.modal(context, event('LEFTMOUSE')) == {'PASS_THROUGH'}
+    assert operator.modal(context, event('ESC')) == {'CANCELLED'}
 
 
 def test_escape_ends_it(operator, context, stepwise, monkeypatch):

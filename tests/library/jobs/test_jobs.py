@@ -216,6 +216,52 @@ def test_a_folder_in_which_the_command_line_trains_is_left_alone(make_jobs, tmp_
     trains(known, job)
 
 
+@pytest.fixture
+def old_run(tmp_path):
+    """The folder of a run that has finished before."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name, content in (("run.json", "{}"), ("model.safetensors", ""), ("status.json", '{"state": "finished", "iteration": 9}')):
+        (folder / name).write_text(content)
+    return folder
+
+
+def test_a_finished_run_in_the_folder_is_not_the_new_one(make_jobs, tmp_path, old_run, monkeypatch):
+    """Until the new job has written a status of its own, it waits and starts; its process is told to begin anew, once."""
+    given = []
+    command = Jobs.command
+    monkeypatch.setattr(Jobs, "command", lambda self, job, more=(): given.append(list(more)) or command(self, job))
+    known = make_jobs()
+    job = known.add(old_run, "/other", sys.executable, existing="--overwrite")
+    state = known.state(job)
+    assert (state.kind, state.values) == ('QUEUED', {})
+    with monkeypatch.context() as patch:  # it ends before it has begun its run
+        patch.setattr(Jobs, "command", lambda self, job, more=(): given.append(list(more)) or [sys.executable, "-c", "raise SystemExit(1)"])
+        known.start(job)
+        known._children[job.id][1].wait()
+    assert known.state(job).kind == 'FAILED'
+    known.start(job)
+    trains(known, job)
+    known._children[job.id][1].kill()
+    known._children[job.id][1].wait()
+    known.start(job)
+    trains(known, job)
+    assert given == [["--overwrite"], ["--overwrite"], ["--resume"]], "what it has begun itself it continues"
+
+
+def test_a_job_without_a_wish_leaves_an_old_run_alone(make_jobs, tmp_path, old_run):
+    known = make_jobs()
+    with pytest.raises(fg.FastGSError, match="holds a finished run"):
+        add(known, tmp_path)
+    assert not known.all()
+    late = add(known, tmp_path, "late")  # a run comes into its folder while it waits
+    old_run.rename(tmp_path / "late")
+    assert known.start_next() is None
+    state = known.state(known.get(late.id))
+    assert state.kind == 'FAILED' and "holds a finished run" in state.text
+    assert (tmp_path / "late" / "status.json").exists()
+
+
 def test_a_list_that_another_program_holds_is_waited_for(make_jobs, tmp_path, monkeypatch):
     known = make_jobs()
     job = add(known, tmp_path)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a run goes: what its folder holds already, and what becomes of that.  No bpy here."""
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Container, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..training.run.files import CHECKPOINT, MODEL, RUN, STATUS
+from ..util.errors import FastGSError
+from ..util.reading import read_json
+from .job import LARGEST_FILE, read_status
+
+WISHES = ('REFUSE', 'RESUME', 'OVERWRITE', 'NEW')
+
+
+@dataclass(frozen=True)
+class Held:
+    """The run that a folder holds.
+
+    finished    whether it has a model
+    iteration, iterations   steps that are done, and steps of the whole run; 0 where its files do not say
+    psnr        in its held-out views; None where its files do not say
+    """
+
+    finished: bool
+    iteration: int = 0
+    iterations: int = 0
+    psnr: float | None = None
+
+    @property
+    def text(self) -> str:
+        """What it is, as part of a sentence."""
+        if not self.finished:
+            return f"a run that ended at step {self.iteration:,} of {self.iterations:,}" if self.iterations else "an unfinished run"
+        about = [f"{self.iterations:,} steps"] if self.iterations else []
+        if self.psnr is not None:
+            about.append(f"{self.psnr:.2f} dB")
+        return f"a finished run ({', '.join(about)})" if about else "a finished run"
+
+
+def held_in(out) -> Held | None:
+    """The run in a folder; None where there is none."""
+    out = Path(out)
+    if not any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
+        return None
+    status, whole = read_status(out / STATUS), 0
+    with contextlib.suppress(FastGSError, KeyError, TypeError):
+        whole = read_json(out / RUN, LARGEST_FILE)["settings"]["iterations"]
+    whole = whole if isinstance(whole, int) and whole > 0 else status.get("iterations", 0)
+    return Held((out / MODEL).exists(), status.get("iteration", 0), whole, status.get("held_out_psnr"))
+
+
+def next_free(folder, taken: Container[str] = ()) -> str:
+    """The first path of FOLDER, FOLDER-2, FOLDER-3 ... where nothing is and which is not in `taken`; a number at its end is counted on."""
+    folder = Path(folder)
+    place, number = folder, 1
+    if counted := re.fullmatch(r"(.+)-(\d{1,6})", folder.name):
+        folder, number = folder.with_name(counted[1]), int(counted[2])
+    while place.exists() or str(place) in taken:
+        number += 1
+        place = folder.with_name(f"{folder.name}-{number}")
+    return str(place)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a run goes.
+
+    out       its folder
+    existing  the option of `fastgs train` for what is there: "", --resume or --overwrite
+    text      one sentence that says what will happen
+    trouble   one sentence that says why nothing can, "" where it can
+    asks      whether a run is there already, so that the wish counts
+    """
+
+    out: str
+    existing: str = ""
+    text: str = ""
+    trouble: str = ""
+    asks: bool = False
+
+
+def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Place:
+    """What a wish means for a folder.
+
+    wish  REFUSE a run that is there, RESUME it, OVERWRITE it, or take a NEW folder beside it
+    busy  the folders of jobs that have not ended, with the kind of their State
+    """
+    busy, name, held = busy or {}, Path(out).name, held_in(out)
+    if held is None and out not in busy:
+        return Place(out, text=f"The run goes into {name}.")
+    if wish == 'NEW':
+        new = next_free(out, busy)
+        return Place(new, "", f"{name} keeps {held.text if held else 'its run'}; the new run goes into {Path(new).name}.", asks=True)
+    if out in busy and not (wish == 'RESUME' and busy[out] == 'PAUSED'):
+        return Place(out, trouble=f"{out} belongs to a training job that has not ended; choose another folder, or stop that job first.",
+                     asks=True)
+    what = held.text if held else "a run that has not begun"
+    if wish == 'OVERWRITE':
+        return Place(out, "--overwrite", f"{name} holds {what}. It is deleted, and a new run begins.", asks=True)
+    if wish == 'REFUSE':
+        return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
+    if held and held.finished:
+        return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)
+    return Place(out, "--resume", f"{name} holds {what}. It continues, with the options that it began with.", asks=True)
