@@ -20,6 +20,8 @@ from ..scene.training.options import EXISTING, TrainingOptions, arguments
 
 REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
+FROM_PANEL = (*TrainingOptions.__annotations__, "existing", "import_result")
+"""The options that a press of the button takes from the panel."""
 
 
 class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
@@ -44,7 +46,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
     def invoke(self, context, event):
         settings = context.scene.fastgs.training
-        for name in (*TrainingOptions.__annotations__, "existing", "import_result"):
+        for name in FROM_PANEL:
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(settings, name))
         if self.source == 'SCENE' and self.existing != 'RESUME':
@@ -112,6 +114,8 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
     def _capture(self, context, place) -> str:
         """The capture's folder; that of the scene's own cameras is written first.  Raises FastGSError."""
+        if place.capture:
+            return place.capture
         if self.source == 'SCENE':
             raise FastGSError("Capture the scene first, with fastgs.capture_scene, and train on its folder.")
         if self.source == 'CAMERAS':

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..fastgs_blender.jobs import checks
+from ..fastgs_blender.jobs.places import Place
 from ..scene.filming import progress
 from ..scene.settings import EXTENSION
 from ..scene.training import folders, installation, plates, readiness, results, watch
@@ -38,21 +39,21 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
     return [*rows, ("Memory", f"about {facts.size(memory)}")]
 
 
-def draw_place(layout, context, settings) -> str:
-    """Draw the folder of the results and what will happen to what is in it; returns why it cannot be used, "" where it can."""
+def draw_place(layout, context, settings) -> Place:
+    """Draw the folder of the results and what will happen to what is in it; returns its Place."""
     layout.prop(settings, "out")
     place = folders.place(settings.out, settings.existing)
     if place.asks:
         layout.prop(settings, "existing")
     if not place.trouble:
         draw_sentence(layout, context, place.text, 'INFO')
-    return place.trouble.replace(place.out, Path(place.out).name)
+    return place
 
 
-def draw_start(layout, context, settings, misplaced):
+def draw_start(layout, context, settings, place):
     """Draw the buttons, and why they cannot be pressed where that is so."""
     unable, source = installation.trouble(), readiness.source_trouble(context)
-    reason = unable or misplaced or source
+    reason = unable or place.trouble.replace(place.out, Path(place.out).name) or ("" if place.capture else source)
     if reason:
         draw_sentence(layout, context, reason)
     if unable:
@@ -113,13 +114,13 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         col = layout.column()
         col.prop(settings, "preset")
         draw_rows(col, estimate_rows(context, settings))
-        misplaced = draw_place(layout, context, settings)
+        place = draw_place(layout, context, settings)
         layout.prop(settings, "import_result", text="Import")
         if settings.source == 'SCENE':
             row = layout.row()
             row.enabled = settings.import_result
             row.prop(settings, "hide_originals")
-        draw_start(layout, context, settings, misplaced)
+        draw_start(layout, context, settings, place)
 
 
 class FASTGS_PT_training_filming(_Sidebar, bpy.types.Panel):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..training.run.files import CHECKPOINT, MODEL, RUN, STATUS
+from ..training.run.plan import read_plan
 from ..util.errors import FastGSError
-from ..util.reading import read_json
-from .job import LARGEST_FILE, read_status
+from .job import read_status
 
 WISHES = ('REFUSE', 'RESUME', 'OVERWRITE', 'NEW')
 
@@ -23,12 +23,14 @@ class Held:
     finished    whether it has a model
     iteration, iterations   steps that are done, and steps of the whole run; 0 where its files do not say
     psnr        in its held-out views; None where its files do not say
+    capture     what it was trained on, "" where its files do not say
     """
 
     finished: bool
     iteration: int = 0
     iterations: int = 0
     psnr: float | None = None
+    capture: str = ""
 
     @property
     def text(self) -> str:
@@ -46,11 +48,12 @@ def held_in(out) -> Held | None:
     out = Path(out)
     if not any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
         return None
-    status, whole = read_status(out / STATUS), 0
-    with contextlib.suppress(FastGSError, KeyError, TypeError):
-        whole = read_json(out / RUN, LARGEST_FILE)["settings"]["iterations"]
-    whole = whole if isinstance(whole, int) and whole > 0 else status.get("iterations", 0)
-    return Held((out / MODEL).exists(), status.get("iteration", 0), whole, status.get("held_out_psnr"))
+    status, plan = read_status(out / STATUS), None
+    with contextlib.suppress(FastGSError):
+        plan = read_plan(out)
+    whole = plan.settings.iterations if plan else status.get("iterations", 0)
+    return Held((out / MODEL).exists(), status.get("iteration", 0), whole, status.get("held_out_psnr"),
+                plan.source.capture or "" if plan else "")
 
 
 def next_free(folder, taken: Container[str] = ()) -> str:
@@ -74,6 +77,7 @@ class Place:
     text      one sentence that says what will happen
     trouble   one sentence that says why nothing can, "" where it can
     asks      whether a run is there already, so that the wish counts
+    capture   what a run that continues was trained on, "" where that is not known
     """
 
     out: str
@@ -81,6 +85,7 @@ class Place:
     text: str = ""
     trouble: str = ""
     asks: bool = False
+    capture: str = ""
 
 
 def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Place:
@@ -105,4 +110,5 @@ def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Pla
         return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
     if held and held.finished:
         return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)
-    return Place(out, "--resume", f"{name} holds {what}. It continues, with the options that it began with.", asks=True)
+    return Place(out, "--resume", f"{name} holds {what}. It continues, with the capture and the options that it began with.", asks=True,
+                 capture=held.capture if held else "")

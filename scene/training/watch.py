@@ -89,9 +89,10 @@ def report_end(job: Job, state: State) -> None:
             with contextlib.suppress(RuntimeError, FastGSError):  # it is in a mode in which nothing can be added; the panel has a button
                 results.add_finished(bpy.context, job)
                 bpy.ops.ed.undo_push(message="Add Trained Model")
-        bpy.context.window_manager.popup_menu(
-            lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
-            icon='INFO' if good else 'ERROR')
+        if not bpy.app.background:
+            bpy.context.window_manager.popup_menu(
+                lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
+                icon='INFO' if good else 'ERROR')
 
 
 def belongs_here(job: Job) -> bool:

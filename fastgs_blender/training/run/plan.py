@@ -18,7 +18,7 @@ from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..core.settings import Settings, from_dict
 from . import checkpoint
-from .files import CHECKPOINT, LOG, MODEL, REPORT, RUN, SEGMENTS, STATUS
+from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
 
 DAMAGED = "delete it to train from the beginning"
 
@@ -145,9 +145,10 @@ def write(out, plan: Plan) -> None:
     """Record the plan, and remove from the folder what an earlier run left there if this one starts from the beginning."""
     out = Path(out)
     if plan.fresh:
-        for name in (CHECKPOINT, MODEL, REPORT, LOG, STATUS):
+        for name in (CHECKPOINT, MODEL, SO_FAR, REPORT, LOG, STATUS, PLOT):
             (out / name).unlink(missing_ok=True)
-        shutil.rmtree(out / SEGMENTS, ignore_errors=True)
+        for name in (SEGMENTS, PREVIEWS):
+            shutil.rmtree(out / name, ignore_errors=True)
     checkpoint.write_json(out / RUN, {name: value for name, value in plan.to_dict().items() if name != "fresh"})
 
 

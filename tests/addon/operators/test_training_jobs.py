@@ -21,17 +21,31 @@ GUARD = 1800
 FEW = ("--set", "points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "start=random")
 
 
+@contextlib.contextmanager
+def library_modules():
+    """The modules of the library's tests can be imported."""
+    sys.path[:0] = [str(Path(__file__).resolve().parents[3]), str(Path(__file__).resolve().parents[2] / "library")]
+    try:
+        yield
+    finally:
+        del sys.path[:2]
+
+
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory):
     """A capture of three views and two frames, as a FAST-GS capture."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "library"))
-    sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
-    try:
+    with library_modules():
         from toy_captures import write_capture
 
         return write_capture(tmp_path_factory.mktemp("toy"), frames=2, views=4)
-    finally:
-        del sys.path[:2]
+
+
+@pytest.fixture
+def few(module, monkeypatch):
+    """Runs that the operator starts have few Gaussians and no warm-up."""
+    options = module("operators.train")
+    arguments = options.arguments
+    monkeypatch.setattr(options, "arguments", lambda given: [*arguments(given), *FEW])
 
 
 @pytest.fixture(scope="module")
@@ -213,6 +227,90 @@ def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tm
     assert bpy.ops.fastgs.train_report() == {'FINISHED'}
     assert "Held-out PSNR" in bpy.data.texts["FAST-GS Report"].as_string()
     assert bpy.ops.fastgs.train_forget() == {'FINISHED'} and not jobs.all()
+
+
+@pytest.fixture
+def other_toy(tmp_path_factory):
+    """Another capture than `toy`."""
+    with library_modules():
+        from toy_captures import write_capture
+
+        return write_capture(tmp_path_factory.mktemp("other"), frames=2, views=3)
+
+
+@pytest.fixture
+def press(module, scene):
+    """press(): what the panel's Train button does.  Blender without a window calls execute() at once, and invoke() never."""
+    names = module("operators.train").FROM_PANEL
+    return lambda: bpy.ops.fastgs.train(wait=False, **{name: getattr(scene.fastgs.training, name) for name in names})
+
+
+def run_pressed(press, scene, module, **settings):
+    """Press the panel's Train button with these settings, and let the queue work until nothing runs or waits; (job, its states)."""
+    watch, jobs = module("scene.training.watch"), module("scene.training.installation").jobs()
+    chosen = scene.fastgs.training
+    chosen.source, chosen.iterations, chosen.max_gaussians = 'FOLDER', 8, 200
+    for name, value in settings.items():
+        setattr(chosen, name, str(value) if isinstance(value, Path) else value)
+    assert press() == {'FINISHED'}
+    job, kinds = jobs.all()[-1], []
+
+    def ended():
+        every = watch._look_and_report()
+        kinds.append(jobs.state(jobs.get(job.id)).kind)
+        return every is None and not jobs.alive(job)
+
+    until(ended)
+    return jobs.get(job.id), kinds
+
+
+def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, module, toy, other_toy, scene, tmp_path, few, press):
+    """Through the panel's operator and the queue.  What is there already is never taken for what was asked for."""
+    plan = module("fastgs_blender.training.run.plan").read_plan
+    first, kinds = run_pressed(press, scene, module, capture=toy, out=tmp_path / "run")
+    assert kinds[0] in ('STARTING', 'PREPARING', 'TRAINING') and kinds[-1] == 'FINISHED'
+    shown, = (obj for obj in scene.objects if "fastgs_job" in obj)
+    old = (tmp_path / "run" / "model.safetensors").read_bytes()
+
+    beside, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='NEW')
+    assert Path(beside.out).name == "run-2" and kinds[0] != 'FINISHED' and kinds[-1] == 'FINISHED'
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == old
+    assert len([obj for obj in scene.objects if "fastgs_job" in obj]) == 2
+
+    anew, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='OVERWRITE')
+    assert kinds[0] != 'FINISHED' and kinds[-1] == 'FINISHED' and anew.id != first.id and jobs.get(first.id) is None
+    assert plan(tmp_path / "run").source.capture == str(other_toy)
+    new = (tmp_path / "run" / "model.safetensors").read_bytes()
+    assert new == (tmp_path / "run-2" / "model.safetensors").read_bytes() != old
+    assert shown["fastgs_job"] == anew.id and len([obj for obj in scene.objects if "fastgs_job" in obj]) == 2, "the object follows its file"
+
+    scene.fastgs.training.existing = 'RESUME'
+    with pytest.raises(RuntimeError, match="nothing is left to continue"):
+        press()
+    with pytest.raises(RuntimeError, match="holds a finished run"):
+        bpy.ops.fastgs.train(capture=str(toy), out=str(tmp_path / "run"), wait=False)
+    assert [job.id for job in jobs.all()] == [beside.id, anew.id]
+
+
+def test_going_on_with_a_run_takes_its_own_capture_and_options(jobs, module, toy, other_toy, scene, tmp_path, few, barrier, press):
+    """Whether it is on the list of runs or not, and whatever the panel is set to now."""
+    barrier.hold_at("step 3")
+    scene.fastgs.training.capture, scene.fastgs.training.out, scene.fastgs.training.iterations = str(toy), str(tmp_path / "run"), 8
+    press()
+    job, = jobs.all()
+    held_process(jobs, job, barrier)
+    scene.fastgs.training.existing = 'RESUME'
+    with pytest.raises(RuntimeError, match="has not ended"):
+        press()
+    jobs.ask(job, 'PAUSE')
+    until(lambda: not jobs._file(job.id, ".stop").exists())
+    barrier.release()
+    assert end_of(jobs, job).kind == 'PAUSED'
+    module("scene.training.watch").look()
+    same, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='RESUME', iterations=500)
+    assert same.id == job.id and kinds[-1] == 'FINISHED'
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["iterations"] == 8
 
 
 def test_what_goes_wrong_is_one_sentence(jobs, toy, scene, tmp_path):

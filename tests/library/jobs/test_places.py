@@ -25,7 +25,7 @@ def begun(tmp_path):
     """A folder with a run that ended before its time."""
     folder = tmp_path / "begun"
     folder.mkdir()
-    (folder / "run.json").write_text(json.dumps({"settings": {"iterations": 2500}}))
+    (folder / "run.json").write_text(json.dumps({"settings": {"iterations": 2500}, "source": {"capture": "/dance"}}))
     (folder / "status.json").write_text(json.dumps({"state": "stopped", "iteration": 250}))
     return str(folder)
 
@@ -59,7 +59,7 @@ def test_wishes_for_a_finished_run(finished, wish, existing, words):
 
 def test_an_unfinished_run_continues(begun):
     place = place_for(begun, 'RESUME')
-    assert (place.out, place.existing) == (begun, "--resume") and "continues" in place.text and "250" in place.text
+    assert (place.out, place.existing, place.capture) == (begun, "--resume", "/dance") and "continues" in place.text and "250" in place.text
 
 
 def test_an_empty_folder_is_taken_whatever_the_wish(tmp_path):
