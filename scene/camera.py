@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Converts Blender's camera to the library's and back: sensor fit, shift, pixel aspect, orthographic scale, clip start, border."""
+"""Converts Blender's camera to the library's and back: sensor fit, shift, pixel aspect, orthographic scale, clipping, border."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -59,6 +59,9 @@ def camera_of(obj, area: RenderArea, depsgraph, model_matrix=None, shift_x: floa
     render = depsgraph.scene.render
     width, height = area.width, area.height
     aspect_x, aspect_y = aspect or (render.pixel_aspect_x, render.pixel_aspect_y)
+    if not data.clip_end > data.clip_start:
+        raise fg.FastGSError(f'the camera "{obj.name}" has its Clip End at {data.clip_end:g}, not beyond its Clip Start at '
+                             f"{data.clip_start:g}; enlarge Clip End.")
     p = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=aspect_x, scale_y=aspect_y), np.float64)
     orthographic = data.type == 'ORTHO'
     # OpenGL's projection of (X, Y, -z): the principal point is where x = y = 0 lands
@@ -69,7 +72,7 @@ def camera_of(obj, area: RenderArea, depsgraph, model_matrix=None, shift_x: floa
     pose = _unscaled(obj, np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64))
     return fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=cx, cy=cy,
                      world_to_camera=OPENCV @ np.linalg.inv(pose), orthographic=orthographic,
-                     near=data.clip_start, window=area.window)
+                     near=data.clip_start, far=data.clip_end, window=area.window)
 
 
 def _unscaled(obj, pose: np.ndarray) -> np.ndarray:

@@ -30,6 +30,11 @@ class FileInstance:
     settings: ObjectSettings = field(default_factory=ObjectSettings)
 
     @property
+    def key(self) -> tuple[str, str]:
+        """What tells which object it shows; instances of one object share it."""
+        return self.name, self.path
+
+    @property
     def state(self) -> tuple:
         """All of it as values that can be compared."""
         return self.path, self.placement.tobytes(), self.retime, self.settings
@@ -57,6 +62,11 @@ class Snapshot:
         An object that shows nothing at this time is in neither list.  With read=False frames of sequences are not read: an object
         whose frame is not in memory is left out.
         """
+        pairs, left_out = self.pairs(load_model, read)
+        return [instance for _, instance in pairs], left_out
+
+    def pairs(self, load_model=objects.load_model, read: bool = True) -> tuple[list[tuple[FileInstance, Instance]], list[tuple[str, str]]]:
+        """load(), with what each instance was made from."""
         loaded, left_out = [], []
         for item in self.instances:
             try:
@@ -64,7 +74,7 @@ class Snapshot:
             except fg.FastGSError as error:
                 left_out.append((item.name, str(error)))
             else:
-                loaded += [] if instance is None else [instance]
+                loaded += [] if instance is None else [(item, instance)]
         return loaded, left_out
 
     def _load(self, item: FileInstance, load_model, read: bool) -> Instance | None:

@@ -42,17 +42,19 @@ def eye(width: int, height: int, view, window, divider: int = 1, frame=WHOLE) ->
     if p[3, 3] == 0:
         centre_x, centre_y = -p[0, 2], -p[1, 2]
         near = p[2, 3] / (p[2, 2] - 1)
+        far = p[2, 3] / (p[2, 2] + 1) if p[2, 2] < -1 else np.inf  # single precision does not tell those very far away
         depths = Depths(0.5 - 0.5 * p[2, 2], 0.5 * p[2, 3])
     else:
         centre_x, centre_y = p[0, 3], p[1, 3]
-        near = (1 + p[2, 3]) / p[2, 2]
+        near, far = (1 + p[2, 3]) / p[2, 2], (p[2, 3] - 1) / p[2, 2]
         depths = Depths(0.5 + 0.5 * p[2, 3], -0.5 * p[2, 2])
         if near < 0:
             pose[2, 3] -= near
+            far -= near
             depths = Depths(depths.a + depths.b * near, depths.b)
             near = 0.0
     camera = Eye(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=width / 2 * (1 + centre_x),
-                 cy=height / 2 * (1 - centre_y), world_to_camera=pose, orthographic=p[3, 3] != 0, near=max(near, 0.0), frame=frame)
+                 cy=height / 2 * (1 - centre_y), world_to_camera=pose, orthographic=p[3, 3] != 0, near=max(near, 0.0), frame=frame, far=far)
     return camera, depths
 
 

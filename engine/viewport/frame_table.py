@@ -16,6 +16,9 @@ from ...fastgs_blender.rendering.instances import ViewedInstance
 from .atlas import Atlas
 from .textures import WIDTH
 
+NOTHING = -1.0
+"""A farthest depth that leaves nothing to draw."""
+
 NONE, WEIGHTS, POWERS = range(3)
 """How a basis reaches the shader: it has no terms, as weights of its terms at this time, or as powers of t - mu_tau."""
 
@@ -48,7 +51,7 @@ class InstanceTexel(IntEnum):
     BASES      first run of the motion's weights, number of runs; how the rotation's basis comes, its terms
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
     RASTER     near, alpha_max, alpha_cut, blur
-    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH
+    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw
     """
 
     TO_CAMERA = 0
@@ -75,17 +78,18 @@ class Depths:
 
 
 def frame_table(camera: Camera, instances: list[ViewedInstance], atlas: Atlas, count: int, groups: dict[int, int],
-                depths: Depths | None, depth_size=(1, 1)) -> np.ndarray:
+                depths: Depths | None, depth_size=(1, 1), gone=frozenset()) -> np.ndarray:
     """The table as float32 [1 + instances, width, 4].
 
     count       how many Gaussians are drawn
     groups      number of the colour group (picture.py) of each instance, by its place in `instances`
     depths      of the depth picture that hides splats; None: nothing hides them
     depth_size  width and height of that picture
+    gone        places in `instances` of those of which nothing is drawn
     """
     rows, first = [_view_row(camera, len(instances), count, depths, depth_size)], 0
     for number, instance in enumerate(instances):
-        rows.append(_instance_row(instance, atlas, first, groups[number]))
+        rows.append(_instance_row(instance, atlas, first, groups[number], NOTHING if number in gone else instance.far))
         first += len(instance.model)
     out = np.zeros((len(rows), max(len(row) for row in rows), 4), np.float32)
     for line, row in zip(out, rows):
@@ -105,7 +109,7 @@ def _view_row(camera, instances, count, depths, depth_size):
     ]
 
 
-def _instance_row(instance, atlas, first, group):
+def _instance_row(instance, atlas, first, group, far):
     """The texels of an instance's row; `first` is its first Gaussian's place among those of all instances."""
     model, place, raster = instance.model, atlas.place(instance.model), instance.model.raster
     layout = place.layout
@@ -122,7 +126,7 @@ def _instance_row(instance, atlas, first, group):
         (move_first, len(move_weights), turning, layout.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
         (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
-        (first % WIDTH, 0, 0, 0),
+        (first % WIDTH, far, 0, 0),
     ]
     assert len(head) == HEAD
     return [*head, *move_weights, *((w[0], 0, 0, 0) for w in turn_weights)]

@@ -19,6 +19,7 @@ from ...fastgs_blender.model.appearance import Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from . import shaders
 from .atlas import Atlas
+from .covering_table import covering_table
 from .eye import WHOLE
 from .frame_table import Depths, ViewTexel, frame_table
 from .resolve_table import resolve_table
@@ -74,6 +75,7 @@ class Picture:
         self.size = None
         self.groups: list[Group] = []
         self.camera = None
+        self.deep = False
         self._drawn = None
         self._targets = []
         self._no_depth = None
@@ -83,16 +85,22 @@ class Picture:
         """Bytes of the targets."""
         return sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
 
-    def draw(self, camera: Camera, instances: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None) -> None:
-        """Blend the instances, whose models the atlas holds, in the given order."""
+    def draw(self, camera: Camera, instances: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None,
+             deep: bool = False, gone=frozenset()) -> None:
+        """Blend the instances, whose models the atlas holds, in the given order, unless that is what the picture shows already.
+
+        depth  hides splats behind it, each by itself
+        deep   whether the picture's own depth is wanted: resolve() can then test it, and cover() can use it
+        gone   places in `instances` of those of which nothing is to be drawn
+        """
         groups, member = grouped(instances)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]
-        table = frame_table(camera, instances, atlas, order.count, member, depth and depth.depths, shape)
-        same = (order, atlas.version, table.tobytes())
-        if depth is None and same == self._drawn:
+        table = frame_table(camera, instances, atlas, order.count, member, depth and depth.depths, shape, gone)
+        same = (order, atlas.version, table.tobytes(), depth, deep)
+        if same == self._drawn:
             return
         self._drawn = None
-        self._resize((camera.width, camera.height), groups)
+        self._resize((camera.width, camera.height), groups, deep)
         self.camera = camera
         if self._no_depth is None:
             self._no_depth = upload(np.ones((1, 1, 1), np.float32))
@@ -111,24 +119,24 @@ class Picture:
                         for name, texture in inputs.items():
                             shader.uniform_sampler(name, texture)
                         batch.draw_instanced(shader, instance_count=order.count)
-        if depth is None:
-            self._drawn = same
+        self._drawn = same
 
     def resolve(self, working: np.ndarray, background=None, border=WHOLE, opacity: float = 1.0, frame=WHOLE,
-                outside: float = 1.0) -> None:
+                outside: float = 1.0, depths: Depths | None = None) -> None:
         """Draw the picture over the whole of the active framebuffer: premultiplied, linear.
 
         working     [3, 3] from linear Rec.709 to the target's primaries
         background  colour under the splats, or None
         border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
         frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
+        depths      of the framebuffer: splats are hidden by what it holds, pixel by pixel, if the picture is deep; None: they are not
         """
-        options = working, background, border, opacity, frame, outside
+        options = working, background, border, opacity, frame, outside, depths
         if not self.groups:  # the background alone
             self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *options, size=(1, 1))
             return
         if len(self.groups) == 1:
-            self._resolve(self.groups[0], self._targets[0][0], *options)
+            self._resolve(self.groups[0], self._targets[0][0], *options, own=self.deep)
             return
         for number, (space, textures) in enumerate(self._sums().items()):
             self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
@@ -147,28 +155,35 @@ class Picture:
         return {space: textures for space, (textures, _) in sums.items()}
 
     def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
-                 first=True, own=False, summed=False, raw=False, size=None):
+                 depths=None, first=True, own=False, summed=False, raw=False, size=None):
         values = resolve_table(self.camera, size or self.size, group.colour_space, group.instance, working, background, border, opacity,
-                               frame, outside, first, summed, raw)
-        shader, batch = shaders.resolve(group.instance is not None, own)
-        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
-            inputs = {"t_resolve": upload(values), **textures}
-            shader.bind()
-            for name, texture in inputs.items():
-                shader.uniform_sampler(name, texture)
-            batch.draw(shader)
+                               frame, outside, depths, first, summed, raw)
+        shader, batch = shaders.resolve(group.instance is not None, own, depths is not None)
+        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
+            _fill(shader, batch, {"t_resolve": upload(values), **textures})
+
+    def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
+        """Take away from the active framebuffer, which holds overlays with their depth, what lies behind the splats of a deep picture.
+
+        For the parameters see covering_table().
+        """
+        if not (self.groups and self.deep):
+            return
+        with _drawing('MULTIPLY', 'LESS_EQUAL'):
+            _fill(*shaders.covering(), {"t_covering": upload(covering_table(self.camera, depths, window, floor, marks)),
+                                        "t_own": self._targets[0][0]["t_own"]})
 
     def free(self) -> None:
         """Free the targets."""
         self._targets, self.groups, self.size, self._drawn, self._no_depth = [], [], None, None, None
 
     def _kind(self, number):
-        return self.groups[number].instance is not None, len(self.groups) > 1
+        return self.groups[number].instance is not None, self.deep or len(self.groups) > 1
 
-    def _resize(self, size, groups):
-        kinds = [(g.instance is not None, len(groups) > 1) for g in groups]
+    def _resize(self, size, groups, deep):
+        kinds = [(g.instance is not None, deep or len(groups) > 1) for g in groups]
         same = size == self.size and kinds == [self._kind(i) for i in range(len(self.groups))]
-        self.groups, self.size = groups, size
+        self.groups, self.size, self.deep = groups, size, deep
         if not same:
             self._targets = [_target(size, *kind) for kind in kinds]
 
@@ -179,12 +194,20 @@ def _target(size, features: bool, own: bool):
     return textures, gpu.types.GPUFrameBuffer(color_slots=tuple(textures.values()))
 
 
+def _fill(shader, batch, inputs):
+    """Draw a shader over the whole of the active framebuffer; its textures must live until then."""
+    shader.bind()
+    for name, texture in inputs.items():
+        shader.uniform_sampler(name, texture)
+    batch.draw(shader)
+
+
 @contextmanager
-def _drawing(blend):
-    """Blending as wanted, no depth test; as Blender expects it afterwards."""
+def _drawing(blend, depth_test='NONE'):
+    """Blending and depth test as wanted, no depth is written; as Blender expects it afterwards."""
     before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
     gpu.state.blend_set(blend)
-    gpu.state.depth_test_set('NONE')
+    gpu.state.depth_test_set(depth_test)
     gpu.state.depth_mask_set(False)
     try:
         yield

@@ -9,6 +9,7 @@ import numpy as np
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
+from .frame_table import Depths
 
 HIDDEN = len(Features().w1)
 """Hidden units of a decoder; a unit's 12 weights take three texels."""
@@ -27,6 +28,7 @@ class ResolveTexel(IntEnum):
     W1, W2      the decoder's matrices
     WORKING     three rows from linear Rec.709 to the target's primaries
     FRAME       where colours are as they are: left, bottom, right, top, 0..1
+    DEPTHS      of the window, see Depths
     """
 
     KIND = 0
@@ -40,10 +42,11 @@ class ResolveTexel(IntEnum):
     W2 = W1 + 3 * HIDDEN
     WORKING = W2 + HIDDEN
     FRAME = WORKING + 3
+    DEPTHS = FRAME + 1
 
 
 def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstance | None, working: np.ndarray, background, border,
-                  opacity: float, frame, outside: float, first: bool, summed: bool, raw: bool) -> np.ndarray:
+                  opacity: float, frame, outside: float, depths: Depths | None, first: bool, summed: bool, raw: bool) -> np.ndarray:
     """float32 [1, texels, 4].
 
     size       width and height of the picture
@@ -53,7 +56,7 @@ def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstan
     raw        whether the colours are to be summed, and stay as they are
     For the rest see Picture.resolve().
     """
-    values = np.zeros((1, ResolveTexel.FRAME + 1, 4), np.float32)
+    values = np.zeros((1, ResolveTexel.DEPTHS + 1, 4), np.float32)
     row, at = values[0], ResolveTexel
     appearance = decoder and decoder.model.appearance
     activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
@@ -69,4 +72,6 @@ def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstan
         row[at.W2:at.WORKING, :3] = appearance.w2.T
     row[at.WORKING:at.WORKING + 3, :3] = working
     row[at.FRAME] = frame
+    if depths:
+        row[at.DEPTHS, :2] = depths.a, depths.b
     return values

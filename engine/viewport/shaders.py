@@ -14,13 +14,13 @@ CORNERS = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
 
 @cache
 def splats(features: bool, own: bool):
-    """(shader, batch) that blends splats: their colour, or nine features; with their own share of alpha if `own`."""
+    """(shader, batch) that blends splats: their colour, or nine features; if `own`, also their own share of alpha and their depth."""
     info = gpu.types.GPUShaderCreateInfo()
     between = gpu.types.GPUStageInterfaceInfo("fastgs_splat_iface")
     between.smooth('VEC2', "v_uv")
     between.flat('VEC4', "v_alpha")
     between.flat('VEC3', "v_first")
-    between.flat('FLOAT', "v_own")
+    between.flat('VEC2', "v_own")
     info.vertex_in(0, 'VEC2', "corner")
     outputs = ["out_first"]
     if features:
@@ -39,13 +39,9 @@ def splats(features: bool, own: bool):
 
 
 @cache
-def resolve(features: bool, own: bool):
-    """(shader, batch) that turns blended splats into scene-linear colour."""
-    info = gpu.types.GPUShaderCreateInfo()
-    between = gpu.types.GPUStageInterfaceInfo("fastgs_resolve_iface")
-    between.smooth('VEC2', "v_uv")
-    info.vertex_in(0, 'VEC2', "corner")
-    info.vertex_out(between)
+def resolve(features: bool, own: bool, deep: bool):
+    """(shader, batch) that turns blended splats into scene-linear colour; if `deep`, it writes their depth too, which needs `own`."""
+    info = _whole("fastgs_resolve_iface")
     names = ["t_resolve", "t_first"]
     if features:
         info.define("FEATURES")
@@ -53,15 +49,42 @@ def resolve(features: bool, own: bool):
     if own:
         info.define("OWN")
         names.append("t_own")
+    if deep:
+        _deep(info)
     _samplers(info, names)
-    info.fragment_out(0, 'VEC4', "out_colour")
     return _finish(info, glsl.RESOLVE_VERTEX, glsl.RESOLVE_FRAGMENT)
+
+
+@cache
+def covering():
+    """(shader, batch) that takes overlays away where splats lie before them."""
+    info = _whole("fastgs_covering_iface")
+    _deep(info)
+    _samplers(info, ("t_covering", "t_own"))
+    return _finish(info, glsl.RESOLVE_VERTEX, glsl.COVERING_FRAGMENT)
 
 
 def clear():
     """Free the shaders."""
-    splats.cache_clear()
-    resolve.cache_clear()
+    for made in (splats, resolve, covering):
+        made.cache_clear()
+
+
+def _whole(name):
+    """The beginning of a shader that fills the window with one colour a pixel."""
+    info = gpu.types.GPUShaderCreateInfo()
+    between = gpu.types.GPUStageInterfaceInfo(name)
+    between.smooth('VEC2', "v_uv")
+    info.vertex_in(0, 'VEC2', "corner")
+    info.vertex_out(between)
+    info.fragment_out(0, 'VEC4', "out_colour")
+    return info
+
+
+def _deep(info):
+    info.define("DEEP")
+    if hasattr(info, "depth_write"):  # Blender 4.5 and later; OpenGL, which is all that earlier ones have beside Metal, infers it
+        info.depth_write('ANY')
 
 
 def _samplers(info, names):

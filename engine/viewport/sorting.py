@@ -29,12 +29,14 @@ class Sorted:
     """A sorted snapshot.
 
     instances  that were sorted
+    shown      [the name and the file of each one's object]
     models     models and sequences of their files, by path
     left_out   (object's name, why it is not shown), see Snapshot.load
     order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances
     """
 
     instances: list[Instance]
+    shown: list[tuple[str, str]]
     models: dict[str, Source]
     left_out: list[tuple[str, str]]
     order: np.ndarray
@@ -51,14 +53,15 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
         models[path] = objects.load_model(path)
         return models[path]
 
-    instances, left_out = snapshot.load(load)
+    pairs, left_out = snapshot.pairs(load)
+    instances = [instance for _, instance in pairs]
     atlas.pack({id(instance.model): instance.model for instance in instances}.values())
     total = sum(len(instance.model) for instance in instances)
     order = visibility.order([instance.viewed(camera) for instance in instances], camera, min(share, MOST / max(total, 1)), rank,
                              "reference" if compiling.is_running() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
-    return Sorted(instances, models, left_out, order.astype(np.float32))
+    return Sorted(instances, [item.key for item, _ in pairs], models, left_out, order.astype(np.float32))
 
 
 def rank(model: fg.GaussianModel) -> np.ndarray:

@@ -12,23 +12,27 @@ import numpy as np
 from ... import fastgs_blender as fg
 from ...scene import colour, objects, proxies, snapshot, world
 from .. import compiling
-from . import frusta, shaders
+from . import frusta, overlays, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in
 from .picture import SceneDepth
 from .textures import flat
-from .view import Display, View
+from .view import Around, Display, View
 from .worker import Worker
 
 log = logging.getLogger(__name__)
 
 TICK = 1 / 60
+SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
+"""Types of objects that viewports show as surfaces."""
 
 atlas = Atlas()
 _worker = Worker()
 _views: dict[tuple[int, bool], View] = {}
 _snapshots: dict[tuple, snapshot.Snapshot] = {}
+_surfaces: dict[tuple, bool] = {}
 _any_splats: bool | None = None
+_changes = 0
 
 
 def view_draw(context, depsgraph) -> None:
@@ -39,6 +43,20 @@ def view_draw(context, depsgraph) -> None:
     _draw(context, depsgraph, display, region, rendered=True)
 
 
+def _cover(context, depsgraph):
+    """Rendered shading under our engine, after Blender's overlays: what of them lies behind splats goes."""
+    region, matrices = context.region, context.region_data
+    view = _views.get((region.as_pointer(), True))
+    if view is None or overlays.in_front(context, depsgraph):
+        return
+    try:
+        _, depths = eye(region.width, region.height, matrices.view_matrix, matrices.window_matrix)
+    except fg.FastGSError:
+        return
+    floor, marks = overlays.floor(context), overlays.marks(context)
+    view.cover(depths, (region.width, region.height), floor, marks)
+
+
 def post_view() -> None:
     """Every other shading: with the scene's meshes, over what Blender has drawn."""
     context = bpy.context
@@ -47,6 +65,8 @@ def post_view() -> None:
     _draw_pictures(context, depsgraph)
     if not shows_over(space, scene):
         _put_aside(context.region, False)
+        if overlays.drawn(context):
+            _cover(context, depsgraph)
         return
     _put_aside(context.region, True)
     xray = space.shading.type == 'SOLID' and space.shading.show_xray
@@ -95,11 +115,13 @@ def _draw(context, depsgraph, display, region, rendered, hidden=False):
     except fg.FastGSError as error:  # through a camera whose transform holds no numbers Blender draws nothing either
         view.trouble = str(error)
         return
-    depth = None
-    if hidden and shown.instances:
-        depth = scene_depth(region.width, region.height, depths)
+    around = None
+    if hidden:
+        space = context.space_data
+        around = Around(depths, (_changes, overlays.state(context)), bool(shown.instances) and has_surfaces(space, depsgraph),
+                        lambda: scene_depth(region.width, region.height, depths))
     playing = context.screen is not None and context.screen.is_animation_playing
-    view.draw(shown, camera, display, settings.viewport_density, playing, depth)
+    view.draw(shown, camera, display, settings.viewport_density, playing, around, deep=rendered and overlays.drawn(context))
     if view.waiting or view.coarse or view.stale or (shown.instances and not proxies.hidden()):
         _start()
 
@@ -126,19 +148,31 @@ def snapshot_of(space, depsgraph) -> snapshot.Snapshot:
         _any_splats = any(objects.is_splat(obj) for obj in bpy.data.objects)
     if not _any_splats:  # spare scenes without splats the walk over all their instances
         return snapshot.Snapshot([], 0.0, 1.0)
-    key = (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
-           space.use_local_collections, space.show_object_viewport_mesh)
+    key = _key(space, depsgraph)
     found = _snapshots.get(key)
     if found is None:
         found = _snapshots[key] = snapshot.take(depsgraph, lambda obj: _visible(obj, space))
     return found
 
 
+def has_surfaces(space, depsgraph) -> bool:
+    """Whether a viewport shows surfaces beside splats."""
+    key = _key(space, depsgraph)
+    found = _surfaces.get(key)
+    if found is None:
+        found = _surfaces[key] = any(
+            instance.object.type in SURFACES and not objects.is_splat(instance.object)
+            and _visible(instance.parent if instance.is_instance else instance.object, space) for instance in depsgraph.object_instances)
+    return found
+
+
 def changed(*_) -> None:
     """Something in the scene is other than it was."""
-    global _any_splats
+    global _any_splats, _changes
     _any_splats = None
+    _changes += 1
     _snapshots.clear()
+    _surfaces.clear()
 
 
 def memory() -> int:
@@ -182,6 +216,12 @@ def redraw(*_) -> None:
 @cache
 def _say_once(text):
     log.warning(text)
+
+
+def _key(space, depsgraph):
+    """What decides which objects a viewport shows, beside the scene itself."""
+    return (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
+            space.use_local_collections, space.show_object_viewport_mesh)
 
 
 def _visible(obj, space) -> bool:

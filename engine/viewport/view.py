@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from ...scene import objects
 from ...scene.snapshot import Snapshot
 from . import fallback, sorting
 from .atlas import Atlas, TooLarge
+from .frame_table import Depths
 from .picture import Order, Picture, SceneDepth
 from .worker import Worker
 
@@ -37,6 +39,23 @@ class Display:
     outside: float = 1.0
 
 
+@dataclass(frozen=True, eq=False)
+class Around:
+    """What else is in the window and hides splats.
+
+    depths    how the window's depth follows from the distance along the view
+    state     equal as long as none of it has changed
+    surfaces  whether there are surfaces among it, which may stand within the cloud: then each splat is tested by itself as soon
+              as the view rests, for which the depth is read; until then, and otherwise, the GPU tests the whole picture's depth
+    read      () -> SceneDepth; None where nothing is there, or it cannot be read
+    """
+
+    depths: Depths
+    state: tuple
+    surfaces: bool
+    read: Callable[[], SceneDepth | None]
+
+
 class View:
     """State of one region.
 
@@ -51,8 +70,9 @@ class View:
         self._answer: sorting.Sorted | None = None
         self._order: tuple[sorting.Sorted, Order] | None = None
         self._asked = self._seen = None
+        self._depth: tuple[tuple, SceneDepth | None] | None = None
         self._moved = 0.0
-        self._density = 1.0
+        self._density, self._rough = 1.0, False
 
     @property
     def stale(self) -> bool:
@@ -66,8 +86,8 @@ class View:
 
     @property
     def coarse(self) -> bool:
-        """Whether fewer splats are drawn than there are, because the view moves."""
-        return self._density < 1.0
+        """Whether the picture is one for a moving view: it has fewer splats, or is hidden pixel by pixel."""
+        return self._density < 1.0 or self._rough
 
     @property
     def shows(self) -> bool:
@@ -96,18 +116,21 @@ class View:
         self.trouble = f"the viewport could not be drawn ({type(error).__name__}: {error}); the log holds the details."
 
     def draw(self, snapshot: Snapshot, camera: fg.Camera, display: Display, density: float = 1.0, playing: bool = False,
-             depth: SceneDepth | None = None, wait: bool = False) -> None:
+             around: Around | None = None, wait: bool = False, deep: bool = False) -> None:
         """Draw a snapshot into the active framebuffer, with the order that is known by now, and ask the thread for what is missing.
 
-        density   share of the splats to draw while the view moves or plays
-        depth     of what else is in the window
+        density   share of the splats to draw while the view moves, the time changes or the animation plays
+        around    what hides splats; None: nothing does
         wait      sort first, on this thread
+        deep      whether cover() will be called
         """
         seen = _signature(camera)
-        if self._seen is not None and seen != self._seen:
+        state = seen, snapshot.state, around and around.state
+        if self._seen is not None and state != self._seen:
             self._moved = time.monotonic()
-        self._seen = seen
-        self._density = density if playing or not self.resting else 1.0
+        self._seen = state
+        still = self.resting and not playing
+        self._density = 1.0 if still else density
         key = snapshot.state, seen, self._density, self.fallback.needed, objects.reloads()
         if wait:
             self._ask(snapshot, camera, display, key, wait)
@@ -115,7 +138,7 @@ class View:
             self.fallback.draw()
         elif self._answer is not None:
             try:
-                self._draw(snapshot, camera, display, depth)
+                self._draw(snapshot, camera, display, around, still, deep)
             except TooLarge:
                 self._fall_back("the models do not fit into the GPU's textures")
             except Exception as error:  # what a driver says about a shader comes as a bare Exception
@@ -124,12 +147,17 @@ class View:
         if not wait:  # only now, so that the thread does not take Python's lock from what is drawn
             self._ask(snapshot, camera, display, key, wait)
 
+    def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
+        """Take overlays away where the splats that were drawn last lie before them, see Picture.cover()."""
+        if not self.fallback.needed and self._order is not None:
+            self.picture.cover(depths, window, floor, marks)
+
     def free(self) -> None:
         """Free what is on the GPU."""
         self.worker.forget(self)
         self.picture.free()
         self.fallback.free()
-        self._answer = self._order = self._asked = None
+        self._answer = self._order = self._asked = self._depth = None
 
     def _ask(self, snapshot, camera, display, key, wait):
         if key == self._asked:
@@ -145,26 +173,54 @@ class View:
         else:
             self.worker.ask(self, work)
 
-    def _draw(self, snapshot, camera, display, depth):
+    def _draw(self, snapshot, camera, display, around, still, deep):
         answer = self._answer
         self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
+        depth = self._depth_of(around) if around and around.surfaces and still else None
+        self._rough = bool(around and around.surfaces and not still)
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
-        instances, _ = snapshot.load(_known(answer.models), read=False)
-        if [id(i.model) for i in instances] != [id(i.model) for i in answer.instances]:
-            instances = answer.instances  # what came or went since is drawn when it has been sorted
+        pairs, missing = snapshot.pairs(_known(answer.models), read=False)
+        instances, gone = _as_sorted(pairs, {name for name, _ in missing}, answer)
         if instances:
             self.atlas.hold([instance.model for instance in instances], self.others())
         elif not snapshot.instances and self.atlas.nbytes and not self.others():
             self.atlas.clear()  # the last object is gone or hidden
-        self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth)
-        self.picture.resolve(**vars(display))
+        self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth,
+                          deep or around is not None, gone)
+        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None else None)
+
+    def _depth_of(self, around):
+        """The depth of what is in the window, read once for each of its states."""
+        state = self._seen
+        if self._depth is None or self._depth[0] != state:
+            self._depth = state, around.read()
+        return self._depth[1]
 
     def _fall_back(self, why):
         self.trouble = f"{why}: the CPU draws the viewport, slowly."
         log.warning(self.trouble)
         self.fallback.needed = True
         self._asked = None
+
+
+def _as_sorted(pairs, missing: set[str], answer: sorting.Sorted):
+    """(instances in the order in which they were sorted, places of those that are gone since); what has come is not sorted yet.
+
+    pairs    (FileInstance, Instance) of what is to be shown now
+    missing  names of objects whose model is not in memory: they stay as they were, and so do those with another frame's model
+    """
+    now: dict = {}
+    for item, instance in pairs:
+        now.setdefault(item.key, []).append(instance)
+    instances, gone = [], set()
+    for number, (key, old) in enumerate(zip(answer.shown, answer.instances)):
+        waiting = now.get(key)
+        instance = waiting.pop(0) if waiting else None
+        if instance is None and key[0] not in missing:
+            gone.add(number)
+        instances.append(instance if instance is not None and instance.model is old.model else old)
+    return instances, frozenset(gone)
 
 
 def _known(models):
@@ -179,4 +235,4 @@ def _known(models):
 
 def _signature(c: fg.Camera):
     """A camera as values that can be compared."""
-    return c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes(), c.orthographic, c.near, c.tangent_limits()
+    return c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes(), c.orthographic, c.near, c.far, c.tangent_limits()

@@ -21,7 +21,7 @@ class Camera:
     cx, cy          principal point in pixels from the top left corner
     world_to_camera [4, 4], affine
     orthographic    parallel projection along z
-    near            nothing nearer than this is drawn, along z (a model's own near plane holds as well)
+    near, far       nothing nearer or farther than this is drawn, along z (a model's own near plane holds as well)
     window          (x, y, width, height) of the part of the image to render; None: all of it.
                     A part has exactly the pixels that the whole image has there.
     """
@@ -36,6 +36,7 @@ class Camera:
     orthographic: bool = False
     near: float = 0.0
     window: tuple[int, int, int, int] | None = None
+    far: float = np.inf
 
     def __post_init__(self):
         matrix = np.array(self.world_to_camera, np.float64)
@@ -43,6 +44,8 @@ class Camera:
             raise FastGSError("a camera's world_to_camera must be a 4 x 4 matrix of finite numbers.")
         if not all(np.isfinite(v) for v in (self.fx, self.fy, self.cx, self.cy, self.near)) or self.fx == 0 or self.fy == 0:
             raise FastGSError("a camera's focal lengths, principal point and near plane must be finite, the focal lengths not 0.")
+        if not self.far > self.near:
+            raise FastGSError(f"a camera's far plane must lie beyond its near plane at {self.near:g}, not at {self.far:g}.")
         if int(self.width) < 1 or int(self.height) < 1:
             raise FastGSError(f"a camera's image must be at least 1 x 1 pixel, not {self.width} x {self.height}.")
         set_ = object.__setattr__

@@ -7,7 +7,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.slicing import sigmoid
 from .crops import kept_by
-from .instances import LIMIT, ViewedInstance
+from .instances import ViewedInstance
 
 
 def order_in_numpy(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, ranks=None) -> np.ndarray:
@@ -52,6 +52,6 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         size = np.exp(model.scale[at].max(1).astype(np.float64)) * per_depth * scale_bound(to_camera[:3, :3])
         reach = 2 * np.log(sigma[at] / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
-        seen = (z > instance.near) & (z <= LIMIT) & kept_by(instance.settings.crops, position)
+        seen = (z > instance.near) & (z <= instance.far) & kept_by(instance.settings.crops, position)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return z[seen].astype(np.float32), at[seen]

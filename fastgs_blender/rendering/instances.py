@@ -88,6 +88,11 @@ class ViewedInstance(Instance):
         return max(self.camera.near, self.model.raster.near * scale)
 
     @property
+    def far(self) -> float:
+        """Depth up to which Gaussians are drawn."""
+        return min(self.camera.far, LIMIT)
+
+    @property
     def in_range(self) -> bool:
         """Whether its matrix is small enough to compute with (LIMIT); instances that are not in range are left out."""
         return bool((np.abs(self.model_to_camera) <= LIMIT).all())

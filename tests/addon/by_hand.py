@@ -23,7 +23,7 @@ def blender_matrix(world_to_camera):
 
 
 def camera(fg, world_to_camera, width=64, height=48, lens=50.0, sensor=36.0, horizontal=True, shift=(0, 0), aspect=(1, 1),
-           ortho_scale=None, near=0.1, window=None):
+           ortho_scale=None, near=0.1, window=None, far=1000.0):
     """The library's camera from the numbers in Blender's camera panel (defaults: Blender's).
 
     sensor      millimetres of the side that the sensor is fitted to; horizontal says which
@@ -32,7 +32,7 @@ def camera(fg, world_to_camera, width=64, height=48, lens=50.0, sensor=36.0, hor
     side = width if horizontal else height * tall
     fx = side / ortho_scale if ortho_scale else lens / sensor * side
     return fg.Camera(width, height, fx=fx, fy=fx / tall, cx=width / 2 - shift[0] * side, cy=height / 2 + shift[1] * side / tall,
-                     world_to_camera=world_to_camera, orthographic=bool(ortho_scale), near=near, window=window)
+                     world_to_camera=world_to_camera, orthographic=bool(ortho_scale), near=near, window=window, far=far)
 
 
 def linear(srgb):

@@ -7,7 +7,11 @@ from enum import IntEnum
 from ....fastgs_blender.model import appearance, temporal
 from ....fastgs_blender.rendering import colour
 from .. import frame_table, model_texels, textures
+from ..covering_table import MARKS, CoveringTexel
 from ..resolve_table import HIDDEN, ResolveTexel
+
+FARTHEST = 6e4
+"""Depth at which that of splats is cut off: half floats hold it."""
 
 
 def defines(**values: float) -> str:
@@ -22,7 +26,8 @@ def texels(prefix: str, names: type[IntEnum]) -> dict[str, int]:
 
 VIEW = defines(**texels("VIEW", frame_table.ViewTexel))
 INSTANCES = defines(
-    WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH, INSTANCE_TEXELS=frame_table.HEAD,
+    FARTHEST=FARTHEST, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
+    INSTANCE_TEXELS=frame_table.HEAD,
     **texels("INSTANCE", frame_table.InstanceTexel),
     BASIS_WEIGHTS=frame_table.WEIGHTS, BASIS_POWERS=frame_table.POWERS, COLOURS_HARMONICS=model_texels.HARMONICS,
     **{f"TEMPORAL_{name.upper()}".replace("-", "_"): kind.code for name, kind in temporal.KINDS.items()})
@@ -30,6 +35,7 @@ HARMONICS = defines(
     SH_C0=appearance.SH_C0, SH_C1=appearance.SH_C1,
     **{f"SH_C{degree}_{number}": value for degree, values in ((2, appearance.SH_C2), (3, appearance.SH_C3), (4, appearance.SH_C4))
        for number, value in enumerate(values)})
+COVERING = defines(**texels("COVERING", CoveringTexel), COVERING_MARKS=MARKS)
 RESOLVE = defines(
     **texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN,
     **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)},

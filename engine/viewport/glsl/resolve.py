@@ -59,6 +59,12 @@ void main()
 #ifdef OWN
   vec4 own = texelFetch(t_own, pixel, 0);
   alpha = own.a;
+#ifdef DEEP
+  if (alpha <= 0.0) { discard; }
+  vec4 depths = row(RESOLVE_DEPTHS);
+  float z = own.y / alpha;
+  gl_FragDepth = clamp(depths.x + (size.z > 0.5 ? depths.y * z : depths.y / z), 0.0, 1.0);
+#endif
   if (kind.z < 0.5) { weight = own.x; } /* else a sum of groups, which brings its weight along */
 #endif
   vec3 rgb = vec3(0.0);

@@ -147,7 +147,7 @@ void main()
   v_second = vec3(0.0);
   v_third = vec3(0.0);
 #endif
-  v_own = 0.0;
+  v_own = vec2(0.0);
 
   vec4 size = view_texel(VIEW_SIZE), centre = view_texel(VIEW_CENTRE), limits = view_texel(VIEW_LIMITS);
   vec4 depths = view_texel(VIEW_DEPTHS), counts = view_texel(VIEW_COUNTS);
@@ -189,7 +189,7 @@ void main()
   /* oracle.project from here on */
   vec4 p1 = vec4(p, 1.0);
   float x = dot(row0, p1), y = dot(row1, p1), z = dot(row2, p1);
-  if (!(z > raster.x)) { return; }
+  if (!(z > raster.x && z <= instance_texel(o, INSTANCE_FIRST).y)) { return; }
   float norm = length(q);
   q = norm > 1e-12 ? q / norm : vec4(1.0, 0.0, 0.0, 0.0);
 
@@ -237,10 +237,11 @@ void main()
   mean += v_uv.x * sqrt(large) * axis + v_uv.y * sqrt(small) * vec2(-axis.y, axis.x);
   float depth = depths.x + (orthographic ? depths.y * z : depths.y / z);
   v_alpha = vec4(sigma, raster.y, raster.z, depth);
+  v_own.y = min(z, FARTHEST);
   gl_Position = vec4(2.0 * mean.x / size.x - 1.0, 1.0 - 2.0 * mean.y / size.y, 0.0, 1.0);
 
   if (whole(group.z) != whole(depths.w)) { return; } /* of another group: black */
-  v_own = 1.0;
+  v_own.x = 1.0;
   at = whole(where_colour.x) * WIDTH + whole(where_colour.y) + i * whole(where_colour.z);
 #ifdef FEATURES
   v_first = colour_texel(at).xyz;
@@ -276,7 +277,7 @@ void main()
   out_third = vec4(v_third * alpha, alpha);
 #endif
 #ifdef OWN
-  out_own = vec4(v_own * alpha, 0.0, 0.0, alpha);
+  out_own = vec4(v_own * alpha, 0.0, alpha);
 #endif
 }
 """

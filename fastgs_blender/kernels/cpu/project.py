@@ -101,7 +101,7 @@ def _axes(qw, qx, qy, qz):
 @inline
 def _shear(x, y, z, lens, orthographic):
     """Centre in pixels, the Jacobian's third column (without focal length and depth), and 1 / depth (orthographic: 1)."""
-    fx, fy, cx, cy, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
+    fx, fy, cx, cy, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
     if orthographic:
         return fx * x + cx, fy * y + cy, 0.0, 0.0, 1.0
     return fx * (x / z) + cx, fy * (y / z) + cy, -min(max(x / z, low_x), high_x), -min(max(y / z, low_y), high_y), 1.0 / z
@@ -145,7 +145,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
                its direction) in model space
-    lens       [13] float64: fx, fy, cx, cy, near, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
+    lens       [14] float64: fx, fy, cx, cy, near, far, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
     constants  (blur, alpha max, alpha cut, antialiased, orthographic)
     channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1)
     geometry, attributes, depth   of the splats, see raster.py
@@ -154,7 +154,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     crop_rows, crop_remove = boxes
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
-    fx, fy, _, _, near, _, _, _, _, left, right, top, bottom = lens
+    fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
     appearance, degree, channel, weight_channel, depth_channel = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
@@ -172,7 +172,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        if not (z > near and z <= LIMIT):
+        if not (z > near and z <= far):
             continue
 
         qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))

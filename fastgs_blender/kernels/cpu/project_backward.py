@@ -162,7 +162,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     g_position, g_rotation, g_scale, g_opacity, g_features, g_motion, g_rotation_motion, g_mu_tau, g_temporal = gradients
     g_geometry, g_log2, g_channels = slopes
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
-    fx, fy, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
+    fx, fy, _, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
     blur, _, _, antialiased, orthographic = constants
     appearance, degree, channel, _, depth_channel = channel_plan
     row0, row1, row2, shift, eye = rows_of(view)

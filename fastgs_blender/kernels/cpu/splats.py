@@ -105,7 +105,7 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
     to_camera, to_model = instance.model_to_camera, instance.camera_to_model
     x0, y0, width, height = camera.window
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, *camera.tangent_limits(),
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, instance.far, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r, look, own = model.raster, momentary(model.appearance), model.arrays
     if isinstance(model.appearance, Changing):

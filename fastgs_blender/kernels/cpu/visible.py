@@ -8,7 +8,6 @@ import numpy as np
 
 from ...rendering.crops import crop_arrays
 from ...rendering.culling import scale_bound, spread
-from ...rendering.instances import LIMIT
 from ...util.threads import ranges, run
 from .crop import is_kept
 from .jit import kernel
@@ -25,7 +24,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
     arrays     position, scale, opacity, motion, mu_tau, temporal of the model
     times      (t, temporal code, (terms, weights, centred) of the motion)
     view       [4, 3] float64: rows 0-2 model to camera, row 3 its translation
-    lens       (fx, fy, cx, cy, near, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
+    lens       (fx, fy, cx, cy, near, far, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
     constants  (blur, alpha cut, orthographic)
     boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
@@ -35,7 +34,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
     """
     position, scale, opacity, motion, mu_tau, temporal = arrays
     t, temporal_code, (terms, weights, centred) = times
-    fx, fy, cx, cy, near, right, bottom, spread_x, spread_y = lens
+    fx, fy, cx, cy, near, far, right, bottom, spread_x, spread_y = lens
     blur, cut, orthographic = constants
     limit, ranks = rank
     rows, remove = boxes
@@ -52,7 +51,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
         if not is_kept(px, py, pz, rows, remove):
             continue
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        if not (z > near and z <= LIMIT):
+        if not (z > near and z <= far):
             continue
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
@@ -89,8 +88,8 @@ def _visible(instance, camera, offset, rank):
     to_camera = instance.model_to_camera
     view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3]])
     spread_x, spread_y = (s * scale_bound(to_camera[:3, :3]) for s in spread(camera))
-    lens = tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, camera.width, camera.height,
-                                    spread_x, spread_y))
+    lens = tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, instance.far, camera.width,
+                                    camera.height, spread_x, spread_y))
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
     arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
     common = (offset, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,

@@ -83,6 +83,17 @@ def test_clip_start_is_the_near_plane(shot):
     shot(dict(near=4.8), clip_start=4.8)
 
 
+def test_clip_end_is_the_far_plane(shot):
+    shot(dict(far=4.8), clip_end=4.8)
+
+
+def test_a_clip_end_before_the_clip_start_is_refused(scene, make_model, model_file, splat_object, add_camera):
+    splat_object(model_file(make_model(5)))
+    camera = add_camera(clip_start=20.0, clip_end=10.0)
+    with pytest.raises(RuntimeError, match=f'"{camera.name}" has its Clip End at 10, not beyond its Clip Start at 20'):
+        bpy.ops.render.render()
+
+
 @pytest.mark.parametrize(("percentage", "width", "height"), [(50, 33, 25), (150, 100, 76)])
 def test_percentage_is_cut_to_whole_pixels(scene, shot, percentage, width, height):
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 67, 51, percentage

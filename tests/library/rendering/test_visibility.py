@@ -38,6 +38,24 @@ def test_only_what_is_seen_in_the_right_order(seed, basis, temporal):
     assert (np.diff(np.concatenate(depth)[order].astype(np.float32)) >= -1e-5).all()
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_camera_sees_no_farther_than_its_far_plane(orthographic):
+    """In every backend, in pictures and in the order: as if what lies beyond were not there."""
+    model = random_model(np.random.default_rng(4), 80, "static", "static", "always")
+    pose = np.eye(4)
+    pose[2, 3] = 4
+    cameras = [fg.Camera(48, 40, 30, 30, 24, 20, pose, orthographic, far=far) for far in (np.inf, 4.0)]
+    before = model.take(model.position[:, 2] + 4 <= 4)
+    assert 10 < len(before) < 70
+    for backend in ("cpu", "reference"):
+        want, got = fg.render(before, cameras[0], backend=backend), fg.render(model, cameras[1], backend=backend)
+        np.testing.assert_array_equal(got["rgb"], want["rgb"])
+        order = visibility.order([Instance(model, np.eye(4), 0.0).viewed(cameras[1])], cameras[1], backend=backend)
+        assert len(order) and (model.position[order, 2] <= 0).all()
+    with pytest.raises(fg.FastGSError, match="far plane"):
+        fg.Camera(4, 4, 4, 4, 2, 2, np.eye(4), near=1.0, far=1.0)
+
+
 def test_most_of_what_is_not_seen_is_left_out():
     rng = np.random.default_rng(1)
     model = random_model(rng, 5000, extent=20, size=0.001)

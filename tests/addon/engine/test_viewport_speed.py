@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a viewport spares itself: splats that are drawn already, reading the depth, waiting for the order; and what it hides."""
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gpu_context import draw_offscreen, open_gpu
+
+SIZE = 96, 64
+
+
+@pytest.fixture
+def parts(module):
+    """The modules of the viewport that these tests use."""
+    return SimpleNamespace(**{name: module(f"engine.viewport.{name}") for name in (
+        "atlas", "eye", "picture", "shaders", "spaces", "view", "worker")})
+
+
+@pytest.fixture
+def view(parts, scene):
+    open_gpu(scene)
+    worker = parts.worker.Worker()
+    view = parts.view.View(parts.atlas.Atlas(), worker)
+    yield view
+    view.free()
+    worker.stop()
+
+
+@pytest.fixture
+def still(parts, monkeypatch):
+    """still(): time passes until a view rests."""
+    now = [100.0]
+    monkeypatch.setattr(parts.view, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def wait():
+        now[0] += 2 * parts.view.RESTING
+
+    return wait
+
+
+@pytest.fixture
+def drawn(parts, monkeypatch):
+    """How often splats were blended: a list that grows."""
+    found, splats = [], parts.shaders.splats
+
+    def counted(*kind):
+        found.append(kind)
+        return splats(*kind)
+
+    monkeypatch.setattr(parts.shaders, "splats", counted)
+    return found
+
+
+@pytest.fixture
+def window(module, parts, view):
+    """window(paths, turn=0, at=0, wall=None, **options) -> picture: draw the files over a wall at a distance from the camera.
+
+    depth=True hands over the window's depth, as a viewport does that shows surfaces; it is `window.read` that counts the readings.
+    """
+    files, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
+    matrix = np.array([[1.2, 0, 0.1, 0], [0, 1.8, -0.05, 0], [0, 0, -1.002, -0.2], [0, 0, -1, 0]])
+    read = []
+
+    def draw(paths, turn=0.0, at=0.0, wall=None, state=0, surfaces=True, over=True, wait=True, after=None, **options):
+        pose = np.array([[np.cos(turn), 0, np.sin(turn), 0], [0, 1, 0, 0], [-np.sin(turn), 0, np.cos(turn), -4], [0, 0, 0, 1.0]])
+        camera, depths = parts.eye.eye(*SIZE, pose, matrix)
+        shown = files.Snapshot([files.FileInstance(path, path, np.eye(4), retime) for path in paths], at, 30.0)
+
+        def reading():
+            read.append(turn)
+            return parts.spaces.scene_depth(*SIZE, depths)
+
+        around = parts.view.Around(depths, (state,), surfaces, reading) if over else None
+
+        def paint(framebuffer):
+            if wall is not None:
+                framebuffer.clear(depth=depths.a + depths.b / wall)
+            view.draw(shown, camera, parts.view.Display(np.eye(3)), around=around, wait=wait, **options)
+            if after:
+                after(framebuffer, depths)
+
+        return draw_offscreen(*SIZE, paint)
+
+    draw.read = read
+    return draw
+
+
+@pytest.fixture
+def two(fg, model_file):
+    """Two files: a screen of opaque Gaussians two units before the origin on the left, and one two units behind it, everywhere."""
+    def screen(z, colour, left, name):
+        y, x = (a.ravel() for a in np.meshgrid(np.linspace(-4, 4, 60), np.linspace(-5, 0 if left else 5, 80)))
+        n = len(x)
+        return model_file(fg.GaussianModel(
+            position=np.stack([x, y, np.full(n, z)], 1), rotation=np.tile([1.0, 0, 0, 0], (n, 1)), scale=np.full((n, 3), -1.6),
+            opacity=np.full(n, 6.0), features=np.tile(np.asarray(colour, float), (n, 1))), name)
+
+    return screen(2.0, (0.9, 0.1, 0.1), True, "near.safetensors"), screen(-2.0, (0.1, 0.1, 0.9), False, "far.safetensors")
+
+
+LEFT, RIGHT = (slice(8, -8), slice(8, 36)), (slice(8, -8), slice(64, -8))
+
+
+@pytest.mark.parametrize("surfaces", [True, False])
+def test_a_wall_between_hides_what_is_behind_it(window, two, still, surfaces):
+    """Tested splat by splat from the depth that was read, and by the GPU for the whole picture."""
+    free = window(two, surfaces=surfaces)
+    assert free[LEFT][..., 0].min() > 0.5 and free[RIGHT][..., 2].min() > 0.5
+    got = window(two, wall=4.0, state=1, surfaces=surfaces)
+    still()
+    for image in (got, window(two, wall=4.0, state=1, surfaces=surfaces)):
+        np.testing.assert_allclose(image[LEFT], free[LEFT], atol=1e-3)
+        assert not image[RIGHT].any()
+    assert not window(two, wall=1.0, state=2, surfaces=surfaces).any()
+    assert len(window.read) == (2 if surfaces else 0)
+
+
+def test_a_still_picture_costs_nothing(window, two, drawn, still):
+    first = window(two, wall=4.0)
+    assert len(drawn) == len(window.read) == 1
+    for _ in range(5):
+        np.testing.assert_array_equal(window(two, wall=4.0), first)
+    assert len(drawn) == len(window.read) == 1
+
+
+def test_nothing_is_read_while_the_view_moves(window, two, drawn, still, view):
+    window(two, wall=4.0)
+    before = len(window.read)
+    for number in range(1, 5):
+        window(two, turn=0.02 * number, wall=4.0)
+        window(two, turn=0.02 * number, at=number / 10, wall=4.0)
+        assert view.coarse, "a better picture is still to come"
+    assert len(window.read) == before
+    still()
+    window(two, turn=0.08, at=0.4, wall=4.0)
+    assert len(window.read) == before + 1 and not view.coarse
+
+
+def test_nothing_is_ever_read_where_only_splats_are(window, two, still, view):
+    for number in range(3):
+        window(two, turn=0.1 * number, surfaces=False)
+        assert not view.coarse
+        still()
+        window(two, turn=0.1 * number, surfaces=False)
+    assert not window.read
+
+
+def test_redraws_of_one_moment_blend_once(window, two, drawn, still):
+    """A moving mesh hides other splats; while it moves the GPU's depth test finds which, and nothing is blended again."""
+    window(two, wall=4.0)
+    window(two, wall=4.0, state=1)
+    count = len(drawn)
+    for number in range(2, 6):
+        image = window(two, wall=4.0 if number % 2 else 1.0, state=number)
+        assert image[LEFT].any() == bool(number % 2)
+    assert len(drawn) == count
+
+
+def test_scrubbing_draws_fewer_splats(window, two, still, view):
+    whole = window(two), view._order[1].count
+    window(two, at=1.0, density=0.25)
+    assert view.coarse and view._order[1].count < 0.3 * whole[1]
+    still()
+    np.testing.assert_array_equal(window(two, at=1.0, density=0.25), whole[0])
+
+
+def test_what_was_deleted_goes_at_once(window, two, view):
+    """Before the thread has sorted what is left; what has moved meanwhile is where it is now."""
+    both, alone = window(two, over=False), window(two[1:], over=False)
+    window(two, over=False)
+    assert np.abs(both - alone).max() > 0.5
+    np.testing.assert_allclose(window(two[1:], over=False, wait=False), alone, atol=1e-3)
+    end = time.monotonic() + 120
+    while view.waiting and time.monotonic() < end:
+        time.sleep(0.005)
+    assert not window([], over=False, wait=False).any()
+
+
+def test_overlays_behind_splats_are_taken_away(window, two, view):
+    """White overlays everywhere, one line of them before the splats, and a mark; the grid of a floor that lies far below."""
+    import gpu
+
+    def after(framebuffer, depths):
+        framebuffer.clear(color=(1.0, 1.0, 1.0, 1.0))
+        framebuffer.clear(depth=1.0)
+        gpu.state.scissor_test_set(True)
+        gpu.state.scissor_set(10, 0, 4, SIZE[1])
+        framebuffer.clear(depth=depths.a + depths.b / 1.5)
+        gpu.state.scissor_test_set(False)
+        view.cover(depths, SIZE, False, [(30.0, 30.0, 6.0)])
+
+    image = window(two[:1], over=False, deep=True, after=after)
+    assert (image[:, 10:14] == 1).all(), "a line before the splats stays"
+    assert (image[-30 - 3:-30 + 3, 28:32] == 1).all(), "so does what is drawn over everything"
+    assert image[8:-40, 16:36].max() < 0.02
+    assert (image[:, 70:] == 1).all()
+
+
+@pytest.mark.parametrize("floor", [True, False])
+def test_the_grid_stays_where_the_floor_is_nearer(window, two, view, floor):
+    """The camera looks straight down from a height of 4: the floor lies behind the near screen and before the far one."""
+    def after(framebuffer, depths):
+        framebuffer.clear(color=(1.0, 1.0, 1.0, 1.0), depth=1.0)
+        view.cover(depths, SIZE, floor, [])
+
+    image = window(two, over=False, deep=True, after=after)
+    assert image[LEFT].max() < 0.02
+    assert (image[RIGHT] == 1).all() if floor else image[RIGHT].max() < 0.02
