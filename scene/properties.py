@@ -25,6 +25,12 @@ OUTSIDE = (
     ('PING_PONG', "Ping-Pong", "Play back and forth", 3),
 )
 
+BACKDROP = (
+    ('INSIDE', "From Inside", "Show the backdrop to cameras and views that stand inside it", 0),
+    ('SHOWN', "Always", "Show the backdrop from outside too, where it hides what it surrounds", 1),
+    ('HIDDEN', "Never", "Show what the backdrop surrounds and nothing behind it", 2),
+)
+
 
 class FASTGS_PG_crop(bpy.types.PropertyGroup):
     """A box that crops a splat object."""
@@ -54,6 +60,12 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="Frames", description="Number of frames of the capture", min=0)
     fps: FloatProperty(
         name="Frame Rate", description="Frames per second of the capture; 0 where it has none and follows the scene's", min=0.0)
+
+    has_backdrop: BoolProperty(
+        name="Has a Backdrop", description="Whether the file says which Gaussians are sky or far walls")
+    backdrop: EnumProperty(
+        name="Backdrop", description="When to show the Gaussians that stand for sky and far walls", items=BACKDROP, default='INSIDE',
+        override=_OWN, update=updates.viewports)
 
     start_frame: FloatProperty(
         name="Start Frame", description="Scene frame on which the clip begins", default=1.0, override=_OWN)

@@ -51,6 +51,10 @@ def draw_model(layout, context):
         draw_rows(layout, facts.object_facts(obj))
     elif not error:
         layout.label(text="Not read yet", icon='INFO')
+    if obj.fastgs.has_backdrop:
+        col = layout.column()
+        col.use_property_split = True
+        col.prop(obj.fastgs, "backdrop")
     if context.engine != 'FASTGS':
         props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
         props.data_path = "scene.render.engine"

@@ -81,6 +81,7 @@ def describe(path) -> dict:
         "axes": model.axes,
         "colour_space": model.colour_space,
         "bounds": {"low": low, "high": high},
+        "surroundings": asdict(model.surroundings),
         "provenance": model.provenance,
     }
 
@@ -130,6 +131,7 @@ def text(facts: dict) -> str:
         ("axes", facts["axes"]),
         ("colour", facts["colour_space"]),
         ("bounds", "none" if box["low"] is None else f"{_vector(box['low'])} to {_vector(box['high'])}"),
+        ("around", _around(facts["surroundings"])),
         *((f"from {key}", value) for key, value in facts["provenance"].items()),
     ]
     width = max(len(name) for name, _ in lines)
@@ -143,6 +145,14 @@ def _motion_text(motion: dict) -> str:
     limit = [f"up to {motion['band_limit_hz']:.3g} Hz"] if motion["band_limit_hz"] else []
     terms = [f"{motion['terms']} terms"] if motion["terms"] else []
     return ", ".join([motion["basis"], *parameters, *terms, *limit])
+
+
+def _around(known: dict) -> str:
+    backdrop, view = known["backdrop"], known["view"]
+    parts = [f"{len(known['cameras'])} cameras of the capture"] if known["cameras"] else []
+    parts += [f"a backdrop beyond {backdrop['radius']:.4g} from {_vector(backdrop['centre'])}"] if backdrop else []
+    parts += [f"a good view{' named ' + view['name'] if view['name'] else ''}"] if view else []
+    return ", ".join(parts) or "nothing is known"
 
 
 def _vector(values) -> str:

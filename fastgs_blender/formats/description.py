@@ -12,6 +12,7 @@ from dataclasses import MISSING, asdict, fields
 from ..model.appearance import APPEARANCES, Appearance, Changing
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
+from ..model.surroundings import Backdrop, Surroundings, Viewpoint
 from ..model.temporal import Always, Radial, temporal_by_name
 from ..util.errors import FastGSError
 
@@ -26,7 +27,7 @@ def describe(model: GaussianModel) -> dict:
         "temporal": model.temporal_kind.name, "appearance": _described(model.appearance), "raster": asdict(model.raster),
         "clip": asdict(model.clip), "axes": model.axes, "colour_space": model.colour_space,
         "provenance": {str(k): str(v) for k, v in model.provenance.items()},
-    }
+    } | ({} if model.surroundings == Surroundings() else {"surroundings": _surroundings_described(model.surroundings)})
 
 
 def understand(values: dict) -> dict:
@@ -46,6 +47,7 @@ def understand(values: dict) -> dict:
         "axes": ("axes", lambda v: _one_of(v, AXES, "axes")),
         "colour_space": ("colour_space", lambda v: _one_of(v, ("srgb", "linear"), "colour space")),
         "provenance": ("provenance", _provenance),
+        "surroundings": ("surroundings", _surroundings),
     }
     return {name: read(values[key]) for key, (name, read) in readers.items() if key in values}
 
@@ -64,7 +66,7 @@ def comments(model: GaussianModel, keys: tuple[str, ...]) -> tuple[list[str], li
     if "provenance" in keys and len(json.dumps(values["provenance"])) > MAX_PROVENANCE:
         keys = tuple(k for k in keys if k != "provenance")
         lost = ["its long provenance is left out"]
-    return [f"fastgs {key} {json.dumps(values[key], allow_nan=False)}" for key in keys], lost
+    return [f"fastgs {key} {json.dumps(values[key], allow_nan=False)}" for key in keys if key in values], lost
 
 
 def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
@@ -140,6 +142,23 @@ def _appearance(values) -> Appearance:
             raise FastGSError("colours that change in time are of nothing known; the file is damaged.")
         return Changing(_appearance(look), _basis(values.get("basis")))
     return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded})
+
+
+def _surroundings_described(around: Surroundings) -> dict:
+    """Only what is known is written."""
+    values = asdict(around)
+    return {key: value for key, value in values.items() if value}
+
+
+def _surroundings(values) -> Surroundings:
+    if not isinstance(values, dict):
+        raise FastGSError("its surroundings are no table of names and values.")
+    cameras = values.get("cameras", [])
+    if not isinstance(cameras, list):
+        raise FastGSError("the cameras of its surroundings are no list.")
+    backdrop, view = (None if values.get(key) is None else _from_fields(kind, values[key], f"{key}'s")
+                      for key, kind in (("backdrop", Backdrop), ("view", Viewpoint)))
+    return Surroundings(backdrop, tuple(_from_fields(Viewpoint, camera, "cameras'") for camera in cameras), view)
 
 
 def _provenance(values) -> dict[str, str]:

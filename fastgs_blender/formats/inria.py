@@ -20,7 +20,7 @@ from .base import Format, generator
 from .description import comments, from_comments
 from .unsupported import GAUSSIAN, is_2dgs
 
-KEYS = ("raster", "clip", "axes", "colour_space", "provenance")
+KEYS = ("raster", "clip", "axes", "colour_space", "provenance", "surroundings")
 """What our comments add."""
 POSITION, SCALE, ROTATION = ("x", "y", "z"), ("scale_0", "scale_1", "scale_2"), ("rot_0", "rot_1", "rot_2", "rot_3")
 NORMAL = ("nx", "ny", "nz")

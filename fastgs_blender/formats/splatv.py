@@ -30,7 +30,7 @@ ROW = 1024
 RECORD = 64
 """Bytes of a Gaussian."""
 HALF_MAX, HALF_MIN = 65504.0, 2.0**-24
-KEYS = ("basis", "rotation_basis", "temporal", "raster", "clip", "axes", "colour_space", "provenance")
+KEYS = ("basis", "rotation_basis", "temporal", "raster", "clip", "axes", "colour_space", "provenance", "surroundings")
 FRAMES = 50
 """As Spacetime Gaussians are trained."""
 

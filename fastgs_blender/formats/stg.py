@@ -26,7 +26,7 @@ from .description import comments, from_comments, restored
 from .fitting import bell_opacity, cubic_motion, linear_rotation, plain_colour
 from .inria import NORMAL, POSITION, ROTATION, SCALE
 
-KEYS = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space", "provenance")
+KEYS = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space", "provenance", "surroundings")
 OMEGA = ("omega_0", "omega_1", "omega_2", "omega_3")
 FULL = (*(f"f_dc_{i}" for i in range(6)), "f_t_0", "f_t_1", "f_t_2")
 LITE = ("f_dc_0", "f_dc_1", "f_dc_2")

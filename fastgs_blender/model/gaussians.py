@@ -12,6 +12,7 @@ from ..util.errors import FastGSError
 from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
 from .motion import Basis, Static
+from .surroundings import Surroundings
 from .temporal import KINDS, Always, Radial, Window, WindowedRadial
 
 AXES = ("RDF", "RFU", "RUB")
@@ -85,6 +86,7 @@ class GaussianModel:
     rotation_motion  [N, R, 4]  coefficients of `rotation_basis`, added to `rotation` before normalising
     mu_tau           [N]        temporal centre: of centred bases, of the time features, of Radial
     temporal         [N, P]     parameters of `temporal_kind`
+    surroundings     backdrop, cameras of the capture, a good view
 
     Optional arrays may be left out when their width is 0 (mu_tau: zeros).  Raises FastGSError where shapes disagree.
     """
@@ -107,6 +109,7 @@ class GaussianModel:
     axes: str = "RDF"
     colour_space: str = "srgb"
     provenance: dict[str, str] = field(default_factory=dict)
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
     def __post_init__(self):
         self._check_kinds()

@@ -15,6 +15,7 @@ from ..util.errors import FastGSError
 from .appearance import Changing, Features
 from .gaussians import Clip, GaussianModel
 from .motion import Basis
+from .surroundings import together
 from .temporal import Always, Radial, WindowedRadial
 
 FLAT = -40.0
@@ -51,7 +52,8 @@ def join(segments: list[Segment], clip: Clip) -> GaussianModel:
     turning = _common([s.model.rotation_basis for s in segments], segments)
     parts = [_in_whole_time(s, i, segments, moving, turning) for i, s in enumerate(segments)]
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return replace(first, **arrays, basis=moving, rotation_basis=turning, temporal_kind=WindowedRadial(), clip=clip)
+    return replace(first, **arrays, basis=moving, rotation_basis=turning, temporal_kind=WindowedRadial(), clip=clip,
+                   surroundings=together([s.model.surroundings for s in segments]))
 
 
 def _same(first: GaussianModel, other: GaussianModel):

@@ -40,7 +40,7 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
     model, raster = instance.model, instance.model.raster
     with np.errstate(all="ignore"):
         sigma = sigmoid(model.opacity) * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
-        kept = (sigma >= raster.alpha_cut) & wanted
+        kept = (sigma >= raster.alpha_cut) & instance.in_ball(model.position) & wanted
         at = np.flatnonzero(kept)
         moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
         to_camera = instance.model_to_camera

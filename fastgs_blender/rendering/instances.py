@@ -9,24 +9,31 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
+from ..model.surroundings import WITHIN
 from ..util.errors import FastGSError
 from .crops import Crop
 
 LIMIT = 1e30
 """Largest coordinate, depth or colour that is drawn: float32 sums of such numbers stay finite.  What lies beyond is left out."""
 
+BACKDROPS = ("INSIDE", "SHOWN", "HIDDEN")
+
 
 @dataclass(frozen=True)
 class ObjectSettings:
     """How an object shows its model.  It goes whole from the object to the kernels and to the viewport; equal settings look equal.
 
-    crops  boxes that cut the model, see crops.py
+    crops     boxes that cut the model, see crops.py
+    backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     """
 
     crops: tuple[Crop, ...] = ()
+    backdrop: str = "INSIDE"
 
     def __post_init__(self):
         object.__setattr__(self, "crops", tuple(self.crops))
+        if self.backdrop not in BACKDROPS:
+            raise FastGSError(f"how a backdrop is shown must be one of {', '.join(BACKDROPS)}, not {self.backdrop!r}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +93,20 @@ class ViewedInstance(Instance):
         """Depth from which on Gaussians are drawn: the larger of the camera's limit and the model's own, which grows with the object."""
         scale = np.cbrt(abs(np.linalg.det(self.placement[:3, :3])))
         return max(self.camera.near, self.model.raster.near * scale)
+
+    @cached_property
+    def ball(self) -> tuple[float, float, float, float]:
+        """The ball (centre, squared radius) in the model's space in which a Gaussian must rest to be drawn: all but the backdrop, where
+        the settings leave it out, else infinite.
+        """
+        backdrop, shown = self.model.surroundings.backdrop, self.settings.backdrop
+        if backdrop is None or shown == "SHOWN" or (shown == "INSIDE" and backdrop.distance(self.camera_to_model[:3, 3]) < WITHIN):
+            return 0.0, 0.0, 0.0, np.inf
+        return *backdrop.centre, backdrop.radius**2
+
+    def in_ball(self, position: np.ndarray) -> np.ndarray:
+        """Which constant positions [N, 3] lie in the ball: [N] bool."""
+        return ~(((position.astype(np.float64) - self.ball[:3]) ** 2).sum(1) > self.ball[3])
 
     @property
     def far(self) -> float:

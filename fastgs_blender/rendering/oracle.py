@@ -64,7 +64,8 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     view = s.position @ linear.T + origin
     z = view[:, 2]
     factor = linear @ rotations.to_matrices(s.rotation) * s.scale[:, None, :]
-    seen = kept_by(instance.settings.crops, s.position) & (z > instance.near) & (z <= instance.far)
+    seen = instance.in_ball(model.position[s.index]) & kept_by(instance.settings.crops, s.position)
+    seen &= (z > instance.near) & (z <= instance.far)
     seen &= np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]

@@ -6,11 +6,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ...fastgs_blender.model.framing import is_subject
 from .. import objects
 
 USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
-SPREAD = 3.0
-"""A splat is part of what a move is about up to so many median distances from the middle."""
 
 
 def target_camera(context, make: bool) -> bpy.types.Object | None:
@@ -52,9 +51,7 @@ def _most_of(splats) -> tuple[Vector, float]:
         matrix = np.array(obj.matrix_world)
         clouds.append(points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
     points = np.concatenate(clouds)
-    middle = np.median(points, axis=0)
-    away = np.linalg.norm(points - middle, axis=1)
-    near = points[away <= SPREAD * np.median(away)]
+    near = points[is_subject(points)]
     low, high = near.min(0), near.max(0)
     return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...fastgs_blender.model.framing import is_subject, without_backdrop
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
@@ -24,7 +25,6 @@ PROBES = 50_000
 CANDIDATES = 200_000
 CELLS = 64
 TURNS = 3
-REACH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ def choose(model: Source, limit: int = LIMIT) -> Points:
     """At most `limit` points of the model: important ones (opaque, large), from everywhere.
 
     They show the time at which most is to be seen.  Up to six of them are the outermost Gaussians of the whole clip, so that
-    the points' bounding box holds the motion; lone Gaussians far outside (floaters) are left out of both.
+    the points' bounding box holds the motion.  The backdrop, and lone Gaussians far outside (floaters), are left out of both.
     """
     frames = model.clip.frame_count
     times = sorted({round(x) / frames for x in np.linspace(0, frames - 1, MOMENTS)})
@@ -74,6 +74,7 @@ def choose(model: Source, limit: int = LIMIT) -> Points:
 def _sample(source: Source, t: float, limit: int) -> tuple[Slice, float]:
     """The Gaussians that are visible at t, or every n-th of them, and the inverse of the share that was taken."""
     model, t = source.moment(t, hold=True)
+    model = without_backdrop(model)
     sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
     visible = np.flatnonzero(sigma >= model.raster.alpha_cut)
     every = visible[np.linspace(0, len(visible) - 1, limit).astype(int)] if len(visible) > limit else visible
@@ -101,20 +102,9 @@ def _inside(position: np.ndarray, box) -> np.ndarray:
 
 
 def _robust_box(clouds: list[np.ndarray]):
-    """(low, high) of all positions but strays; None where there is nothing.
-
-    A time's core is what lies between its 5th and 95th percentile.  A position further from it than
-    1.5 times its largest extent belongs to no object that anybody filmed.
-    """
-    boxes = []
-    for p in clouds:
-        if len(p) >= 20:
-            low, high = np.percentile(p, 5, axis=0, method="higher"), np.percentile(p, 95, axis=0, method="lower")
-            reach = REACH * (high - low).max()
-            p = p[_inside(p, (low - reach, high + reach))]
-        if len(p):
-            boxes.append((p.min(0), p.max(0)))
-    return (np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)) if boxes else None
+    """(low, high) of the subject at all times; None where there is nothing."""
+    found = [p[is_subject(p)] for p in clouds if len(p)]
+    return (np.min([p.min(0) for p in found], axis=0), np.max([p.max(0) for p in found], axis=0)) if found else None
 
 
 def _outermost(slices: list[Slice], box, chosen: Slice) -> list[Slice]:

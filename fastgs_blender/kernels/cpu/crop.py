@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crops one position by boxes inside kernels, as crops.kept_by does for arrays."""
+"""Crops one position inside kernels: by boxes, as crops.kept_by does for arrays, and by the ball that the backdrop surrounds."""
 from __future__ import annotations
 
 from .jit import inline
@@ -18,3 +18,10 @@ def is_kept(x, y, z, rows, remove):
                 return False
             kept = True
     return kept
+
+
+@inline
+def in_ball(position, n, ball):
+    """Whether the constant position of Gaussian n lies in a ball (centre, squared radius); an infinite one holds everything."""
+    dx, dy, dz = position[n, 0] - ball[0], position[n, 1] - ball[1], position[n, 2] - ball[2]
+    return not (dx * dx + dy * dy + dz * dz > ball[3])

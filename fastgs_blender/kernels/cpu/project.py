@@ -13,7 +13,7 @@ from numba import float32
 
 from ...rendering.instances import LIMIT
 from . import raster
-from .crop import is_kept
+from .crop import in_ball, is_kept
 from .jit import inline, kernel
 from .spherical import sh_colour
 
@@ -140,7 +140,7 @@ def _project_axis(axis, row0, row1, row2, a02, a12):
 def project(first, last, boxes, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
-    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
+    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays; ViewedInstance.ball
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
@@ -151,7 +151,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
-    crop_rows, crop_remove = boxes
+    crop_rows, crop_remove, ball = boxes
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
@@ -161,6 +161,8 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     log2_cut = math.log2(alpha_cut)
     out = first
     for n in range(first, last):
+        if not in_ball(position, n, ball):
+            continue
         sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= alpha_cut):
             continue

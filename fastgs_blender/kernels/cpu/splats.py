@@ -57,7 +57,8 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
     arrays = np.empty((total, 5)), attributes, np.empty(total, np.float32), np.empty(total, np.int32)
     runs, done = [], 0
     for instance in instances:
-        count, inputs = len(instance.model), (crop_arrays(instance.settings.crops), *_inputs(instance, camera, layout))
+        cut = (*crop_arrays(instance.settings.crops), instance.ball)
+        count, inputs = len(instance.model), (cut, *_inputs(instance, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
         pieces = ranges(count, CHUNK)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))

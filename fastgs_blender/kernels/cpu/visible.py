@@ -9,7 +9,7 @@ import numpy as np
 from ...rendering.crops import crop_arrays
 from ...rendering.culling import scale_bound, spread
 from ...util.threads import ranges, run
-from .crop import is_kept
+from .crop import in_ball, is_kept
 from .jit import kernel
 from .project import _exp, _moved3, _temporal_factor
 from .sort import order_by
@@ -27,7 +27,7 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
     lens       (fx, fy, cx, cy, near, far, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
     constants  (blur, alpha cut, orthographic)
-    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays
+    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays; ViewedInstance.ball
     rank       [N] float32, or [0]; (limit, rank): Gaussians whose rank is not under the limit are left out
     depth      float32, along the view axis; index int32
     Returns the number of rows written.
@@ -37,11 +37,13 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
     fx, fy, cx, cy, near, far, right, bottom, spread_x, spread_y = lens
     blur, cut, orthographic = constants
     limit, ranks = rank
-    rows, remove = boxes
+    rows, remove, ball = boxes
     row0, row1, row2, shift = view[0], view[1], view[2], view[3]
     out = first
     for n in range(first, last):
         if len(ranks) > 0 and not (ranks[n] < limit):
+            continue
+        if not in_ball(position, n, ball):
             continue
         sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
         if not (sigma >= cut):
@@ -93,8 +95,8 @@ def _visible(instance, camera, offset, rank):
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
     arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
     common = (offset, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
-              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)), crop_arrays(instance.settings.crops),
-              rank, depth, index)
+              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)),
+              (*crop_arrays(instance.settings.crops), instance.ball), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)
     return [(depth[first:first + n], index[first:first + n]) for (first, _), n in zip(pieces, counts)]

@@ -7,7 +7,11 @@ blotches.  A pull towards the first colours, as strong as a few pixels, decides 
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+
+from ...model.surroundings import Backdrop
 
 HELD = "held"
 """Name of the optimiser's array [N, F] of the features to keep, NaN in rows that are free.  It is not trained; density control copies
@@ -15,10 +19,28 @@ it with its row."""
 OFF = 0.1
 """Difference in a feature at which the pull is as strong as the given number of pixels."""
 
+INNERMOST = 1.5
+"""Least radius of the backdrop, in distances of the farthest camera from what all look at."""
+
 
 def held_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The values [N, F] to hold features at: those given for points with a known size [N] (backdrop.py), NaN for all others."""
     return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
+
+
+def backdrop_of(arrays: dict[str, np.ndarray], around) -> Backdrop | None:
+    """The sphere outside of which the held Gaussians, and what lies behind them, are; None where none is held.
+
+    around  x, y, z of the place that all cameras look at, and the distance from there of the farthest camera
+    A few that training drew nearer than INNERMOST of that distance do not make the sphere smaller.  Raises FastGSError for numbers that
+    are no place.
+    """
+    held = np.isfinite(arrays[HELD]).all(1) if HELD in arrays else np.zeros(0, bool)
+    if not held.any():
+        return None
+    outermost = Backdrop(tuple(around[:3]), max(INNERMOST * around[3], 1e-6))
+    nearest = float(outermost.distance(arrays["position"][held]).min())
+    return replace(outermost, radius=outermost.radius * max(0.99 * nearest, 1.0))
 
 
 def hold(backend, arrays: dict, gradients: dict, rows, votes: float, pixels: int) -> None:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from ...captures.viewpoints import viewpoints
 from ...kernels.parameters import DECODER
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
+from ...model.surroundings import Surroundings
 from ...rendering.api import render
 from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from . import schedule
 from .density import STRATEGIES
 from .distributed import Group
-from .hold import HELD, held_features, hold
+from .hold import HELD, backdrop_of, held_features, hold
 from .losses import motion_norm
 from .model import empty_model, lasting, with_arrays
 from .optimiser import Optimiser
@@ -44,6 +47,7 @@ class Trainer:
         self.iteration = 0
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
+        self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
         self.shots = capture.training
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
@@ -137,8 +141,10 @@ class Trainer:
         return with_arrays(self.template, arrays, provenance)
 
     def final_model(self, provenance: dict[str, str]) -> GaussianModel:
-        """The model without the Gaussians that can never be seen."""
-        return lasting(self.model(provenance))
+        """The model without the Gaussians that can never be seen, and what the capture says of its surroundings."""
+        host = {name: self.backend.numpy(self.optimiser.arrays[name]) for name in ("position", HELD) if name in self.optimiser.arrays}
+        around = Surroundings(backdrop_of(host, self.around), viewpoints(self.capture))
+        return replace(lasting(self.model(provenance)), surroundings=around)
 
     def measure(self, shots):
         """measure() of the model as it is now."""
@@ -150,7 +156,7 @@ class Trainer:
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
-                        "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes}
+                        "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around}
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""

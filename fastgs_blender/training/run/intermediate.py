@@ -2,13 +2,16 @@
 """Writes the model of an unfinished run from its last checkpoint."""
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ... import formats
 from ...model.gaussians import GaussianModel
+from ...model.surroundings import Surroundings
 from ...util.errors import FastGSError
+from ..core.hold import backdrop_of
 from ..core.model import empty_model, lasting, with_arrays
 from ..core.settings import from_dict
 from ..core.state import check_state, checked_clip
@@ -47,4 +50,6 @@ def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
     empty = empty_model(settings, checked_clip(about.get("clip")), about.get("axes"))
     check_state(arrays, about, empty, settings.iterations)
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
-    return lasting(with_arrays(empty, values))
+    around = about.get("around")  # checkpoints of earlier versions have none
+    backdrop = backdrop_of(values, around) if isinstance(around, list) and len(around) == 4 else None
+    return replace(lasting(with_arrays(empty, values)), surroundings=Surroundings(backdrop))

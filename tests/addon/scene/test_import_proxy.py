@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The light mesh that stands for a model: few points, the right ones, seen in every engine, and no Gaussians in the .blend."""
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -101,6 +102,18 @@ def test_bounds_hold_the_motion_and_not_the_strays(choose, fg, make_model):
     for t in (0, 24 / 50, 49 / 50):
         shown = fg.slice_model(rest, t).position
         assert (shown >= low - 1e-4).all() and (shown <= high + 1e-4).all()
+
+
+def test_a_backdrop_is_no_part_of_the_proxy(module, make_model, model_file):
+    """Ninety of a hundred Gaussians are the sky; the box is the subject's, so that Home and Numpad-period frame it."""
+    around = module("fastgs_blender.model.surroundings")
+    model = make_model(300)
+    model.position[30:] *= 50 / np.linalg.norm(model.position[30:], axis=1, keepdims=True)
+    known = replace(model, surroundings=around.Surroundings(around.Backdrop(radius=40.0)))
+    bpy.ops.import_scene.fastgs(filepath=model_file(known))
+    obj = bpy.context.object
+    assert len(obj.data.vertices) == 30 and obj.fastgs.has_backdrop and obj.fastgs.backdrop == 'INSIDE'
+    assert max(obj.dimensions) < 4
 
 
 def test_the_most_telling_moment_is_shown(choose, fg, make_model):

@@ -8,6 +8,7 @@ from fastgs_blender.captures.capture import Points
 from fastgs_blender.training.core import hold, settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.run import intermediate
 from fastgs_blender.util.backends import load_backend
 
 FRINGE = 40
@@ -60,3 +61,30 @@ def test_what_pictures_show_takes_their_colours():
     shot = capture.held_out[0]
     picture = fg.render(trainer.model(), shot.camera, shot.t)["rgb"]
     assert np.abs(picture - 0.6).mean() < 0.03
+
+
+def test_a_trained_model_knows_its_backdrop_and_cameras():
+    """The far ring is the backdrop, though training moves it, and density control copies it; files of unfinished runs know it too."""
+    capture, store, points = toy_capture()
+    around = np.linspace(0, 2 * np.pi, FRINGE, endpoint=False)
+    far = 40.0
+    xyz = capture.focus + np.stack([far * np.cos(around), far * np.sin(around), np.zeros(FRINGE)], 1)
+    sizes = np.concatenate([np.full(len(points), np.nan), np.full(FRINGE, 1.0)])
+    rgb = np.concatenate([points.rgb, np.full((FRINGE, 3), 0.5)])
+    points = Points(np.concatenate([points.xyz, xyz]).astype(np.float32), rgb, None, sizes)
+    chosen = settings.settings(iterations=30, densify_from=0.0, densify_every=5, warm_up=(), preview_every=0)
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    trainer = Trainer(capture, store, chosen, first, sizes=points.size)
+    for _ in range(30):
+        trainer.step()
+    model = trainer.final_model({})
+    backdrop, cameras = model.surroundings.backdrop, model.surroundings.cameras
+    assert np.allclose(backdrop.centre, capture.focus) and 0.8 * far < backdrop.radius < far
+    assert (backdrop.distance(model.position) > 1).sum() >= FRINGE
+    assert [camera.name for camera in cameras] == [view for view in capture.views if view not in capture.held_out_views]
+    assert np.allclose(sorted(camera.position for camera in cameras), sorted(capture.centres().tolist()), atol=1e-6)
+    assert intermediate.model_of(*trainer.state()).surroundings.backdrop == backdrop
+    arrays = trainer.optimiser.arrays
+    arrays["position"][np.flatnonzero(np.isfinite(arrays[hold.HELD][:, 0]))[0]] = capture.focus  # one of them astray
+    least = hold.INNERMOST * np.linalg.norm(capture.centres() - capture.focus, axis=1).max()
+    assert np.isclose(trainer.final_model({}).surroundings.backdrop.radius, least)

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Viewpoints of a model's surroundings as cameras, and cameras as viewpoints."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.surroundings import Viewpoint
+from ..util.rotations import from_matrices, to_matrices, unit
+from .camera import Camera
+
+
+def camera_of(viewpoint: Viewpoint) -> Camera:
+    """The pinhole camera of a viewpoint, in the model's space."""
+    pose = np.eye(4)
+    pose[:3, :3] = to_matrices(unit(np.array(viewpoint.rotation))[None])[0]
+    pose[:3, 3] = viewpoint.position
+    return Camera(viewpoint.width, viewpoint.height, viewpoint.fx, viewpoint.fy, viewpoint.cx, viewpoint.cy, np.linalg.inv(pose))
+
+
+def viewpoint_of(camera: Camera, name: str = "", distance: float = 0.0) -> Viewpoint:
+    """A perspective camera as a viewpoint; what it looks at is `distance` away (0: not known)."""
+    pose = np.linalg.inv(camera.world_to_camera)
+    turn = from_matrices(pose[None, :3, :3])[0]
+    position, rotation = (tuple(round(float(v), 9) for v in values) for values in (pose[:3, 3], turn))
+    lens = (float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
+    return Viewpoint(camera.width, camera.height, *lens, position, rotation, float(distance), name)

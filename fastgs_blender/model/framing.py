@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tells a model's subject from what only surrounds it: the backdrop, and strays far outside."""
+from __future__ import annotations
+
+import numpy as np
+
+from .gaussians import GaussianModel
+
+SPREAD = 3.5
+"""The subject reaches up to so many median distances from its middle."""
+FEW = 20
+"""Of fewer positions none can be told to be a stray."""
+
+
+def without_backdrop(model: GaussianModel) -> GaussianModel:
+    """The model of the Gaussians that rest inside its backdrop; the model itself where it has none."""
+    backdrop = model.surroundings.backdrop
+    return model if backdrop is None else model.take(np.flatnonzero(backdrop.distance(model.position) <= 1))
+
+
+def is_subject(position: np.ndarray) -> np.ndarray:
+    """Which positions [M, 3] are part of the subject rather than strays or a far background: [M] bool."""
+    if len(position) < FEW:
+        return np.ones(len(position), bool)
+    middle = np.median(position, axis=0)
+    away = np.linalg.norm(position - middle, axis=1)
+    return away <= SPREAD * np.median(away)
