@@ -3,7 +3,8 @@
 
     python benchmarks/bake.py ../shared/data/robot/RobotExpressive.blend Robot_Dance Robot_Running [--count 200000]
 
-Default settings.  The distance is that of the sliced centres from the evaluated surface, in percent of the character's height.
+Default settings.  The distance is that of the sliced centres from the evaluated surface, in percent of the character's height;
+"99 % within" is over all frames and half frames.
 """
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ def main():
     fg = enable_addon()("fastgs_blender")
     import bpy
 
-    print(f"{'action':15} {'frames':>6} {'basis':>12} {'seconds':>8} {'MB':>6} {'on frames':>10} {'on halves':>10} {'worst frame':>12}")
+    print(f"{'action':15} {'frames':>6} {'basis':>12} {'seconds':>8} {'MB':>6} {'on frames':>10} {'on halves':>10} {'99 % within':>12}")
     for action in options.actions:
         scene, meshes = open_character(bpy, options.blend, options.rig, action)
         with tempfile.TemporaryDirectory() as folder:
@@ -42,16 +43,16 @@ def main():
             size = path.stat().st_size / 1e6
             model = fg.load(path)
             first, last = scene.frame_start, scene.frame_end
-            whole, half = (np.array([distance(bpy, fg, model, meshes, f + shift, first) for f in range(first, last + (shift == 0))])
+            whole, half = (np.array([distances(bpy, fg, model, meshes, f + shift, first) for f in range(first, last + (shift == 0))])
                            for shift in (0.0, 0.5))
             basis = f"{model.basis.name} {model.basis.order}"
             print(f"{action:15} {last - first + 1:6} {basis:>12} {seconds:8.1f} {size:6.0f} {whole.mean():9.3f}% {half.mean():9.3f}% "
-                  f"{max(whole.max(), half.max()):11.3f}%")
+                  f"{np.percentile(np.concatenate([whole, half]), 99):11.3f}%")
             del model
 
 
-def distance(bpy, fg, model, meshes, frame, first, probes=4000):
-    """Mean distance of sliced centres from the evaluated surface on a frame, in percent of the height on that frame."""
+def distances(bpy, fg, model, meshes, frame, first, probes=4000):
+    """Distances [probes] of sliced centres from the evaluated surface on a frame, in percent of the height on that frame."""
     from mathutils.bvhtree import BVHTree
 
     bpy.context.scene.frame_set(int(frame // 1), subframe=frame % 1)
@@ -67,7 +68,7 @@ def distance(bpy, fg, model, meshes, frame, first, probes=4000):
     tree = BVHTree.FromPolygons(points, triangles)
     position = fg.slice_model(model, (frame - first) / model.clip.frame_count).position
     some = position[np.linspace(0, len(position) - 1, probes).astype(int)]
-    return 100 * np.mean([tree.find_nearest(p)[3] for p in some.tolist()]) / np.ptp([p.z for p in points])
+    return 100 * np.array([tree.find_nearest(p)[3] for p in some.tolist()]) / np.ptp([p.z for p in points])
 
 
 if __name__ == "__main__":

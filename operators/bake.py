@@ -36,6 +36,11 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
     tolerance: FloatProperty(
         name="Tolerance", description="Mean distance from the true motion that is allowed, in percent of the object's size",
         subtype='PERCENTAGE', default=0.5, min=0.001, max=100.0, soft_max=5.0, precision=3)
+    tail_tolerance: FloatProperty(
+        name="99 % Within",
+        description="Distance from the true motion that 99 % of the Gaussians keep to, in percent of the object's size: "
+        "it holds hands and feet, which the mean hides",
+        subtype='PERCENTAGE', default=1.0, min=0.001, max=100.0, soft_max=10.0, precision=3)
     max_order: IntProperty(
         name="Highest Order", description="Largest number of motion terms; 0: as many as the number of frames safely supports",
         default=0, min=0, soft_max=100)
@@ -69,6 +74,9 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         default=8, min=1, soft_max=64)
     import_result: BoolProperty(
         name="Import", description="Add the baked model to the scene", default=True)
+    hide_source: BoolProperty(
+        name="Hide Source", description="Hide the baked objects, in viewports and in renders, so that the Gaussians take their place; "
+        "the scene remembers the choice", default=False)
     overwrite: BoolProperty(
         name="Overwrite", description="Replace the file if it exists already", default=False, options={'HIDDEN', 'SKIP_SAVE'})
 
@@ -83,7 +91,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         return True
 
     def invoke(self, context, event):
-        self._fill_range(context.scene)
+        self._fill(context.scene)
         self.overwrite = True  # the file dialog asks
         self._interactive = True
         if not self.filepath:
@@ -102,6 +110,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         layout.prop(self, "count")
         col = layout.column()
         col.prop(self, "tolerance")
+        col.prop(self, "tail_tolerance")
         col.prop(self, "basis")
         col.prop(self, "max_order")
         layout.prop(self, "lighting")
@@ -110,22 +119,25 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
             col.prop(self, "light_samples")
             col.prop(self, "light_frames")
         layout.prop(self, "import_result")
+        layout.prop(self, "hide_source")
 
     def execute(self, context):
         self._began = time.monotonic()
         return self.begin(context, self._bake(context))
 
     def _bake(self, context):
-        """Yields the share that is done; returns what bake_steps does."""
-        self._fill_range(context.scene)
+        """Yields the share that is done and the stage; returns what bake_steps does."""
+        self._fill(context.scene)
         self._path = self._check()
         objects = [obj for obj in context.selected_objects if bakeable(obj)]
-        settings = Settings(self.frame_start, self.frame_end, self.count, self.tolerance / 100, self.max_order, self.basis.lower(),
-                            self.samples_per_frame, self.lighting, self.light_samples, self.light_frames)
+        self._sources = [obj.name for obj in objects]
+        settings = Settings(self.frame_start, self.frame_end, self.count, self.tolerance / 100, self.tail_tolerance / 100, self.max_order,
+                            self.basis.lower(), self.samples_per_frame, self.lighting, self.light_samples, self.light_frames)
         with closing(bake_steps(context, objects, settings, self.in_window)) as steps:
             while True:
                 try:
-                    yield next(steps), 1
+                    done, stage = next(steps)
+                    yield done, 1, stage
                 except StopIteration as end:
                     return end.value
                 except MemoryError:
@@ -138,6 +150,13 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         if self.import_result:
             obj = splat_object.create(context, self._path, relative=True)
             obj.fastgs.start_frame = self.frame_start
+        context.scene.fastgs.hide_baked = self.hide_source
+        if self.hide_source:
+            for name in self._sources:
+                source = context.scene.objects.get(name)  # the user may have deleted it meanwhile
+                if source:
+                    source.hide_set(True)
+                    source.hide_render = True
         for note in notes:
             self.report({'WARNING'}, note)
         if report.warning:
@@ -145,10 +164,11 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         self.report({'INFO'}, printable(f"{report}; {time.monotonic() - self._began:.1f} s, {self._path}"))
         return {'FINISHED'}
 
-    def _fill_range(self, scene):
-        for name in ("frame_start", "frame_end"):
+    def _fill(self, scene):
+        """What was not given is as the scene has it."""
+        for name, value in (("frame_start", scene.frame_start), ("frame_end", scene.frame_end), ("hide_source", scene.fastgs.hide_baked)):
             if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(scene, name))
+                setattr(self, name, value)
 
     def _check(self) -> str:
         """The absolute path to write to; FastGSError where it cannot be, before any work is done."""

@@ -20,7 +20,9 @@ REPORT_EVERY = 5.0
 
 
 class Stepwise:
-    """Base class of operators whose work is a generator of (done, whole); its return value goes to finish().
+    """Base class of operators whose work is a generator; its return value goes to finish().
+
+    The generator yields (done, whole), perhaps with a third member: what is being done.
 
     invoke() of the class must set `_interactive`; a call from a script, or a repetition with other values, blocks.
     """
@@ -84,9 +86,9 @@ class Stepwise:
         except FastGSError as error:
             return self._fail(error)
 
-    def _show(self, context, done, whole):
+    def _show(self, context, done, whole, stage=""):
         context.window_manager.progress_update(100 * done / max(whole, 1))
-        text = f"{self.doing}: {done} of {whole}" if whole != 1 else f"{self.doing}: {done:.0%}"
+        text = ": ".join(filter(None, (self.doing, stage, f"{done} of {whole}" if whole != 1 else f"{done:.0%}")))
         if not bpy.app.background and context.workspace:
             rest = "Esc interrupts" if self.free else "only the view can be turned; Esc interrupts"
             context.workspace.status_text_set(f"{text}   ({rest})" if self.in_window else text)

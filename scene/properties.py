@@ -119,6 +119,8 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     picture_size: FloatProperty(
         name="Picture Size", description="Size of the pictures on frusta; 1 is where the frustum ends that Blender draws",
         min=0.01, soft_max=10.0, default=1.0, update=updates.viewports)
+    hide_baked: BoolProperty(
+        name="Hide Baked Objects", description="What the last bake was told: hide the objects, so that the Gaussians take their place")
     training: PointerProperty(type=FASTGS_PG_training, name="Training", description="What the Train panel is set to")
 
 

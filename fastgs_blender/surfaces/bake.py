@@ -15,6 +15,7 @@ import numpy as np
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
 from ..util.errors import FastGSError
+from .colours import Colours, Painted
 from .sampling import SurfaceSamples
 from .trajectories import MovingSurface, fit_paths, fit_turning
 
@@ -24,9 +25,8 @@ GREY = (0.906, 0.906, 0.906)
 """sRGB of Blender's default, linear 0.8."""
 OPAQUE = 0.99
 """Opacity of an opaque surface's Gaussians."""
-
-
-Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
+FAR = 3.0
+"""A largest distance of more than so many times the tolerance of the percentile is warned of: it is seen although it is rare."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,14 @@ class BakeReport:
     gaussians                    number of Gaussians
     basis, rotation_basis        of positions and of quaternions, with the orders that were chosen
     band_limit                   highest frequency of motion that the basis holds, in Hz
-    mean_residual, max_residual  distance of the Gaussians from the places that they follow, over all given times, in the object's units
+    mean_residual, tail_residual, max_residual
+                                 distance of the Gaussians from the places that they follow, over all given times, in the object's units:
+                                 the mean, the 99th percentile, the largest
     size                         of the object (with several: of the one that is followed worst, as are the residuals)
-    tolerance                    of the mean residual, as a share of the size
+    tolerance, tail_tolerance    of the mean and of the 99th percentile, as shares of the size
     turn_residual                mean error of the rotations, in degrees
+    worst_triangle, worst_frame  where and when the distance is largest; frames count as the clip's do, from its start_frame
+    worst_place                  that triangle in words
     """
 
     gaussians: int
@@ -47,10 +51,15 @@ class BakeReport:
     rotation_basis: Basis
     band_limit: float
     mean_residual: float
+    tail_residual: float
     max_residual: float
     size: float
     tolerance: float
+    tail_tolerance: float
     turn_residual: float
+    worst_triangle: int
+    worst_frame: float
+    worst_place: str
 
     @property
     def order(self) -> int:
@@ -59,17 +68,31 @@ class BakeReport:
 
     @property
     def reached(self) -> bool:
-        """Whether the mean residual is within the tolerance."""
-        return self.mean_residual <= self.tolerance * self.size
+        """Whether the mean residual and the 99th percentile are within their tolerances."""
+        return self.mean_residual <= self.tolerance * self.size and self.tail_residual <= self.tail_tolerance * self.size
+
+    @property
+    def worst(self) -> str:
+        """Where, when and how far the Gaussians are off at most."""
+        return f"{self.worst_place} on frame {self.worst_frame:g}, by {self._percent(self.max_residual)} of the object's size"
 
     @property
     def warning(self) -> str | None:
-        """One sentence where the tolerance is not reached, else None."""
-        if self.reached:
-            return None
-        return (f"the motion is followed to {100 * self.mean_residual / self.size:.3g} % of the object's size instead of"
-                f" {100 * self.tolerance:.3g} %, with the highest order that is safe or allowed ({self.motion}):"
-                " sample more times per frame, allow a higher order, or bake fewer frames at once.")
+        """One sentence where a tolerance is not reached, or where a few places are far off, else None."""
+        advice = "sample more times per frame, allow a higher order, or bake fewer frames at once."
+        limit = f"with the highest order that is safe or allowed ({self.motion})"
+        if self.mean_residual > self.tolerance * self.size:
+            return (f"the motion is followed to {self._percent(self.mean_residual)} of the object's size instead of"
+                    f" {100 * self.tolerance:.3g} %, {limit}, worst at {self.worst}: {advice}")
+        if not self.reached:
+            return (f"1 % of the Gaussians are off by more than {self._percent(self.tail_residual)} of the object's size instead of"
+                    f" {100 * self.tail_tolerance:.3g} %, {limit}, worst at {self.worst}: {advice}")
+        if self.max_residual > FAR * self.tail_tolerance * self.size:
+            return f"a few Gaussians do not follow the motion, worst at {self.worst}: lower the tolerance of 99 %, or {advice}"
+        return None
+
+    def _percent(self, distance: float) -> str:
+        return f"{100 * distance / self.size:.3g} %"
 
     @property
     def motion(self) -> str:
@@ -79,17 +102,17 @@ class BakeReport:
         return f"{self.basis.name} of order {self.order}, up to {self.band_limit:.3g} Hz" if self.band_limit else "straight motion"
 
     def __str__(self) -> str:
-        def share(x):
-            return f"{x:.3g} ({100 * x / self.size:.2g} %)"
-
-        return (f"{self.gaussians:,} Gaussians, {self.motion}, off by {share(self.mean_residual)} on average"
-                f" and {share(self.max_residual)} at most, size {self.size:.3g}")
+        if isinstance(self.basis, Static):
+            return f"{self.gaussians:,} Gaussians, no motion, size {self.size:.3g}"
+        return (f"{self.gaussians:,} Gaussians, {self.motion}, "
+                f"size {self.size:.3g}, off by {self._percent(self.mean_residual)} of it on average, "
+                f"99 % of them by at most {self._percent(self.tail_residual)}, worst at {self.worst}")
 
 
 def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: np.ndarray | None = None,
          frame_count: int | None = None, fps: float = 24.0, start_frame: int = 0, count: int = 100_000, tolerance: float = 0.005,
-         max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None, patch: np.ndarray | None = None,
-         samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
+         tail_tolerance: float = 0.01, max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None,
+         patch: np.ndarray | None = None, samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
          progress: Callable[[float], None] | None = None) -> tuple[GaussianModel, BakeReport]:
     """4D Gaussians on an animated triangle mesh.
 
@@ -97,7 +120,8 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     triangles    [T, 3]     vertex indices, the same at all times
     colours      sRGB display values 0..1, with opacity as an optional fourth: one for all; [T, C] for the triangles;
                  [T, 3, C] for their corners; a function of (triangle [N], barycentric weights [N, 3]) -> [N, C], of which the
-                 mean around each Gaussian is taken; where samples are given, [N, C] is for these and not for triangles
+                 mean around each Gaussian is taken, on its side of an edge of colour; where samples are given, [N, C] is for these and
+                 not for triangles; what surface_colours() returned
     frames       [S]        frame numbers of the times counted from the clip's first, increasing; default 0, 1, 2 ...
                             Fractions are welcome: half frames double what may safely be fitted
     frame_count  of the clip, default up to the last of `frames`; frame f lies at t = f / frame_count
@@ -105,6 +129,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     count        number of Gaussians (fully transparent places get none)
     tolerance    of the mean distance between a Gaussian and the place on the surface that it follows, by the object's size
                  (the largest side of its bounding box, the median over the times)
+    tail_tolerance  of the 99th percentile of these distances, so that hands and feet are followed too
     max_order    of the basis; 0: what the number of times safely allows
     basis        "auto", "cosine", "fourier" (with a linear term), "paper" (Fourier of period 1), "keyframes"
     part         [T] a number for the object that each triangle belongs to, where several are baked together: each is held to
@@ -120,34 +145,39 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
     """
     progress = progress or (lambda fraction: None)
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
-    if not tolerance > 0:
-        raise FastGSError(f"the tolerance must be positive, not {tolerance}.")
+    for name, value in (("tolerance", tolerance), ("tolerance of the 99th percentile", tail_tolerance)):
+        if not value > 0:
+            raise FastGSError(f"the {name} must be positive, not {value}.")
     given = samples is not None
     samples = samples if given else _spread(surface, count)
     progress(0.15)
-    rgba = _colours(colours, surface, samples, given)
-    visible = rgba[:, 3] >= 1 / 255
+    painted = colours if isinstance(colours, Painted) else surface.painted(colours, samples, given)
+    visible = painted.rgba[:, 3] >= 1 / 255
     if not visible.any():
         raise FastGSError("everything is fully transparent: there is nothing to bake.")
-    samples, rgba = SurfaceSamples(samples.triangle[visible], samples.weights[visible], samples.spacing), rgba[visible]
+    samples, painted = SurfaceSamples(samples.triangle[visible], samples.weights[visible], samples.spacing), painted.take(visible)
     progress(0.25)
 
     t = frames / frame_count
-    paths = fit_paths(surface, samples, t, basis, tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
-    turning = fit_turning(surface, samples, t, not isinstance(paths.basis, Static), max_order, lambda x: progress(0.65 + 0.35 * x))
+    paths = fit_paths(surface, samples, t, basis, tolerance, tail_tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
+    turning = fit_turning(surface, samples, painted, t, not isinstance(paths.basis, Static), max_order,
+                          lambda x: progress(0.65 + 0.35 * x))
     sigma = np.c_[turning.width, THICKNESS * turning.width.min(1)]
-    alpha = OPAQUE * np.clip(rgba[:, 3], 0, 1)
+    alpha = OPAQUE * np.clip(painted.rgba[:, 3], 0, 1)
     model = GaussianModel(
         position=paths.constant, motion=paths.coefficients, basis=paths.basis,
         rotation=turning.constant[turning.row], rotation_motion=turning.coefficients[turning.row],
         rotation_basis=turning.basis, scale=np.log(sigma)[turning.row], opacity=np.log(alpha / (1 - alpha)),
-        features=rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
+        features=painted.rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
         provenance={"source": "baked mesh", **(provenance or {})},
     )
+    triangle = int(samples.triangle[paths.sample])
     report = BakeReport(
         gaussians=len(model), basis=paths.basis, rotation_basis=turning.basis,
-        band_limit=paths.basis.max_frequency * fps / frame_count, mean_residual=paths.mean, max_residual=paths.largest,
-        size=float(surface.sizes[paths.part]), tolerance=tolerance, turn_residual=float(np.degrees(turning.residual)))
+        band_limit=paths.basis.max_frequency * fps / frame_count, mean_residual=paths.mean, tail_residual=paths.tail,
+        max_residual=paths.largest, size=float(surface.sizes[paths.part]), tolerance=tolerance, tail_tolerance=tail_tolerance,
+        turn_residual=float(np.degrees(turning.residual)), worst_triangle=triangle, worst_frame=start_frame + float(frames[paths.time]),
+        worst_place=f"triangle {triangle}" + (f" of part {part[triangle]}" if part is not None else ""))
     if report.warning:
         warnings.warn(report.warning, stacklevel=2)
     return model, report
@@ -196,24 +226,6 @@ def _numbers(name, values, triangles):
     return np.unique(np.asarray(values), return_inverse=True)[1]
 
 
-def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
-    """Evaluate a function of colours at the samples as bake(): r, g, b and opacity [N, 4].  bake() takes them back, changed or not."""
-    return _colours(colours, _checked(positions, triangles)[0], samples, True)
-
-
-def _colours(colours, surface: MovingSurface, samples: SurfaceSamples, for_samples: bool) -> np.ndarray:
-    """Colour and opacity [N, 4] at the samples."""
-    if callable(colours):
-        values = np.mean([np.asarray(colours(samples.triangle, weights), np.float64) for weights in surface.footprints(samples)], 0)
-    else:
-        values = np.asarray(colours, np.float64)
-        triangle_count = len(surface.triangles)
-        if values.ndim == 3 and values.shape[:2] == (triangle_count, 3):
-            values = np.einsum("nkc,nk->nc", values[samples.triangle], samples.weights)
-        elif values.ndim == 2 and len(values) == triangle_count and not for_samples:
-            values = values[samples.triangle]
-        elif values.ndim == 1:
-            values = np.broadcast_to(values, (len(samples), len(values)))
-    if values.ndim != 2 or len(values) != len(samples) or values.shape[1] not in (3, 4) or not np.isfinite(values).all():
-        raise FastGSError("colours must be finite: one r, g, b (and opacity) for all, for each triangle, or for each corner of each.")
-    return values if values.shape[1] == 4 else np.c_[values, np.ones(len(values))]
+def surface_colours(colours: Colours, positions: np.ndarray, triangles: np.ndarray, samples: SurfaceSamples) -> Painted:
+    """The colours of the samples as bake() computes them, opacity and edges of colour included; bake() takes them back, changed or not."""
+    return _checked(positions, triangles)[0].painted(colours, samples, True)

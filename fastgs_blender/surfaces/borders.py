@@ -13,6 +13,9 @@ SHARP = np.cos(np.radians(25.0))
 SAME_SIDE = 0.7
 """Least cosine between the normals of a sample and of a border's triangle for both to lie on one surface."""
 
+CROSSING = 0.7
+"""Two borders whose directions have a lesser cosine cross each other."""
+
 
 @dataclass(frozen=True, eq=False)
 class Borders:
@@ -24,28 +27,61 @@ class Borders:
     inward: np.ndarray
 
 
-def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray) -> Borders:
-    """Edges of a mesh (points [V, 3], triangles [T, 3]) that have one triangle only, or two that differ in direction or patch [T].
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """The sides of T triangles, 3 t + k from corner k of triangle t to the next, sorted by the edge on which they lie.
+
+    side [M]; first, count [E]: where each edge's sides begin, and how many they are; start [3 T]: the vertex at which each side begins
+    """
+
+    side: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    start: np.ndarray
+
+    def shared(self) -> tuple[np.ndarray, np.ndarray]:
+        """Two sides each of the edges that two triangles share."""
+        first = self.first[self.count == 2]
+        return self.side[first], self.side[first + 1]
+
+    def mirrored(self, one, other, shares) -> list[np.ndarray]:
+        """Where on the sides `other` the places lie that are the given shares of the sides `one` away from their begin."""
+        opposite = self.start[one] != self.start[other]
+        return [np.where(opposite, 1 - share, share) for share in shares]
+
+
+def mesh_edges(points: np.ndarray, triangles: np.ndarray) -> Edges:
+    """The edges of a mesh (points [V, 3], triangles [T, 3]).
 
     Vertices at the same place count as one: many files hold one for each face.
+    """
+    a = welded(np.asarray(points, np.float64))[triangles]
+    b = np.roll(a, -1, 1).ravel()
+    a = a.ravel()
+    key = np.minimum(a, b) << 32 | np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    order = order[a[order] != b[order]]
+    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    return Edges(order, first, count, a)
+
+
+def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, seam: np.ndarray | None = None) -> Borders:
+    """Edges of a mesh (points [V, 3], triangles [T, 3]) that have one triangle only, or two that differ in direction or patch [T].
+
+    seam [T, 3]: further sides, bool.
     """
     corners = np.asarray(points, np.float64)[triangles]
     normal = triangle_normals(corners)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    vertex = welded(np.asarray(points, np.float64))[triangles]
-    number = np.arange(3 * len(triangles))
-    triangle, side = number // 3, number % 3
-    a, b = vertex[triangle, side], vertex[triangle, (side + 1) % 3]
-    key = np.minimum(a, b) << 32 | np.maximum(a, b)
-    order = np.argsort(key, kind="stable")
-    order = order[a[order] != b[order]]
-    if not len(order):
+    edges = mesh_edges(points, triangles)
+    if not len(edges.side):
         return Borders(*(np.zeros((0, 3)) for _ in range(4)))
-    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
-    one, other = triangle[order[first]], triangle[order[np.minimum(first + 1, len(order) - 1)]]
-    smooth = (count == 2) & (np.einsum("nd,nd->n", normal[one], normal[other]) >= SHARP) & (patch[one] == patch[other])
-    sides = order[np.repeat(~smooth, count)]
-    t, k = triangle[sides], side[sides]
+    one, other = edges.side[edges.first], edges.side[np.minimum(edges.first + 1, len(edges.side) - 1)]
+    smooth = (edges.count == 2) & (np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]) >= SHARP)
+    smooth &= patch[one // 3] == patch[other // 3]
+    if seam is not None:
+        smooth &= ~seam.ravel()[one]
+    t, k = np.divmod(edges.side[np.repeat(~smooth, edges.count)], 3)
     start, end, opposite = corners[t, k], corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
     inward = np.cross(normal[t], end - start)
     inward *= np.sign(np.einsum("nd,nd->n", inward, opposite - start))[:, None]
@@ -89,6 +125,6 @@ def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarr
     i, j, d = i[order], j[order], d[order]
     found, first = np.unique(i, return_index=True)
     direction[found], distance[found, 0] = borders.inward[j[first]], d[first]
-    crossing = np.abs(np.einsum("nd,nd->n", borders.inward[j], direction[i])) < 0.7
+    crossing = np.abs(np.einsum("nd,nd->n", borders.inward[j], direction[i])) < CROSSING
     np.minimum.at(distance[:, 1], i[crossing], d[crossing])
     return direction, distance

@@ -35,6 +35,11 @@ def triangle_normals(corners: np.ndarray) -> np.ndarray:
     return np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
 
 
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Lengths [...] of vectors [..., d], several times as fast as numpy.linalg.norm for short ones."""
+    return np.sqrt(np.einsum("...d,...d->...", vectors, vectors))
+
+
 def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: np.ndarray | None = None) -> SurfaceSamples:
     """Exactly `count` points on the surface.
 
@@ -115,9 +120,7 @@ def neighbours(position, normal, stretch, radius):
     found = []
     for exponent in np.unique(level[level != 99]):
         own = np.flatnonzero(level == exponent)
-        i, j = near_pairs(position[own], position[own], radius / 2.0 ** (exponent - 0.5))
-        once = i < j
-        i, j = own[i[once]], own[j[once]]
+        i, j = (own[x] for x in near_pairs(position[own], None, radius / 2.0 ** (exponent - 0.5)))
         distance = np.linalg.norm(position[i] - position[j], axis=1) * np.sqrt(stretch[i] * stretch[j])
         near = (distance < radius) & (np.einsum("nd,nd->n", normal[i], normal[j]) > 0)
         found.append((i[near], j[near], (1 - distance[near] / radius) ** 8))
@@ -125,21 +128,27 @@ def neighbours(position, normal, stretch, radius):
     return tuple(np.concatenate(x) for x in zip(nothing, *found, strict=True))
 
 
-def near_pairs(a: np.ndarray, b: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """All i, j for which a[i] and b[j] ([M, 3], [L, 3]) are nearer than radius."""
+def near_pairs(a: np.ndarray, b: np.ndarray | None, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """All i, j for which a[i] and b[j] ([M, 3], [L, 3]) are nearer than radius; without b, those of a with i < j."""
+    alone = b is None
+    b = a if alone else b
     low = np.minimum(a.min(0), b.min(0))
     cell_a, cell_b = (np.floor((x - low) / radius).astype(np.int64) + 1 for x in (a, b))
     size = np.maximum(cell_a.max(0), cell_b.max(0)) + 2
     step = np.array([1, size[0], size[0] * size[1]])
-    key_a, key_b = cell_a @ step, cell_b @ step
-    order = np.argsort(key_b, kind="stable")
-    sorted_b, found = key_b[order], []
-    for offset in itertools.product((-1, 0, 1), repeat=3):
-        first = np.searchsorted(sorted_b, key_a + offset @ step, "left")
-        number = np.searchsorted(sorted_b, key_a + offset @ step, "right") - first
+    (order_a, key_a), (order_b, key_b) = ((order, key[order]) for key in (cell_a @ step, cell_b @ step)
+                                          for order in [np.argsort(key, kind="stable")])
+    sorted_a, sorted_b, found = a[order_a], b[order_b], []
+    for y, z in itertools.product((-1, 0, 1), repeat=2):  # three cells in a row lie together in the order
+        if alone and (z, y) < (0, 0):
+            continue
+        row = key_a + y * step[1] + z * step[2]
+        first = np.arange(1, len(a) + 1) if alone and (z, y) == (0, 0) else np.searchsorted(key_b, row - 1, "left")
+        number = np.searchsorted(key_b, row + 1, "right") - first
         i = np.repeat(np.arange(len(a)), number)
-        j = order[np.arange(len(i)) - np.repeat(np.cumsum(number) - number - first, number)]
-        difference = a[i] - b[j]
+        j = np.arange(len(i)) - np.repeat(np.cumsum(number) - number - first, number)
+        difference = sorted_a[i] - sorted_b[j]
         near = np.einsum("nd,nd->n", difference, difference) < radius * radius
-        found.append((i[near], j[near]))
-    return tuple(np.concatenate(x) for x in zip(*found, strict=True))
+        found.append((order_a[i[near]], order_b[j[near]]))
+    i, j = (np.concatenate(x) for x in zip(*found, strict=True))
+    return (np.minimum(i, j), np.maximum(i, j)) if alone else (i, j)

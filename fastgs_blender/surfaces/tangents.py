@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..util import rotations
-from .sampling import triangle_normals
+from .sampling import lengths, triangle_normals
 
 
 @dataclass(frozen=True, eq=False)
 class Tangents:
-    """U triangles at S times.
+    """U frames on triangles at S times.
 
     rotation [S, U, 4]  unit quaternions w x y z of the frame whose x follows a fixed direction of the material and whose z is
                         the normal; without jumps of sign in time
@@ -23,32 +23,42 @@ class Tangents:
     stretch: np.ndarray
 
 
-def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None) -> Tangents:
-    """Frames of triangles with corners [S, U, 3 corners, 3]; `pose` is the index of the time of reference.
+def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None, which: np.ndarray | None = None) -> Tangents:
+    """U frames on triangles with corners [S, T, 3 corners, 3]; `pose` is the index of the time of reference.
 
     along [U, 3]: the direction in that pose which x shall follow; where it is 0, that in which the material is stretched most.
+    which [U]: the triangle of each frame; default: each triangle has one.
     Where a triangle has no area it keeps the frame that it has at the nearest other time before, else after.
     """
     corners = np.asarray(corners, np.float64)
+    which = np.arange(corners.shape[1]) if which is None else which
     edges = corners[:, :, 1:] - corners[:, :, :1]
     normal = triangle_normals(corners)
-    double_area = np.linalg.norm(normal, axis=-1)
+    double_area = lengths(normal)
     axes, inverse, flat = plane(edges[pose])
-    turned = _most_stretched(edges, inverse)
+    turned = _most_stretched(edges, inverse)[which]
     if along is not None:
-        wanted = np.einsum("uad,ud->ua", axes, along)
+        wanted = np.einsum("uad,ud->ua", axes[which], along)
         length = np.linalg.norm(wanted, axis=1, keepdims=True)
         turned = np.where(length > 0, wanted / np.where(length > 0, length, 1), turned)
-    direction = np.where(flat[:, None], [1.0, 0.0], np.einsum("ukm,um->uk", inverse, turned))
-    x = np.einsum("uk,sukd->sud", direction, edges)
-    length = np.linalg.norm(x, axis=-1)
-    valid = (double_area > 1e-12 * double_area.max(initial=0.0)) & (length > 0)
-    area_ratio = double_area / np.where(flat, 1.0, double_area[pose])
-    stretch = np.stack([length, np.divide(area_ratio, length, out=np.zeros_like(length), where=length > 0)], -1).max(0)
-    x = x / np.where(valid, length, 1)[..., None]
+    direction = np.where(flat[which, None], [1.0, 0.0], np.einsum("ukm,um->uk", inverse[which], turned))
+
+    # A triangle's own frame has x along its first edge.  The frames that are asked for are turned against it within its plane.
+    first = lengths(edges[:, :, 0])
+    valid = (double_area > 1e-12 * double_area.max(initial=0.0)) & (first > 0)
+    base = edges[:, :, 0] / np.where(valid, first, 1)[..., None]
     z = normal / np.where(valid, double_area, 1)[..., None]
-    q = _fill(rotations.from_matrices(np.stack([x, np.cross(z, x), z], -1)), valid)
-    return Tangents(rotations.one_sign(q), np.where(flat[:, None], 1.0, stretch))
+    own = rotations.from_matrices(np.stack([base, np.cross(z, base), z], -1))
+    second = np.stack([np.einsum("std,std->st", base, edges[:, :, 1]), double_area / np.where(valid, first, 1)])
+    x, y = direction[:, 0] * first[:, which] + direction[:, 1] * second[0][:, which], direction[:, 1] * second[1][:, which]
+    length = np.hypot(x, y)
+    area_ratio = (double_area / np.where(flat, 1.0, double_area[pose]))[:, which]
+    stretch = np.stack([length, np.divide(area_ratio, length, out=np.zeros_like(length), where=length > 0)], -1).max(0)
+    cosine = np.divide(x, length, out=np.ones_like(x), where=length > 0)
+    c, s = np.sqrt(np.maximum(1 + cosine, 0) / 2), np.copysign(np.sqrt(np.maximum(1 - cosine, 0) / 2), y)
+    w, i, j, k = np.moveaxis(own[:, which], -1, 0)
+    q = _fill(np.stack([w * c - k * s, i * c + j * s, j * c - i * s, k * c + w * s], -1), valid[:, which])
+    return Tangents(rotations.one_sign(q), np.where(flat[which, None], 1.0, stretch))
 
 
 def plane(edges: np.ndarray):

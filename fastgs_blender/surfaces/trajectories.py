@@ -10,9 +10,11 @@ import numpy as np
 
 from ..model.fitting import Fit, choose, motion_families, rotation_families
 from ..model.motion import Basis, Static
-from .borders import distance_to_borders, find_borders
-from .sampling import SurfaceSamples, sample_surface, triangle_normals
-from .tangents import plane, tangents
+from ..util.threads import ranges, run
+from .borders import CROSSING, distance_to_borders, find_borders, mesh_edges
+from .colours import Painted, paint
+from .sampling import SurfaceSamples, lengths, sample_surface, triangle_normals
+from .tangents import tangents
 
 STILL = 1e-4
 """Motion of less than this share of the object's size counts as no motion."""
@@ -34,8 +36,12 @@ layers of a solid, are opaque together, and little sticks out."""
 
 PROBES = 3000
 """Number of samples that orders are chosen by; each part has at least a tenth of so many."""
-CHUNK = 16_000_000
-"""Numbers held at once while fitting: 128 MB."""
+TAIL = 99
+"""The percentile of the distances that has a tolerance of its own: a mean hides a hand that is followed badly."""
+COUNTED = 4_000_000
+"""Number of distances that the percentile is taken from, at most."""
+CHUNK = 1_000_000
+"""Numbers held at once by a thread while fitting, so that they stay in the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,39 +90,36 @@ class MovingSurface:
         """Paths [S, n, 3] of some of the samples."""
         return np.einsum("snkd,nk->snd", self.corners(samples.triangle[which]), samples.weights[which])
 
-    def footprints(self, samples: SurfaceSamples) -> np.ndarray:
-        """Barycentric weights [7, N, 3] of a Gaussian's centre and six places around it, over which its colour is the mean.
+    def painted(self, colours, samples: SurfaceSamples, for_samples: bool) -> Painted:
+        """The samples' colours; see colours.paint()."""
+        corners = self.corners(slice(None), self.pose)
+        return paint(colours, corners, mesh_edges(self.positions[self.pose], self.triangles), samples, for_samples)
 
-        None lies outside a large triangle; a small one is taken as a piece of a smooth surface that continues around it.
+    def distance_to_borders(self, samples: SurfaceSamples, painted: Painted, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """In the pose of reference, the direction [N, 3] across the nearest border and the distances [N, 2]; see borders.py.
+
+        Edges of colour are borders too.
         """
-        corners = self.corners(samples.triangle, self.pose)
-        _, inverse, flat = plane(corners[:, 1:] - corners[:, :1])
-        large = np.linalg.norm(triangle_normals(corners), axis=1) > 16 * samples.spacing**2
-        angles = np.arange(6) * np.pi / 3
-        ring = 0.5 * samples.spacing * np.stack([np.cos(angles), np.sin(angles)], 1)
-        factors = np.where(flat[:, None], 0, np.einsum("nkm,am->ank", inverse, ring))
-        factors /= np.maximum(np.abs(factors).max(-1, keepdims=True) / 4, 1)
-        weights = samples.weights + np.concatenate([-factors.sum(-1, keepdims=True), factors], -1)
-        inside = np.maximum(weights, 0)
-        weights = np.where(large[:, None], inside / inside.sum(-1, keepdims=True), weights)
-        return np.concatenate([samples.weights[None], weights])
-
-    def distance_to_borders(self, samples: SurfaceSamples, reach: float) -> tuple[np.ndarray, np.ndarray]:
-        """In the pose of reference, the direction [N, 3] across the nearest border and the distances [N, 2]; see borders.py."""
-        points = self.positions[self.pose]
         corners = self.corners(samples.triangle, self.pose)
         normal = triangle_normals(corners)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         position = np.einsum("nkd,nk->nd", corners, samples.weights)
-        return distance_to_borders(find_borders(points, self.triangles, self.patch), position, normal, reach)
+        borders = find_borders(self.positions[self.pose], self.triangles, self.patch, painted.seam)
+        across, distance = distance_to_borders(borders, position, normal, reach)
+        nearer = painted.distance < distance[:, 0]
+        crossing = np.abs(np.einsum("nd,nd->n", across, painted.across)) < CROSSING
+        distance[:, 1] = np.where(nearer & crossing, np.minimum(distance[:, 0], distance[:, 1]), distance[:, 1])
+        distance[:, 0] = np.where(nearer, painted.distance, distance[:, 0])
+        return np.where(nearer[:, None], painted.across, across), distance
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
     """The paths of N samples in a basis: constant [N, 3], coefficients [N, K, 3].
 
-    part, mean and largest: of the part that is followed worst for its size, its number and the distances
-    from the true paths over all samples and times.
+    part, mean, tail, largest  the part that is followed worst for its size, and the mean, the percentile TAIL and the largest of the
+                               distances from the true paths over its samples and all times
+    sample, time               where on that part and at which of the times the distance is largest
     """
 
     basis: Basis
@@ -124,7 +127,10 @@ class Paths:
     coefficients: np.ndarray
     part: int
     mean: float
+    tail: float
     largest: float
+    sample: int
+    time: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,39 +151,75 @@ class Turning:
     residual: float
 
 
-def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, basis: str, tolerance: float, max_order: int,
+def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, basis: str, tolerance: float, tail: float, max_order: int,
               progress: Callable[[float], None]) -> Paths:
-    """Positions by least squares, in the smallest basis that keeps the mean distance of every part within the tolerance."""
+    """Positions by least squares, in the smallest basis that keeps every part within the tolerances of the mean and of the percentile."""
     part = surface.part[samples.triangle]
     probes = _probes(part)
     probe_paths, probe_part = surface.follow(samples, probes), part[probes]
     sizes = surface.sizes
 
-    def means(fit):
-        distance = np.linalg.norm(fit(probe_paths)[1] - probe_paths, axis=-1).mean(0)
-        return np.bincount(probe_part, distance, len(sizes)) / np.maximum(np.bincount(probe_part, minlength=len(sizes)), 1)
+    def distances(fit):
+        return lengths(fit(probe_paths)[1] - probe_paths)
 
-    motion = means(Fit.of(Static(), t))
+    def means(distance):
+        return np.bincount(probe_part, distance.mean(0), len(sizes)) / np.maximum(np.bincount(probe_part, minlength=len(sizes)), 1)
+
+    def tails(distance):
+        return np.array([np.percentile(distance[:, probe_part == p], TAIL) if (probe_part == p).any() else 0.0 for p in range(len(sizes))])
+
+    def error(fit):
+        distance = distances(fit)
+        return max((means(distance) / allowed).max(), (tails(distance) / (MARGIN * tail * sizes)).max())
+
+    motion = means(distances(Fit.of(Static(), t)))
     allowed = np.maximum(np.minimum(MARGIN * tolerance * sizes, FOLLOW * motion), min(STILL, tolerance) * sizes)
-    chosen = choose(motion_families(basis, t) if len(t) > 1 else [], t, lambda fit: (means(fit) / allowed).max(), max_order)
+    chosen = choose(motion_families(basis, t) if len(t) > 1 else [], t, error, max_order)
 
     fit = Fit.of(chosen, t)
     constant = np.empty((len(samples), 3), np.float32)
     coefficients = np.empty((len(samples), chosen.terms, 3), np.float32)
-    total, largest = np.zeros(len(sizes)), np.zeros(len(sizes))
-    for rows in _chunks(len(samples), 20 * len(t), progress):
-        paths = surface.follow(samples, rows)
+    mean, largest, time = (np.empty(len(samples), kind) for kind in (np.float64, np.float32, np.int64))
+    every = -(-len(samples) * len(t) // COUNTED)
+    kept = np.empty((len(t), -(-len(samples) // every)), np.float32)
+
+    def piece(start, stop):
+        # A fit is linear, so that it commutes with the mean of a triangle's corners: each vertex is fitted once.
+        vertices, corner = np.unique(surface.triangles[samples.triangle[start:stop]], return_inverse=True)
+        paths = surface.positions[:, vertices].astype(np.float64)
         solution, fitted = fit(paths)
-        constant[rows], coefficients[rows] = solution[0], np.moveaxis(solution[1:], 0, 1)
-        distance = np.linalg.norm(fitted - paths, axis=-1)
-        total += np.bincount(part[rows], distance.mean(0), len(sizes))
-        np.maximum.at(largest, part[rows], distance.max(0))
-    mean = total / np.maximum(np.bincount(part, minlength=len(sizes)), 1)
-    worst = int((mean / sizes).argmax())
-    return Paths(chosen, constant, coefficients, worst, float(mean[worst]), float(largest[worst]))
+        corner, weights = corner.reshape(-1, 3), samples.weights[start:stop]
+        blended = _blend(solution, corner, weights)
+        constant[start:stop], coefficients[start:stop] = blended[:, 0], blended[:, 1:]
+        off = _blend((fitted - paths).astype(np.float32), corner, weights.astype(np.float32))
+        distance = lengths(off)
+        mean[start:stop], time[start:stop], largest[start:stop] = distance.mean(1, dtype=np.float64), distance.argmax(1), distance.max(1)
+        chosen_rows = np.arange(-(-start // every) * every, stop, every)
+        kept[:, chosen_rows // every] = distance[chosen_rows - start].T
+
+    run(piece, ranges(len(samples), _rows(12 * len(t))), progress)
+    count = np.maximum(np.bincount(part, minlength=len(sizes)), 1)
+    mean = np.bincount(part, mean, len(sizes)) / count
+    held = [kept[:, part[::every] == p] for p in range(len(sizes))]
+    percentile = np.array([np.percentile(values, TAIL) if values.size else 0.0 for values in held])
+    worst = int((np.maximum(mean / tolerance, percentile / tail) / sizes).argmax())
+    sample = int(np.where(part == worst, largest, -1).argmax())
+    return Paths(chosen, constant, coefficients, worst, float(mean[worst]), float(percentile[worst]), float(largest[sample]), sample,
+                 int(time[sample]))
 
 
-def fit_turning(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, moving: bool, max_order: int,
+def _blend(values: np.ndarray, corner: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The mean [n, S, 3] of the values [S, V, 3] of three vertices each, corner [n, 3], with weights [n, 3]."""
+    rows = np.ascontiguousarray(np.moveaxis(values, 0, 1)).reshape(values.shape[1], -1)
+    total = rows[corner[:, 0]] * weights[:, :1]
+    for k in (1, 2):
+        part = rows[corner[:, k]]
+        part *= weights[:, k:k + 1]
+        total += part
+    return total.reshape(len(corner), len(values), 3)
+
+
+def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painted, t: np.ndarray, moving: bool, max_order: int,
                 progress: Callable[[float], None]) -> Turning:
     """Quaternions of the tangent frames by least squares, in the smallest basis that turns them right to TURN on average.
 
@@ -190,7 +232,7 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, 
         basis = choose(rotation_families(t), t, lambda fit: _angles(fit(truth)[1], truth).mean() / TURN, max_order)
 
     usual = WIDTH * samples.spacing
-    across, distance = surface.distance_to_borders(samples, usual / TO_BORDER)
+    across, distance = surface.distance_to_borders(samples, painted, usual / TO_BORDER)
     bordering = across.any(1)
     row = np.unique(np.where(bordering, len(surface.triangles) + np.arange(len(samples)), samples.triangle), return_inverse=True)[1]
     first = np.empty(row.max() + 1, np.int64)
@@ -202,12 +244,16 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, 
     constant = np.empty((len(triangles), 4), np.float32)
     coefficients = np.empty((len(triangles), basis.terms, 4), np.float32)
     stretch = np.empty((len(triangles), 2))
-    total = 0.0
-    for rows in _chunks(len(triangles), 80 * len(t), progress):
-        frames = tangents(surface.corners(triangles[rows]), surface.pose, across[rows])
+
+    def piece(start, stop):
+        used, which = np.unique(triangles[start:stop], return_inverse=True)
+        frames = tangents(surface.corners(used), surface.pose, across[start:stop], which)
         solution, fitted = fit(frames.rotation)
-        constant[rows], coefficients[rows], stretch[rows] = solution[0], np.moveaxis(solution[1:], 0, 1), frames.stretch
-        total += float(_angles(fitted, frames.rotation).sum())
+        constant[start:stop], coefficients[start:stop] = solution[0], np.moveaxis(solution[1:], 0, 1)
+        stretch[start:stop] = frames.stretch
+        return float(_angles(fitted, frames.rotation).sum())
+
+    total = sum(run(piece, ranges(len(triangles), _rows(40 * len(t))), progress))
     # Samples were spread by the largest area: in the pose of reference they lie closer than the mean by this factor.
     largest, pose = surface.areas.max(0)[triangles], surface.areas[surface.areas.sum(1).argmax()][triangles]
     stretch *= np.sqrt(np.where(pose > 0, pose / np.maximum(largest, 1e-300), 1))[:, None]
@@ -217,7 +263,7 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, 
 
 def _angles(fitted, truth) -> np.ndarray:
     """Angles between rotations given as quaternions [..., 4], of which the fitted are not of unit length."""
-    length = np.maximum(np.linalg.norm(fitted, axis=-1), 1e-30)
+    length = np.maximum(lengths(fitted), 1e-30)
     return 2 * np.arccos(np.clip(np.abs(np.einsum("...d,...d->...", fitted, truth)) / length, 0, 1))
 
 
@@ -231,10 +277,6 @@ def _probes(part: np.ndarray) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _chunks(n: int, numbers: int, progress: Callable[[float], None]):
-    """Slices of 0..n for which `numbers` a row stay within CHUNK."""
-    step = max(CHUNK // max(numbers, 1), 1)
-    for start in range(0, n, step):
-        progress(start / n)
-        yield slice(start, min(start + step, n))
-    progress(1.0)
+def _rows(numbers: int) -> int:
+    """How many rows of so many numbers are worked on at once."""
+    return max(CHUNK // max(numbers, 1), 64)

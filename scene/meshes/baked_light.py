@@ -31,7 +31,7 @@ REACH = 2.5
 
 def apply(context, recorder: Recorder, times: list[float], colours: np.ndarray, samples: SurfaceSamples, light_samples: int,
           light_frames: int):
-    """A generator that yields the share done and returns colours [N, 4] (sRGB and opacity) under the scene's light.
+    """A generator that yields the share done and returns colours [N, 4] (sRGB and opacity) as the scene's light shows them.
 
     A colour cannot change in time, so that it gets the mean light of `light_frames` of the recorded times, which share the
     samples.  Where both sides may be seen, the lighter one counts.  Raises FastGSError where Cycles

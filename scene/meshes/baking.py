@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,14 +21,16 @@ WAIT = 0.1
 class Settings:
     """The frames to bake, and how they are sampled and fitted; the defaults are the operator's.
 
-    tolerance  mean distance from the true motion that is allowed, as a share of the objects' size
-    max_order  most terms of motion; 0: as many as the number of frames safely carries
+    tolerance       mean distance from the true motion that is allowed, as a share of the objects' size
+    tail_tolerance  the same of the 99th percentile
+    max_order       most terms of motion; 0: as many as the number of frames safely carries
     """
 
     frame_start: int
     frame_end: int
     count: int = 100_000
     tolerance: float = 0.005
+    tail_tolerance: float = 0.01
     max_order: int = 0
     basis: str = "auto"
     samples_per_frame: int = 2
@@ -42,8 +44,26 @@ def frame_times(first: int, last: int, per_frame: int) -> list[float]:
     return [first + i / per_frame for i in range((last - first) * per_frame + 1)]
 
 
+@dataclass(frozen=True)
+class Stage:
+    """A part of the work: what it does in words, and which shares of the whole it lasts from and to."""
+
+    doing: str
+    begin: float
+    end: float
+
+    def at(self, done: float) -> tuple[float, str]:
+        """The share of the whole, and the words, when this share of the stage is done."""
+        return self.begin + (self.end - self.begin) * done, self.doing
+
+
+RECORD, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
+    ("recording the surface", 0.0, 0.3), ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5),
+    ("measuring the light", 0.5, 0.6), ("fitting the motion", 0.6, 1.0)))
+
+
 def bake_steps(context, objects, settings: Settings, in_background: bool):
-    """A generator that bakes objects: it yields the share that is done, and returns (model, report, notes).
+    """A generator that bakes objects: it yields (share that is done, what is being done), and returns (model, report, notes).
 
     While it runs the scene is on other frames; its frame is restored at the end, also when the generator is closed early or an
     error ends it.  With in_background the long pieces of work that need no Blender run in a thread.
@@ -57,17 +77,19 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
         if simulated:  # a simulation has no frame to which it was not played
             for frame in range(scene.frame_start, settings.frame_start):
                 go_to(scene, frame)
-                yield 0.0
+                yield RECORD.at(0.0)
         for number, frame in enumerate(times):
             recorder.record(frame)
-            yield 0.4 * (number + 1) / len(times)
+            yield RECORD.at((number + 1) / len(times))
         positions, triangles = np.stack(recorder.positions), recorder.triangles()
-        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, 0.4, 0.5)
+        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, SPREAD)
+        yield COLOUR.at(0.0)
         materials = MaterialColours(recorder.pieces)
-        colours = surface_colours(materials, positions, triangles, samples)
+        painted = surface_colours(materials, positions, triangles, samples)
         if settings.lighting == 'CYCLES':
-            colours = yield from _scaled(
-                baked_light.apply(context, recorder, times, colours, samples, settings.light_samples, settings.light_frames), 0.5, 0.6)
+            lit = yield from _during(LIGHT, baked_light.apply(context, recorder, times, painted.rgba, samples, settings.light_samples,
+                                                              settings.light_frames))
+            painted = replace(painted, rgba=lit)
     part, patch, fps = recorder.parts(), recorder.patches(), scene.render.fps / scene.render.fps_base
     provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
 
@@ -75,28 +97,29 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
         with warnings.catch_warnings():  # what they say stands in the report too, and Blender's user reads that
             warnings.simplefilter("ignore", UserWarning)
             return bake(
-                positions, triangles, colours, frames=np.array(times) - settings.frame_start,
+                positions, triangles, painted, frames=np.array(times) - settings.frame_start,
                 frame_count=settings.frame_end - settings.frame_start + 1, fps=fps,
-                start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance, max_order=settings.max_order,
+                start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance,
+                tail_tolerance=settings.tail_tolerance, max_order=settings.max_order,
                 basis=settings.basis, part=part, patch=patch, samples=samples, provenance=provenance, progress=progress)
 
-    model, report = yield from _run(fit, in_background, 0.6, 1.0)
-    return model, report, materials.notes
+    model, report = yield from _run(fit, in_background, FIT)
+    return model, replace(report, worst_place=recorder.place(report.worst_triangle)), materials.notes
 
 
-def _scaled(steps, begin, end):
-    """Yields the shares 0..1 of one part of the work as begin..end of the whole; returns its result."""
+def _during(stage, steps):
+    """Yields the shares 0..1 of a stage as those of the whole; returns its result."""
     while True:
         try:
-            yield begin + (end - begin) * next(steps)
+            yield stage.at(next(steps))
         except StopIteration as stop:
             return stop.value
 
 
-def _run(work, in_background, begin, end):
+def _run(work, in_background, stage):
     """Yields progress while work(progress) runs, and returns its result; closing the generator cancels the work."""
     if not in_background:
-        yield begin
+        yield stage.at(0.0)
         return work(None)
     state = {"done": 0.0}
     cancelled = threading.Event()
@@ -117,7 +140,7 @@ def _run(work, in_background, begin, end):
     try:
         while thread.is_alive():
             thread.join(WAIT)
-            yield begin + (end - begin) * state["done"]
+            yield stage.at(state["done"])
     finally:
         cancelled.set()
         thread.join()

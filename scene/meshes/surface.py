@@ -140,6 +140,26 @@ class Recorder:
         number = np.unique(roots, return_inverse=True)[1]
         return np.repeat(number, [len(p.triangles) for p in self.pieces])
 
+    def place(self, triangle: int) -> str:
+        """A triangle in words: its object, and the vertex group (in rigs a bone) that has most of it."""
+        number = int(np.searchsorted(np.cumsum([len(p.triangles) for p in self.pieces]), triangle, side="right"))
+        piece, name = self.pieces[number], self._keys[number][1]
+        first = triangle - sum(len(p.triangles) for p in self.pieces[:number])
+        group = self._group(bpy.data.objects[name], piece.triangles[first])
+        return f'"{piece.owner}"' + (f', vertex group "{group}",' if group else "")
+
+    def _group(self, obj, vertices) -> str:
+        mesh = obj.evaluated_get(self._context.evaluated_depsgraph_get()).to_mesh()
+        try:
+            weights = {}
+            for index in vertices:
+                for element in mesh.vertices[index].groups:
+                    weights[element.group] = weights.get(element.group, 0.0) + element.weight
+        finally:
+            obj.evaluated_get(self._context.evaluated_depsgraph_get()).to_mesh_clear()
+        names = {group.index: group.name for group in obj.vertex_groups}
+        return names.get(max(weights, key=weights.get), "") if weights else ""
+
     def patches(self) -> np.ndarray:
         """For each triangle the number of its object and material."""
         offsets = np.cumsum([0] + [p.material.max(initial=0) + 1 for p in self.pieces])

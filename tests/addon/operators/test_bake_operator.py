@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """bpy.ops.fastgs.bake: what Blender shows becomes 4D Gaussians, and the user's scene stays as it was."""
+import re
 import threading
 from pathlib import Path
 
@@ -129,6 +130,36 @@ def test_the_result_is_imported(bake, add, scene, target):
     assert np.allclose(made.matrix_world, np.eye(4))
 
 
+def test_the_source_is_hidden_or_left_and_the_scene_remembers(bake, add, scene):
+    cube = add("cube")
+    bake(cube)
+    assert not cube.hide_get() and not cube.hide_render
+    bake(cube, hide_source=True, overwrite=True)
+    assert cube.hide_get() and cube.hide_render and not bpy.context.object.hide_render
+    other = add("cube")
+    bake(other, overwrite=True)  # the scene remembers
+    assert other.hide_get() and other.hide_render
+    third = add("cube")
+    bake(third, hide_source=False, overwrite=True)
+    assert not third.hide_get() and not scene.fastgs.hide_baked
+
+
+def test_the_worst_place_is_named(bake, add, scene, capfd):
+    """The vertex group, in rigs a bone, and the frame at which the Gaussians are off most."""
+    grid = add("grid", x_subdivisions=10, y_subdivisions=10)
+    grid.name = "Kite"
+    group = grid.vertex_groups.new(name="Tip")
+    tip = [v.index for v in grid.data.vertices if v.co.x > 0.5 and v.co.y > 0.5]
+    group.add(tip, 1.0, 'REPLACE')
+    grid.shape_key_add(name="Basis")
+    shape = grid.shape_key_add(name="Flap")
+    for index in tip:
+        shape.data[index].co.z += 0.5
+    key(shape, "value", [0] * 5 + [1] + [0] * 6)
+    bake(grid, samples_per_frame=1)
+    assert re.search(r'Warning: .* worst at "Kite", vertex group "Tip", on frame [5-7]', capfd.readouterr().out)
+
+
 def test_baked_and_rendered_at_its_place(bake, add, paint, add_camera, scene, render):
     """The picture of the Gaussians is that of the mesh: a red cube left, a green one right, nothing elsewhere."""
     left, right = add("cube", location=(-1, 0, 0), size=1), add("cube", location=(1, 0, 0), size=1)
@@ -243,8 +274,10 @@ def test_in_steps_beside_the_user(module, add, scene, fg):
                 return end.value, shares
 
     (blocking, _, _), _ = finish(False)
-    (model, report, notes), shares = finish(True)
-    assert shares == sorted(shares) and shares[0] >= 0 and shares[-1] <= 1 and report.gaussians == 300 and not notes
+    (model, report, notes), told = finish(True)
+    shares, stages = zip(*told, strict=True)
+    assert list(dict.fromkeys(stages)) == ["recording the surface", "spreading the Gaussians", "reading the colours", "fitting the motion"]
+    assert list(shares) == sorted(shares) and shares[0] >= 0 and shares[-1] <= 1 and report.gaussians == 300 and not notes
     assert all(np.array_equal(a, b) for a, b in zip(model.arrays.values(), blocking.arrays.values(), strict=True))
     for stop in range(1, len(shares), 7):
         steps = baking.bake_steps(bpy.context, [cube], settings, True)
