@@ -4,45 +4,72 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import inspect
 import os
 import sys
+import textwrap
 import traceback
 import warnings
 
 from . import __version__
 from .commands import COMMANDS
-from .commands.shared import note
+from .commands.shared import FAILED, PROBLEMS, STOPPED, be_quiet, complain, note
 from .util.errors import FastGSError, LossWarning, printable
 
-FAILED, STOPPED = 2, 130
+EPILOG = f"""\
+fastgs COMMAND --help tells more.
+
+Exit codes: 0 all is well; {PROBLEMS} fastgs info found problems; {FAILED} the command failed, one sentence says why; {STOPPED} it was
+stopped.  Results go to standard output, progress and remarks to standard error."""
+
+
+class Paragraphs(argparse.HelpFormatter):
+    """Wraps each paragraph by itself; indented lines stay as they are."""
+
+    def _fill_text(self, text, width, indent):
+        parts = []
+        for paragraph in inspect.cleandoc(text).split("\n\n"):
+            lines: list[str] = []
+            for line in paragraph.splitlines():
+                if line.startswith(" ") or not lines or lines[-1].startswith(" "):
+                    lines.append(line)
+                else:
+                    lines[-1] += " " + line
+            parts.append("\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines))
+        return textwrap.indent("\n\n".join(parts), indent)
 
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line; nothing heavy is imported for it."""
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
+    common.add_argument("--quiet", action="store_true", help="show no progress and no remarks, only results and errors")
     common.add_argument("--debug", action="store_true", help="show where in the program an error came from")
     top = argparse.ArgumentParser(
-        prog="fastgs", description="4D Gaussian models: look at, convert, render and time them.",
-        epilog="fastgs COMMAND --help tells more.")
+        prog="fastgs", description="4D Gaussian models: train, look at, convert, render and measure them.", epilog=EPILOG,
+        formatter_class=Paragraphs)
     top.add_argument("--version", action="version", version=f"fastgs {__version__}")
-    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    top.set_defaults(command=None, parser=top)
+    commands = top.add_subparsers(metavar="COMMAND")
     for module in COMMANDS:
         name = module.__name__.rpartition(".")[2]
         command = commands.add_parser(
-            name, parents=[common], help=module.__doc__.splitlines()[0], description=module.__doc__,
-            formatter_class=argparse.RawDescriptionHelpFormatter)
+            name, parents=[common], help=module.__doc__.splitlines()[0], description=module.__doc__, formatter_class=Paragraphs)
         module.add_arguments(command)
-        command.set_defaults(run=module.run)
+        command.set_defaults(run=module.run, command=name)
     return top
 
 
-def main(argv=None) -> int:
-    """Run one command; returns the exit code: 0, 2 for an error told in one sentence, 130 when stopped."""
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0, 1 where problems were found, 2 for an error told in one sentence, 130 when stopped."""
     for stream in (sys.stdout, sys.stderr):  # names from files may hold letters that a terminal's encoding lacks
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     args = parser().parse_args(argv)
+    if args.command is None:
+        args.parser.print_help()
+        return 0
+    be_quiet(args.quiet)
     try:
         with _losses_as_remarks():
             return args.run(args) or 0
@@ -58,6 +85,8 @@ def main(argv=None) -> int:
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         return _tell(f"{name}{error.strerror or error}.", FAILED, args.debug)
+    finally:
+        be_quiet(False)
 
 
 @contextlib.contextmanager
@@ -80,5 +109,5 @@ def _losses_as_remarks():
 def _tell(sentence, code, debug):
     if debug:
         sys.stderr.write(printable(traceback.format_exc()))
-    note(sentence)
+    complain(sentence)
     return code

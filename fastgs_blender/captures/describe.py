@@ -6,7 +6,8 @@ import contextlib
 from collections import Counter
 from dataclasses import asdict
 
-from ..util.errors import FastGSError, printable
+from ..util.errors import FastGSError
+from ..util.screen import screen
 from .capture import Capture, Shot
 from .pixels.checks import problems
 from .pixels.probe import Facts, facts
@@ -59,8 +60,8 @@ def _masks(capture: Capture, known: dict) -> str | None:
     return "alpha" if any(found is not None and found.alpha for found in known.values()) else None
 
 
-def text(found: dict) -> str:
-    """describe()'s facts for people."""
+def text(found: dict, everything: bool = True) -> str:
+    """describe()'s facts for people; see util.screen."""
     clip, views = found["clip"], found["views"]
     sizes = Counter((v["file_width"], v["file_height"]) for v in views)
     scaled = Counter((v["width"], v["height"]) for v in views if v["width"])
@@ -71,7 +72,7 @@ def text(found: dict) -> str:
     moving = "" if len(views) > 1 or found["pictures"] == 1 else " (moving)"
     points = "none" if found["points"] is None else f"{found['points']}{', with times' if found['timed_points'] else ''}"
     lenses = sorted({v["lens"] for v in views if v["lens"]} - {"pinhole"})
-    lines = [
+    return screen([
         ("capture", found["capture"]),
         ("layout", found["layout"]),
         ("cameras", f"{len(views)}{moving}: {_some(names)}" + (f"; lenses undone: {', '.join(lenses)}" if lenses else "")),
@@ -81,11 +82,9 @@ def text(found: dict) -> str:
         ("pictures", pictures),
         ("masks", MEANINGS.get(found["masks"], "none")),
         ("points", points),
-        *(("note", note) for note in found["notes"]),
         *(("problem", problem) for problem in found["problems"]),
-    ]
-    width = max(len(name) for name, _ in lines)
-    return printable("\n".join(f"{name:<{width}}  {value}" for name, value in lines))
+        *(("note", note) for note in found["notes"]),
+    ], everything)
 
 
 def _sizes(counts: Counter) -> str:

@@ -47,7 +47,7 @@ def run(args):
         _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
         with _collected(losses, str(target), args.output):
             formats.save(result, target)
-        if not args.json:
+        if not (args.json or args.quiet):
             size = human_bytes(target.stat().st_size)
             say(f"{target}: {len(result)} Gaussians, {size}")
     if args.json:

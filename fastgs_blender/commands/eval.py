@@ -16,12 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..util.errors import FastGSError, printable
-from .shared import add_backend, human_bytes, note, print_json, say, use_threads
+from ..util.progress import progress
+from .shared import add_backend, human_bytes, model_file, note, print_json, say, use_threads
 
 
 def add_arguments(parser):
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
-    parser.add_argument("capture", metavar="CAPTURE", help="the capture to measure it against")
+    parser.add_argument("capture", nargs="?", metavar="CAPTURE", help="the capture to measure it against (default: the training run's)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: MODEL-evaluation, or evaluation in the folder)")
     parser.add_argument("--views", "--held-out", metavar="NAME,NAME", help="the views to use, or all (default: those that the model "
                         "was not trained on)")
@@ -30,13 +31,10 @@ def add_arguments(parser):
     parser.add_argument("--scale", type=float, metavar="S", help="factor on the size of the pictures (default: as in training)")
     parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
     parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_backend(parser)
 
 
 def run(args):
-    from tqdm import tqdm
-
     from .. import formats
     from ..captures import open_capture
     from ..captures.pixels.checks import check
@@ -47,25 +45,28 @@ def run(args):
 
     use_threads(args.threads)
     file = model_file(args.model)
+    if file.is_dir():
+        raise FastGSError(f"{file}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
     out = Path(args.out) if args.out else default_folder(Path(args.model), file)
     make_folder(out)
     frames = _frames(args.frames)
     model = formats.load(file)
     known = recorded(model)
-    capture = open_capture(args.capture, scale=known.scale if args.scale is None and known else args.scale, layout=args.layout)
+    capture, layout = _capture(args)
+    capture = open_capture(capture, scale=known.scale if args.scale is None and known else args.scale, layout=layout)
     views = _views(args.views, capture)
     shots = chosen(capture, views, frames, known)
     check(replace(capture, shots=shots, faults=[]))
     store = FrameStore(capture, 0)
     try:
-        with tqdm(total=len(shots), unit="frame", desc="decoding", disable=args.quiet or not store.missing(shots)) as bar:
-            store.fill(lambda done, total: _advance(bar, done, total), shots)
-        with tqdm(total=len(shots), unit="frame", desc="evaluating", disable=args.quiet) as bar:
+        with progress(len(store.missing(shots)), "frame", "decoding", quiet=args.quiet) as bar:
+            store.fill(bar.to, shots)
+        with progress(len(shots), "frame", "evaluating", quiet=args.quiet) as bar:
 
             def show(done, total, row):
                 name = printable(row["view"])
-                bar.set_postfix_str(name if row["psnr"] is None else f"{name} {row['psnr']:.2f} dB", refresh=False)
-                _advance(bar, done, total)
+                bar.note(name if row["psnr"] is None else f"{name} {row['psnr']:.2f} dB")
+                bar.to(done, total)
 
             result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=args.backend,
                               lpips=not args.no_lpips, progress=show)
@@ -82,9 +83,16 @@ def run(args):
         say(f"\n{facts(result)}\n{_files(out, result['files'])}")
 
 
-def _advance(bar, done, total):
-    bar.total = total
-    bar.update(done - bar.n)
+def _capture(args) -> tuple[str, str | None]:
+    """The capture and its layout: as given, else those of the training run."""
+    if args.capture is not None:
+        return args.capture, args.layout
+    from ..training.run.plan import read_plan
+
+    plan = read_plan(args.model)
+    if plan is None or plan.source.capture is None:
+        raise FastGSError(f"{args.model} does not say what it was trained on; name the CAPTURE to measure it against.")
+    return plan.source.capture, args.layout or plan.source.layout
 
 
 def facts(result: dict) -> str:
@@ -99,17 +107,6 @@ def _files(out, files) -> str:
     counts = {"picture": kinds.count(".png"), "film": kinds.count(".mp4")}
     words = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
     return f"{out}: " + ", ".join([Path(path).name for path in files if Path(path).suffix in {".json", ".csv"}] + words)
-
-
-def model_file(path) -> Path:
-    """The model that `path` means: itself, or the one in a folder that training wrote."""
-    path = Path(path)
-    if not path.is_dir():
-        return path
-    file = path / "model.safetensors"
-    if not file.is_file():
-        raise FastGSError(f"{path}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
-    return file
 
 
 def default_folder(given: Path, file: Path) -> Path:

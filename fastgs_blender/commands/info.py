@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""what a model file or a capture holds
+"""what a model file, a capture or a training run holds
 
-Of a model: the format, the number of Gaussians, how they move, fade and look, the clip, the rasteriser constants, the axes and the
-bounds.  Of a capture (a folder, or a file such as transforms.json): the layout, cameras, frames, what is held out, masks, points, and
-everything that is wrong with its files.  --json gives the same for scripts.
+Of a model: the format, the number of Gaussians, how they move, fade and look, the clip, the axes and the bounds.  Of a capture (a folder,
+or a file such as transforms.json): the layout, cameras, frames, what is held out, masks, points, and everything that is wrong with its
+files.  Of a training run (the folder that fastgs train wrote): how far it is, its capture and its model.
+
+It shows one screen; --all shows the rest: constants of the rasteriser, where the model came from, every problem.  --json gives everything
+for scripts.  The exit code is 1 where something is wrong with a capture or a run.
 """
 from __future__ import annotations
 
@@ -11,29 +14,38 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..util.errors import FastGSError
-from .shared import human_bytes, print_json, say
+from ..util.screen import screen
+from .shared import PROBLEMS, human_bytes, is_run, print_json
 
 CHUNK = 65_536
+LONG = 100
+"""Characters of a record of the model's origin that is shown by --all alone."""
 CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
 
 
 def add_arguments(parser):
-    parser.add_argument("file", metavar="FILE", help="the model, or the capture's folder or file")
+    parser.add_argument("file", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
     parser.add_argument("--layout", metavar="NAME", help="a capture's layout, where it is not recognised")
+    parser.add_argument("--all", action="store_true", help="show everything, however long it is")
 
 
 def run(args):
-    if args.layout is not None or is_capture(args.file):
+    if args.layout is None and is_run(args.file):
+        facts, text = describe_run(args.file), run_text
+        wrong = facts["state"] == "failed"
+    elif args.layout is not None or is_capture(args.file):
         from ..captures import describe as captured
         from ..captures import open_capture
 
-        facts, to_text = captured.describe(open_capture(args.file, layout=args.layout)), captured.text
+        facts, text = captured.describe(open_capture(args.file, layout=args.layout)), captured.text
+        wrong = bool(facts["problems"])
     else:
-        facts, to_text = describe(args.file), text
+        facts, text, wrong = describe(args.file), model_text, False
     if args.json:
         print_json(facts)
     else:
-        say(to_text(facts))
+        print(text(facts, args.all))
+    return PROBLEMS if wrong else 0
 
 
 def is_capture(path) -> bool:
@@ -112,8 +124,13 @@ def bounds(model) -> tuple[list[float] | None, list[float] | None]:
     return (low.tolist(), high.tolist()) if np.isfinite(low).all() else (None, None)
 
 
-def text(facts: dict) -> str:
-    """The facts for people."""
+def model_text(facts: dict, everything: bool) -> str:
+    """The facts of a model for people; see util.screen."""
+    return screen(*_rows(facts, everything))
+
+
+def _rows(facts: dict, everything: bool) -> tuple[list[tuple[str, object]], bool, int]:
+    """Names and values; `everything`; how many rows are left out."""
     clip, raster, box = facts["clip"], facts["raster"], facts["bounds"]
     sizes = ", ".join([f"{human_bytes(facts['file_bytes'])} on disk"] * bool(facts["file_bytes"])
                       + [f"{human_bytes(facts['memory_bytes'])} in memory"])
@@ -126,24 +143,55 @@ def text(facts: dict) -> str:
         ("opacity", facts["temporal_opacity"]),
         ("appearance", ", ".join(f"{v}" if k == "kind" else f"{k} {v}" for k, v in facts["appearance"].items())),
         ("clip", f"{clip['frame_count']} frames from {clip['start_frame']} at {clip['fps']:g} fps, {clip['duration_seconds']:.3g} s"),
-        ("rasteriser", ", ".join(f"{k} {v:.6g}" for k, v in raster.items() if k != "antialiased")
-         + (", antialiased" if raster["antialiased"] else "")),
         ("axes", facts["axes"]),
         ("colour", facts["colour_space"]),
         ("bounds", "none" if box["low"] is None else f"{_vector(box['low'])} to {_vector(box['high'])}"),
         ("around", _around(facts["surroundings"])),
-        *((f"from {key}", value) for key, value in facts["provenance"].items()),
     ]
-    width = max(len(name) for name, _ in lines)
-    indent = "\n" + " " * (width + 2)
-    return "\n".join(f"{name.replace(chr(10), ' '):<{width}}  {value}".replace("\n", indent) for name, value in lines)
+    origin = [(f"from {key}", value) for key, value in facts["provenance"].items()]
+    if not everything:
+        short = [row for row in origin if len(row[1]) <= LONG]
+        return lines + short, False, 1 + len(origin) - len(short)
+    lines.append(("rasteriser", ", ".join(f"{k} {v:.6g}" for k, v in raster.items() if k != "antialiased")
+                  + (", antialiased" if raster["antialiased"] else "")))
+    return lines + origin, True, 0
+
+
+def describe_run(folder) -> dict:
+    """Everything about a training run, as JSON values; "state" is as in status.json, "unknown" where it says nothing."""
+    from ..jobs.job import read_status
+    from ..training.run.files import MODEL, STATUS
+    from ..training.run.plan import read_plan
+
+    folder = Path(folder)
+    status, plan, model = read_status(folder / STATUS), read_plan(folder), folder / MODEL
+    return {
+        "run": str(folder), "state": status.get("state", "finished" if model.is_file() else "unknown"), "status": status,
+        **({name: value for name, value in plan.to_dict().items() if name != "fresh"} if plan else {"settings": None, "source": None}),
+        "model": describe(model) if model.is_file() else None}
+
+
+def run_text(facts: dict, everything: bool) -> str:
+    """The facts of a training run for people; see util.screen."""
+    status, source, settings = facts["status"], facts["source"] or {}, facts["settings"] or {}
+    steps = f", {status['iteration']} of {status['iterations']} steps" if {"iteration", "iterations"} <= status.keys() else ""
+    quality = f", {status['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in status else ""
+    part = [f"{name.replace('_', ' ')} {', '.join(map(str, value)) if isinstance(value, list) else value}"
+            for name, value in source.items() if name != "capture" and value is not None]
+    lines = [("run", facts["run"]), ("state", facts["state"] + steps + quality), ("reason", status.get("reason")),
+             ("capture", ", ".join([source["capture"], *part]) if source.get("capture") else None)]
+    shown = settings if everything else {name: settings[name] for name in ("preset", "motion", "density") if name in settings}
+    lines.append(("options", ", ".join(f"{name} {value}" for name, value in shown.items()) or None))
+    lines = [line for line in lines if line[1] is not None]
+    model, _, hidden = _rows(facts["model"], everything) if facts["model"] else ([], everything, 0)
+    return screen(lines + model, everything, hidden)
 
 
 def _motion_text(motion: dict) -> str:
-    parameters = [f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in motion.items()
+    parameters = [k if v is True else f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in motion.items()
                   if k not in ("basis", "band_limit_hz", "terms") and v is not False]
     limit = [f"up to {motion['band_limit_hz']:.3g} Hz"] if motion["band_limit_hz"] else []
-    terms = [f"{motion['terms']} terms"] if motion["terms"] else []
+    terms = [f"{motion['terms']} term{'s' if motion['terms'] > 1 else ''}"] if motion["terms"] else []
     return ", ".join([motion["basis"], *parameters, *terms, *limit])
 
 

@@ -2,7 +2,8 @@
 """render frames of a model to PNG or multi-layer EXR files
 
 Frames are counted from 0; A:B has both ends, A:B:S goes in steps, fractions are sub-frames.  The default is the whole clip.
-Frames that exist already are kept, so the same command continues a stopped run.
+Frames that the same work has made already are kept, so the same command continues a stopped run.  Where frames of other work lie (another
+model, size, camera, background ...), it stops; --overwrite renders them again.
 
 PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
 R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where there is nothing).
@@ -19,13 +20,14 @@ import time
 from pathlib import Path
 
 from ..util.errors import FastGSError
-from .shared import add_backend, image_size, note, print_json, use_threads
+from ..util.progress import progress
+from .shared import add_backend, image_size, model_file, note, print_json, use_threads
 
 NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
 def add_arguments(parser):
-    parser.add_argument("model", metavar="MODEL", help="the model to render")
+    parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
     parser.add_argument("--camera", required=True, metavar="CAMERAS.json", help="the cameras, as 3DGS trainers write them")
     parser.add_argument("--frames", metavar="A:B", help="frames to render (default: the whole clip)")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
@@ -37,7 +39,6 @@ def add_arguments(parser):
     which.add_argument("--path", action="store_true", help="the cameras are a path: frame f takes camera f")
     parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB (default: transparent)")
     parser.add_argument("--overwrite", action="store_true", help="render frames again that are there already")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_backend(parser)
 
 
@@ -46,7 +47,9 @@ def run(args):
     from ..cameras.cameras_json import load_cameras
     from ..model.gaussians import GaussianModel
     from ..rendering import images
+    from ..util.backends import load_backend
     from ..util.frames import parse_frames
+    from .kept_frames import KeptFrames
 
     use_threads(args.threads)
     passes = _passes(args)
@@ -54,7 +57,9 @@ def run(args):
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = load_cameras(args.camera)
-    model = formats.open_source(args.model)
+    load_backend(args.backend)
+    name = model_file(args.model)
+    model = formats.open_source(name)
     if frames is None:
         frames = parse_frames(f"0:{model.clip.frame_count - 1}")
     cameras = _cameras(views, frames, args, size)
@@ -64,22 +69,30 @@ def run(args):
 
     out = Path(args.out)
     _make_folder(out)
-    files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     images.remove_stale(out)
-    todo = [i for i, file in enumerate(files) if args.overwrite or not file.exists()]
+    files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
+    times = [model.clip.t_of_frame(float(frame)) for frame in frames]
+    notes = KeptFrames(out, model, {"passes": passes, "background": background, "backend": args.backend})
+    states = [notes.state(*each) for each in zip(files, cameras, times, strict=True)]
+    if "other" in states and not args.overwrite:
+        raise FastGSError(f"{files[states.index('other')]} is there already, and was not made by this command with this model and these "
+                          f"options ({states.count('other')} of {len(files)} frames); give another folder, or --overwrite to render "
+                          "them again.")
+    todo = [i for i, state in enumerate(states) if args.overwrite or state != "same"]
     kept = len(files) - len(todo)
     if kept:
         note(f"{kept} of {len(files)} frames are there already and are kept; --overwrite renders them again.")
 
-    def write(path, image, frame):
-        if args.format == "png":
-            images.write_png(path, image, model.colour_space)
-        else:
-            attributes = {"comments": f"frame {frame} of {Path(args.model).name}; scene-linear Rec. 709, premultiplied"}
-            images.write_exr(path, image, model.colour_space, passes, attributes)
+    def write(i, image):
+        with notes.written(files[i], cameras[i], times[i]):
+            if args.format == "png":
+                images.write_png(files[i], image, model.colour_space)
+            else:
+                attributes = {"comments": f"frame {frames.numbers[i]} of {name.name}; scene-linear Rec. 709, premultiplied"}
+                images.write_exr(files[i], image, model.colour_space, passes, attributes)
 
     start = time.perf_counter()
-    _render_all(args, model, cameras, frames, files, todo, write, passes, background)
+    _render_all(args, model, cameras, times, todo, write, passes, background)
     if args.json:
         print_json({
             "model": args.model, "frames": [float(frame) for frame in frames], "files": [str(file) for file in files],
@@ -87,24 +100,20 @@ def run(args):
         })
 
 
-def _render_all(args, model, cameras, frames, files, todo, write, passes, background):
-    from tqdm import tqdm
-
+def _render_all(args, model, cameras, times, todo, write, passes, background):
     from ..rendering.api import render
 
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
-    done = 0
-    with _stop_on_sigterm(), tqdm(total=len(todo), unit="frame", desc="rendering", disable=args.quiet or not todo) as bar:
+    with _stop_on_sigterm(), progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
         try:
-            for i in todo:
-                frame = frames.numbers[i]
-                image = render(model, cameras[i], model.clip.t_of_frame(float(frame)), wanted, args.backend)
-                write(files[i], image if background is None else _over(image, background, model.colour_space), frame)
-                done += 1
-                bar.update()
+            for done, i in enumerate(todo):
+                bar.to(done)
+                image = render(model, cameras[i], times[i], wanted, args.backend)
+                write(i, image if background is None else _over(image, background, model.colour_space))
+                bar.to(done + 1)
         except KeyboardInterrupt:
             bar.close()
-            rest = f"stopped; {done} of {len(todo)} frames are written to {args.out}, and the same command continues from there."
+            rest = f"stopped; {bar.n} of {len(todo)} frames are written to {args.out}, and the same command continues from there."
             raise KeyboardInterrupt(rest) from None
 
 

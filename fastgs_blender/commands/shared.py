@@ -4,14 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
+from ..jobs.job import read_status
+from ..training.run.files import MODEL, RUN, STATUS
 from ..util.errors import FastGSError, printable
+
+PROBLEMS, FAILED, STOPPED = 1, 2, 130
+"""Exit codes: something is wrong with what was looked at; the command failed; it was stopped.  0: all is well."""
+_quiet = False
 
 
 def add_backend(parser):
     """--backend and --threads."""
     parser.add_argument("--backend", default="auto", help="cpu, reference (slow, double precision) or auto (default)")
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def be_quiet(quiet: bool):
+    """From now on note() shows nothing, or everything."""
+    global _quiet
+    _quiet = quiet
 
 
 def use_threads(count: int | None):
@@ -56,8 +69,35 @@ def say(text: str):
 
 
 def note(text: str):
-    """Print a remark on standard error: standard output is for results."""
+    """Print a remark on standard error, unless the command is quiet: standard output is for results."""
+    if not _quiet:
+        complain(text)
+
+
+def complain(text: str):
+    """Print on standard error what went wrong."""
     print(f"fastgs: {printable(text)}", file=sys.stderr)
+
+
+def model_file(path) -> Path:
+    """What `path` means: the model in a folder that training wrote, else itself; raises FastGSError where a run has no model yet."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    file = path / MODEL
+    if file.is_file():
+        return file
+    if is_run(path):
+        status = read_status(path / STATUS)
+        done, of = status.get("iteration", 0), status.get("iterations", 0)
+        how_far = f"{done} of {of} steps are done" if of else "it has not begun"
+        raise FastGSError(f"{path}: this training run has no finished model ({how_far}); fastgs train --resume --out {path} continues it.")
+    return path
+
+
+def is_run(path) -> bool:
+    """Whether a folder is that of a training run."""
+    return (Path(path) / RUN).is_file()
 
 
 def human_bytes(count: float) -> str:

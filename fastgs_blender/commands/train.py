@@ -13,7 +13,7 @@ import os
 
 from ..model.motion import trained_motions
 from ..util.errors import FastGSError
-from .shared import note, print_json, say, use_threads
+from .shared import note, print_json, use_threads
 
 FLAGS = {
     "motion": (str, "KIND", f"{', '.join(trained_motions())} or static (default: cosine)"),
@@ -49,7 +49,6 @@ def add_arguments(parser):
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")
     parser.add_argument("--held-out", metavar="NAME,NAME", help="views to keep for evaluation (default: the layout's)")
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def run(args):
@@ -67,7 +66,7 @@ def run(args):
         print_json(report)
     else:
         quality = f", {report['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in report else ""
-        say(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
+        note(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
 
 
 def options(args) -> dict:

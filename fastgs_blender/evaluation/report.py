@@ -29,7 +29,8 @@ def table(result: dict) -> str:
     second = max(len(text) for _, text, _ in rows + averages)
 
     def line(view, frame, cells):
-        return f"{view:<{width}}  {frame:>{second}}" + "".join(f"{cell:>11}" for cell in cells)
+        return f"{view:<{width}}  {frame:>{second}}" + "".join(
+            f"{cell:>{max(len(COLUMNS[name][0]), 6) + 2}}" for name, cell in zip(names, cells, strict=True))
 
     def cells(values):
         return [f"{values[name]:{COLUMNS[name][1]}}" if values[name] is not None else "-" for name in names]

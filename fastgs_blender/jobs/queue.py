@@ -196,7 +196,7 @@ class Jobs:
         """The command line of its process."""
         here = Path(__file__).resolve()  # one place for the kernels that numba keeps by path
         return [job.python, str(here.with_name("child.py")), str(here.parents[2]), str(self._file(job.id, ".lock")),
-                str(self._file(job.id, ".stop")), "train", job.capture, "--out", job.out, "--quiet", *job.options, *more]
+                str(self._file(job.id, ".stop")), "train", job.capture, "--out", job.out, *job.options, *more]
 
     def _start(self, job: Job) -> None:
         if self.alive(job):

@@ -9,13 +9,13 @@ import contextlib
 import importlib.util
 import json
 import os
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
 from ...util.errors import FastGSError, printable
+from ...util.progress import progress
 from . import barrier, checkpoint
 from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
 from .plot import write_plot
@@ -32,7 +32,10 @@ class Silent:
     iterations = 0
 
     def say(self, text):
-        pass
+        """A remark; not shown where the run is quiet."""
+
+    def warn(self, text):
+        """Something that went wrong, and did not end the run; always shown."""
 
     def fill(self, store, shots):
         store.fill(shots=shots)
@@ -55,7 +58,7 @@ class Reporter(Silent):
 
     folder      where the files go
     iterations  of the whole run; begin: those already done, elapsed: the seconds that they took
-    quiet       no bar
+    quiet       neither progress nor remarks; what goes wrong is told
     clock       gives the time in seconds from any beginning
     """
 
@@ -68,8 +71,8 @@ class Reporter(Silent):
         self.smooth: dict[str, float] = {}
         self.last: dict = {"iteration": begin} if begin else {}
         self.unwritable, self.state, self.status_time = set(), "", 0.0
-        self.bar = self._bar(total=iterations, initial=begin, unit="step", desc="training", disable=quiet, mininterval=0.5,
-                             bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
+        self.quiet = quiet
+        self.bar = progress(iterations, "step", "training", quiet=quiet, done=begin, rate=lambda: self.speed, clock=clock)
         self._drop_log_after(begin)
         self.log = self._safely("the log", lambda: open(self.folder / LOG, "a", encoding="utf-8", buffering=1))  # noqa: SIM115
         self.board = self._board()
@@ -88,17 +91,17 @@ class Reporter(Silent):
         return (self.last["iteration"] - iteration) / max(self.clock() - begun, 1e-9)
 
     def say(self, text):
-        self.bar.clear()
-        print(f"fastgs: {printable(text)}", file=sys.stderr)
-        self.bar.refresh()
+        if not self.quiet:
+            self.warn(text)
+
+    def warn(self, text):
+        self.bar.say(f"fastgs: {printable(text)}")
 
     def fill(self, store, shots):
         """Decode the pictures that are not in the cache yet, with a bar of their own."""
-        from tqdm import tqdm
-
         missing = store.missing(shots)
-        with tqdm(total=len(missing), unit="picture", desc="decoding", disable=self.bar.disable or not missing, leave=False) as bar:
-            store.fill(lambda done, of: bar.update(done - bar.n), missing)
+        with progress(len(missing), "picture", "decoding", quiet=self.quiet) as bar:
+            store.fill(bar.to, missing)
 
     def step(self, values):
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""
@@ -110,9 +113,8 @@ class Reporter(Silent):
             if name in values:
                 old = self.smooth.get(name, values[name])
                 self.smooth[name] = old + (1 - min(SMOOTHING, iteration / (iteration + 10))) * (values[name] - old)
-        self.bar.set_postfix({"loss": f"{self.smooth['loss']:.4f}", "PSNR": f"{self.smooth['psnr']:.1f} dB",
-                              "Gaussians": values["gaussians"]}, refresh=False)
-        self.bar.update(iteration - self.bar.n)
+        self.bar.note(f"loss {self.smooth['loss']:.4f}, {self.smooth['psnr']:.1f} dB, {values['gaussians']} Gaussians")
+        self.bar.to(iteration)
         if iteration % self.log_every == 0 or iteration == self.iterations:
             row = {**values, "smooth_loss": self.smooth["loss"], "smooth_psnr": self.smooth["psnr"], "seconds": round(self.elapsed, 2)}
             self._log(row)
@@ -146,19 +148,6 @@ class Reporter(Silent):
         if self.board:
             self.board.close()
         self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
-
-    def _bar(self, **options):
-        """A bar that tells the time left as status.json does."""
-        from tqdm import tqdm
-
-        reporter = self
-
-        class Bar(tqdm):
-            @property
-            def format_dict(self):
-                return {**super().format_dict, "rate": reporter.speed}
-
-        return Bar(**options)
 
     def _write_preview(self, iteration, picture):
         from PIL import Image
@@ -206,7 +195,7 @@ class Reporter(Silent):
         except (FastGSError, OSError) as error:
             if what not in self.unwritable:
                 self.unwritable.add(what)
-                self.say(f"{what} could not be written ({str(error).rstrip('.')}); training continues.")
+                self.warn(f"{what} could not be written ({str(error).rstrip('.')}); training continues.")
             return None
 
 

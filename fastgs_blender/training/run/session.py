@@ -149,7 +149,7 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
         except FastGSError as error:
             if last:
                 raise
-            reporter.say(f"{error} Training continues and will try again.")
+            reporter.warn(f"{error} Training continues and will try again.")
 
     if found is None:
         group.first_does(lambda: save(False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -128,6 +129,52 @@ def test_info_for_people(run, file):
                                           "radial", "srgb", "a test", str(file)))
 
 
+def test_info_fits_on_a_screen_and_shows_the_rest_when_told(run, model, tmp_path):
+    model.provenance = {"settings": json.dumps(dict.fromkeys(map(str, range(200)), 1.5)), **{f"key {i}": "a word " * 9 for i in range(30)}}
+    path = tmp_path / "long.safetensors"
+    fg.save(model, path)
+    _, short, _ = run("info", path)
+    _, long, _ = run("info", path, "--all")
+    lines = short.splitlines()
+    assert len(lines) < 24 and all(len(line) <= 80 or str(path) in line for line in lines) and "--all" in lines[-1]
+    assert all(words in long for words in ("rasteriser", "from settings", "from key 29", '"199": 1.5')) and "rasteriser" not in short
+    assert all(len(line) <= 80 or str(path) in line for line in long.splitlines())
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in ("info", "convert", "render", "train", "eval", "bench"))])
+def test_help_has_80_columns_and_a_bare_command_shows_it(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    if command:
+        with pytest.raises(SystemExit, match="0"):
+            cli.main([*command, "--help"])
+    else:
+        assert cli.main([]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("usage: fastgs") and max(map(len, out.splitlines())) <= 80
+    assert command or "Exit codes" in out
+
+
+def test_info_of_a_training_run(run, file, tmp_path, capsys):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps({"settings": {"motion": "paper"}, "source": {"capture": "/films", "scale": 0.5}}))
+    status = {"state": "training", "iteration": 20, "iterations": 90}
+    (folder / "status.json").write_text(json.dumps(status))
+    code, out, _ = run("info", folder)
+    assert code == 0 and all(words in out for words in ("training, 20 of 90 steps", "/films, scale 0.5", "motion paper"))
+    for command in (["eval", folder], ["render", folder, "--camera", ROOT / "examples/cameras.json", "--out", tmp_path / "frames"]):
+        code, _, err = run(*command)
+        assert code == 2 and "20 of 90 steps" in err and "--resume" in err
+    (folder / "status.json").write_text(json.dumps({**status, "state": "failed", "reason": "the disk is full."}))
+    code, out, _ = run("info", folder)
+    assert code == 1 and "the disk is full." in out
+    shutil.copy(file, folder / "model.safetensors")
+    facts = json.loads(run("info", folder, "--json")[1])
+    assert facts["model"]["gaussians"] == 30 and facts["settings"]["motion"] == "paper" and facts["state"] == "failed"
+    assert run("render", folder, "--camera", ROOT / "examples/cameras.json", "--view", "0", "--frames", "0", "--size", "16x9",
+               "--backend", "reference", "--out", tmp_path / "frames")[0] == 0
+
+
 def test_info_of_a_still_model(run, rng, make_model, tmp_path):
     path = tmp_path / "still.safetensors"
     fg.save(make_model(rng, 3), path)
@@ -155,7 +202,7 @@ def test_errors_are_one_sentence_and_exit_code_2(run, file, tmp_path, arguments,
 
 
 def test_arguments_that_make_no_sense_end_with_2(run):
-    for arguments in ([], ["explode"], ["info"], ["render", "a"]):
+    for arguments in (["explode"], ["info"], ["render", "a"]):
         with pytest.raises(SystemExit) as end:
             run(*arguments)
         assert end.value.code == 2

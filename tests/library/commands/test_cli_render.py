@@ -62,7 +62,8 @@ def camera(**fields) -> fg.Camera:
 
 
 def names(work) -> list[str]:
-    return sorted(os.listdir(work / "out"))
+    """The frames; what is known of them lies in a hidden folder."""
+    return sorted(name for name in os.listdir(work / "out") if name != ".fastgs-frames")
 
 
 def pixels(work, name) -> np.ndarray:
@@ -102,26 +103,54 @@ def test_frames_beyond_the_clip_are_rendered_with_a_remark(run, work):
     assert "0 to 9" in err
 
 
-def test_progress_with_time_left_on_standard_error(run):
+def test_progress_on_standard_error(run):
     _, out, err = run("--frames", "0:2")
     assert out == ""
-    assert "3/3" in err
-    assert "<" in err
-    assert run("--frames", "0:2", "--overwrite", "--quiet")[2] == ""
+    assert "rendering: 3/3 frames (100 %)" in err and not {"\r", "\x1b"} & set(err)
+    assert run("--frames", "0:2", "--overwrite", "--quiet")[1:] == ("", "")
 
 
-def test_frames_that_are_there_are_kept_unless_told(run, work, model):
-    (work / "out").mkdir()
-    (work / "out" / "0001.png").write_bytes(b"mine")
+def test_frames_of_the_same_work_are_kept(run, work, model):
+    run("--frames", "0:1")
+    (work / "out" / "0000.png").unlink()
+    before = (work / "out" / "0001.png").stat().st_mtime_ns
     code, out, err = run("--frames", "0:2", "--json")
-    assert code == 0
-    assert (work / "out" / "0001.png").read_bytes() == b"mine"
+    assert code == 0 and (work / "out" / "0001.png").stat().st_mtime_ns == before
     assert "1 of 3" in err
     result = json.loads(out)
     assert (result["rendered"], result["kept"]) == (2, 1)
     assert [Path(f).name for f in result["files"]] == ["0000.png", "0001.png", "0002.png"]
-    run("--frames", "0:2", "--overwrite")
-    np.testing.assert_array_equal(pixels(work, "0001.png"), png_of(model, camera(), 1))
+    fg.save(model, work / "copy.safetensors")  # another file of the same model
+    assert cli.main(["render", str(work / "copy.safetensors"), "--camera", str(work / "cameras.json"), "--out", str(work / "out"),
+                     "--backend", "reference", "--frames", "0:2"]) == 0
+
+
+@pytest.mark.parametrize("change", ["size", "background", "model", "camera", "backend", "not ours", "note"])
+def test_frames_of_other_work_are_not_kept(run, work, model, change):
+    run("--frames", "0:1")
+    options = {"size": ["--size", "12x8"], "background": ["--background", "white"], "backend": ["--backend", "auto"]}.get(change, [])
+    if change == "model":
+        model.opacity[0] += 1
+        fg.save(model, work / "m.safetensors")
+    elif change == "camera":
+        (work / "cameras.json").write_text(json.dumps([camera_entry(x=0.1)]))
+    elif change == "not ours":
+        (work / "out" / "0002.png").write_bytes(b"mine")
+    elif change == "note":
+        (work / "out" / ".fastgs-frames" / "0001.png").write_bytes(b"\xff" * 1000)
+    before = {name: (work / "out" / name).read_bytes() for name in names(work)}
+    code, _, err = run("--frames", "0:2", *options)
+    assert code == 2 and "--overwrite" in err and len(err.strip().splitlines()) == 1
+    assert {name: (work / "out" / name).read_bytes() for name in names(work)} == before
+    assert run("--frames", "0:2", "--overwrite", *options)[0] == 0
+    code, _, err = run("--frames", "0:2", *options)
+    assert code == 0 and "3 of 3" in err
+
+
+def test_options_are_checked_where_nothing_is_left_to_do(run):
+    run("--frames", "0")
+    for wrong in (["--backend", "magic"], ["--threads", "0"], ["--view", "back"], ["--background", "sky"]):
+        assert run("--frames", "0", *wrong)[0] == 2
 
 
 def read_exr(path) -> dict[str, np.ndarray]:

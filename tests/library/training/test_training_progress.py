@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The time left, in status.json and in the bar: from the pace of steps, not from the compiling before them."""
+"""The time left, in status.json and on the terminal: from the pace of steps, not from the compiling before them."""
+import io
 import json
 from types import SimpleNamespace
 
@@ -17,7 +18,10 @@ def clock(monkeypatch):
 
 
 @pytest.mark.parametrize("begin", [0, 40])
-def test_time_left_does_not_count_compiling(tmp_path, clock, begin):
+def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr("sys.stderr", terminal)
     reporter = progress.Reporter(tmp_path, 100, begin=begin, elapsed=7.0 * begin, clock=lambda: clock.now)
 
     def left():
@@ -30,9 +34,28 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin):
         clock.now += seconds
         reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
         if iteration == begin + 1:
-            assert left() is None and "<?" in str(reporter.bar)
+            assert left() is None and "<?" in str(reporter.bar.bar)
     steps = 100 - begin - 8
     assert left() == pytest.approx(3 * steps)
-    assert f"<{3 * steps // 60:02d}:{3 * steps % 60:02d}" in str(reporter.bar)
+    assert f"<{3 * steps // 60:02d}:{3 * steps % 60:02d}" in str(reporter.bar.bar)
     assert reporter.elapsed == pytest.approx(7 * begin + 90 + 378), "what has passed is told in full"
     reporter.close()
+
+
+def test_plain_lines_where_nobody_looks(tmp_path, clock, capsys):
+    """Now and then, without escapes; remarks between them; nothing of both where the run is quiet, but what goes wrong is told."""
+    for quiet in (False, True):
+        reporter = progress.Reporter(tmp_path, 100, quiet=quiet, clock=lambda: clock.now)
+        reporter.say("a remark")
+        reporter.warn("a problem")
+        for iteration in range(1, 31):
+            clock.now += 3
+            reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
+        reporter.close()
+        said = capsys.readouterr().err.splitlines()
+        if quiet:
+            assert said == ["fastgs: a problem"]
+            continue
+        assert said[:2] == ["fastgs: a remark", "fastgs: a problem"]
+        assert said[2] == "training: 7/100 steps (7 %), 0:21 so far, 4:39 left, loss 0.1000, 20.0 dB, 5 Gaussians"
+        assert len(said) == 2 + 4 + 1 and said[-1].startswith("training: 30/100 steps (30 %), 1:30 so far, 3:30 left")

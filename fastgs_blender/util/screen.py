@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Names and values for people, on one screen of a terminal."""
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+from .errors import printable
+
+COLUMNS, LINES = 80, 24
+"""A terminal's size, the line of the prompt included."""
+MOST = 3
+"""Lines of one value."""
+
+
+def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden: int = 0) -> str:
+    """Names on the left, values on the right, wrapped to COLUMNS; words that are longer, such as paths, stay whole.
+
+    everything  all lines of all values; else what fits on a screen, and a last line that says how much is left out
+    hidden      rows that the caller has left out already
+    """
+    rows = [(printable(name).replace("\n", " "), str(value)) for name, value in rows]
+    width = max((len(name) for name, _ in rows), default=0)
+    lines, left_out = [], hidden
+    for name, value in rows:
+        wrapped = _wrapped(value, COLUMNS - width - 2)
+        if not everything:
+            left_out += len(wrapped[MOST:])
+            wrapped = wrapped[:MOST]
+        lines += [f"{head:<{width}}  {text}".rstrip() for head, text in zip([name, *[""] * len(wrapped)], wrapped, strict=False)]
+    if not everything and (left_out or len(lines) > LINES - 1):
+        left_out += len(lines[LINES - 2:])
+        lines = [*lines[:LINES - 2], f"{'more':<{width}}  {left_out} lines; --all shows them"]
+    return "\n".join(lines)
+
+
+def _wrapped(value: str, width: int) -> list[str]:
+    return [part for line in printable(value).splitlines() or [""]
+            for part in textwrap.wrap(line, max(width, 20), break_long_words=False, break_on_hyphens=False, tabsize=4) or [""]]
