@@ -18,7 +18,7 @@ class FASTGS_OT_fit_scene(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         obj = context.object
-        return obj is not None and is_splat(obj) and obj.fastgs.frame_count > 0
+        return obj is not None and is_splat(obj) and obj.fastgs.frame_count > 1
 
     def execute(self, context):
         fit_scene(context.scene, context.object)

@@ -46,6 +46,14 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         default=LIMIT, min=0, max=LIMIT)
     set_scene_range: BoolProperty(
         name="Set Scene Range", description="Set the scene's first and last frame and its frame rate from the capture", default=False)
+    view: EnumProperty(
+        name="View", description="What the window's 3D views show afterwards",
+        items=(
+            ('SUBJECT', "Subject", "The capture, from where it was filmed if the file says so; views through a camera stay", 0),
+            ('CAMERA', "Look through a Capture Camera", "Make a camera where one stood that filmed the capture, and look through it", 1),
+            ('KEEP', "As It Is", "What they show now", 2),
+        ),
+        default='SUBJECT')
     use_engine: BoolProperty(
         name="Render with FAST-GS", description="Make FAST-GS the scene's render engine", default=False)
 
@@ -60,6 +68,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.prop(self, "as_sequence")
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
+        layout.prop(self, "view")
         col = layout.column(heading="Scene")
         col.prop(self, "set_scene_range", text="Frame Range")
         col.prop(self, "use_engine", text="Render Engine")
@@ -84,7 +93,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
             return {'CANCELLED'}
         done = import_files(context, paths, Options(
-            self.proxy_points, self.orientation == 'AUTO', self.relative_path, self.set_scene_range, self.use_engine))
+            self.proxy_points, self.orientation == 'AUTO', self.relative_path, self.set_scene_range, self.use_engine,
+            self.view))
         if done.objects:
             compiling.start_on_first_use()
         return done.report(self)

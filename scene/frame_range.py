@@ -14,8 +14,10 @@ def frame_rate(fps: float) -> tuple[int, float]:
 
 
 def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
-    """Give the scene the frame rate of the object's capture, and a range in which its clip plays once."""
+    """Give the scene the frame rate of the object's capture, and a range in which its clip plays once; a still changes nothing."""
     settings = obj.fastgs
+    if settings.frame_count < 2:
+        return
     if settings.fps:  # a sequence without a rate of its own follows the scene's
         scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
     speed = settings.speed or 1.0

@@ -63,6 +63,8 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
 
     has_backdrop: BoolProperty(
         name="Has a Backdrop", description="Whether the file says which Gaussians are sky or far walls")
+    camera_count: IntProperty(
+        name="Cameras", description="Number of the capture's cameras whose places the file knows", min=0)
     backdrop: EnumProperty(
         name="Backdrop", description="When to show the Gaussians that stand for sky and far walls", items=BACKDROP, default='INSIDE',
         override=_OWN, update=updates.viewports)

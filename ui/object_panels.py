@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene import objects
+from ..scene import objects, startup
 from . import facts
 
 
@@ -55,6 +55,13 @@ def draw_model(layout, context):
         col = layout.column()
         col.use_property_split = True
         col.prop(obj.fastgs, "backdrop")
+    row = layout.row(align=True)
+    row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
+    if obj.fastgs.camera_count:
+        row.operator("fastgs.look_through", text="", icon='OUTLINER_OB_CAMERA')
+    row.operator("fastgs.store_view", text="", icon='FILE_TICK')
+    if startup.dulls_colours(context.scene):
+        layout.operator("fastgs.use_standard", icon='COLOR')
     if context.engine != 'FASTGS':
         props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
         props.data_path = "scene.render.engine"
@@ -101,6 +108,12 @@ class _Splat:
         return is_ours(context.object)
 
 
+class _Moving:
+    @classmethod
+    def poll(cls, context):
+        return is_ours(context.object) and context.object.fastgs.frame_count != 1
+
+
 class _Properties(_Splat):
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
@@ -120,7 +133,7 @@ class FASTGS_PT_object(_Properties, bpy.types.Panel):
         draw_model(self.layout, context)
 
 
-class FASTGS_PT_object_time(_Properties, bpy.types.Panel):
+class FASTGS_PT_object_time(_Moving, _Properties, bpy.types.Panel):
     bl_label = "Time"
     bl_parent_id = "FASTGS_PT_object"
 
@@ -155,7 +168,7 @@ class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
             col.operator("fastgs.bake", icon='RENDER_ANIMATION')
 
 
-class FASTGS_PT_sidebar_time(_Sidebar, bpy.types.Panel):
+class FASTGS_PT_sidebar_time(_Moving, _Sidebar, bpy.types.Panel):
     bl_label = "Time"
     bl_parent_id = "FASTGS_PT_sidebar"
 

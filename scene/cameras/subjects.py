@@ -33,11 +33,14 @@ def subject_of(context) -> tuple[Vector, float]:
     chosen = [o for o in context.selected_objects if objects.is_splat(o)]
     chosen = chosen or [o for o in [context.object] if o is not None and o.type != 'CAMERA']
     chosen = chosen or [o for o in context.scene.objects if objects.is_splat(o)]
-    if chosen and all(objects.is_splat(o) and o.type == 'MESH' and len(o.data.vertices) for o in chosen):
+    return middle_and_radius(chosen) if chosen else (context.scene.cursor.location.copy(), 2.0)
+
+
+def middle_and_radius(chosen: list[bpy.types.Object]) -> tuple[Vector, float]:
+    """Middle and radius of objects; of splats, strays and a far background do not count."""
+    if all(objects.is_splat(o) and o.type == 'MESH' and len(o.data.vertices) for o in chosen):
         return _most_of(chosen)
     corners = [o.matrix_world @ Vector(c) for o in chosen for c in o.bound_box]
-    if not corners:
-        return context.scene.cursor.location.copy(), 2.0
     low, high = (Vector(f(c[i] for c in corners) for i in range(3)) for f in (min, max))
     return (low + high) / 2, max((high - low).length / 2, 1e-3)
 

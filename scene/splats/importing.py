@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import bpy
 
 from ...fastgs_blender.util.errors import FastGSError, printable
+from .. import startup
+from ..cameras import framing
 from ..frame_range import fit_scene
 from . import splat_object
 from .proxy import LIMIT
@@ -22,6 +24,7 @@ class Options:
     relative    keep paths relative to the .blend, where that is possible
     fit_range   set the scene's range and frame rate from the first file
     use_engine  make FAST-GS the scene's render engine
+    view        'SUBJECT': show the first object in the window's 3D views; 'CAMERA': look through a camera of its capture; 'KEEP'
     """
 
     limit: int = LIMIT
@@ -29,6 +32,7 @@ class Options:
     relative: bool = False
     fit_range: bool = False
     use_engine: bool = False
+    view: str = 'KEEP'
 
 
 @dataclass
@@ -36,6 +40,7 @@ class Imported:
     """The objects that an import made, and what there is to say about it."""
 
     objects: list[bpy.types.Object] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
 
@@ -48,6 +53,8 @@ class Imported:
             return {'CANCELLED'}
         total, files = sum(obj.fastgs.gaussian_count for obj in self.objects), len(self.objects)
         operator.report({'INFO'}, f"Imported {total:,} Gaussians from {files} file{'s' if files > 1 else ''}")
+        for text in self.remarks:
+            operator.report({'INFO'}, text)
         return {'FINISHED'}
 
 
@@ -64,10 +71,37 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
             except FastGSError as error:
                 done.errors.append(splat_object.sentence(error))
         done.warnings += [printable(remark.message) for remark in remarks]
+    if done.objects:
+        _set_up(context, done, options)
+    return done
+
+
+def _set_up(context, done: Imported, options: Options) -> None:
+    """Select the new objects, set up the scene as the options say, and let what was imported be seen."""
+    scene, first = context.scene, done.objects[0]
     for obj in done.objects:
         obj.select_set(True)
-    if done.objects and options.fit_range:
-        fit_scene(context.scene, done.objects[0])
-    if done.objects and options.use_engine:
-        context.scene.render.engine = 'FASTGS'
-    return done
+    if options.fit_range:
+        fit_scene(scene, next((obj for obj in done.objects if obj.fastgs.frame_count > 1), first))
+    if options.use_engine:
+        scene.render.engine = 'FASTGS'
+    if options.view != 'KEEP':
+        cube = startup.hide_cube(context, done.objects)
+        if cube is not None:
+            done.remarks.append(f'"{cube.name}" of the startup file stood in the capture and is hidden')
+        _show(context, done, options.view == 'CAMERA')
+    if startup.dulls_colours(scene):
+        done.remarks.append(startup.REMARK)
+
+
+def _show(context, done: Imported, through_camera: bool) -> None:
+    """Let the window's 3D views show the new objects."""
+    context.view_layer.update()
+    if through_camera:
+        try:
+            framing.look_through(context, done.objects[0])
+        except FastGSError as error:
+            done.warnings.append(splat_object.sentence(error))
+        else:
+            return
+    framing.show(context, done.objects)

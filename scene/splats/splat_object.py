@@ -50,6 +50,7 @@ def write_facts(obj: bpy.types.Object, model: Source, path: str) -> None:
     settings.frame_count = model.clip.frame_count
     settings.fps = 0.0 if model.clip.free else model.clip.fps
     settings.has_backdrop = model.surroundings.backdrop is not None
+    settings.camera_count = len(model.surroundings.cameras)
     settings.file_hash = fingerprint(path)
 
 

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shows captures in the window's 3D views: from where the file's author wants, from where a camera filmed, or framed where they are."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion, Vector
+
+from ... import fastgs_blender as fg
+from ...fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
+from ...fastgs_blender.model.surroundings import Surroundings, Viewpoint
+from .. import camera as cameras
+from .. import objects
+from . import placing, space, subjects
+
+SENSOR = 72.0
+"""Width in millimetres of a 3D view's longer side, for the focal length that it is set to."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a 3D view looks: the turn of its camera, the place that it turns around, and how far away that is."""
+
+    rotation: Quaternion
+    location: Vector
+    distance: float
+
+
+def surroundings_of(obj: bpy.types.Object) -> Surroundings:
+    """What an object's file knows of its surroundings.  Raises FastGSError where it cannot be read."""
+    return objects.load_model(objects.abspath(obj)).surroundings
+
+
+def middle_camera(viewpoints: tuple[Viewpoint, ...]) -> int:
+    """The number of the camera that stands nearest to the middle of all."""
+    places = np.array([viewpoint.position for viewpoint in viewpoints])
+    return int(np.argmin(np.linalg.norm(places - places.mean(0), axis=1)))
+
+
+def show(context, splats: list[bpy.types.Object]) -> int:
+    """Show objects in all 3D views of the window that look through no camera; returns in how many."""
+    found = 0
+    for area, view in views(context):
+        if view.view_perspective == 'CAMERA':
+            continue
+        look = _look(splats, area, view)
+        view.view_rotation, view.view_location, view.view_distance = look.rotation, look.location, look.distance
+        found += 1
+        area.tag_redraw()
+    return found
+
+
+def views(context) -> list[tuple[bpy.types.Area, bpy.types.RegionView3D]]:
+    """The 3D views of the context's window; none without one."""
+    areas = context.window.screen.areas if context.window else ()
+    return [(area, area.spaces.active.region_3d) for area in areas if area.type == 'VIEW_3D']
+
+
+def _look(splats, area, view) -> Look:
+    middle, radius = subjects.middle_and_radius(splats)
+    fit = radius / np.sin(np.arctan(_half_angle(area)))
+    known = _known(splats[0]) if len(splats) == 1 else None
+    if known is None:
+        return Look(view.view_rotation.copy(), middle, fit)
+    camera, distance, wanted = known
+    pose = Matrix(cameras.pose_of(camera).tolist())
+    forward = pose.to_3x3() @ Vector((0, 0, -1))
+    if not distance:
+        distance = max((middle - pose.translation).dot(forward), radius)
+    near = distance if wanted else min(distance, fit)
+    view.view_perspective = 'PERSP'
+    return Look(pose.to_quaternion(), pose.translation + distance * forward, near)
+
+
+def _known(splat) -> tuple[fg.Camera, float, bool]:
+    """(camera in the world, distance of what it looks at, whether the file's author chose it); None where the file knows none."""
+    around = surroundings_of(splat)
+    if around.view is None and not around.cameras:
+        return None
+    viewpoint = around.view or around.cameras[middle_camera(around.cameras)]
+    world = space.world_matrix(splat, "")
+    try:
+        camera = space.out_of(camera_of(viewpoint), world)
+    except fg.FastGSError:  # it is stretched
+        return None
+    return camera, viewpoint.distance * world.median_scale, around.view is not None
+
+
+def _half_angle(area) -> float:
+    """Tangent of half the angle that a 3D view's shorter side shows."""
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    sides = max(region.width, 1), max(region.height, 1)
+    return SENSOR / 2 / area.spaces.active.lens * min(sides) / max(sides)
+
+
+def look_through(context, splat: bpy.types.Object, index: int | None = None) -> bpy.types.Object:
+    """Make a camera where a camera of the capture stood, the scene's camera, and let all 3D views of the window look through it.
+
+    index  of the file's cameras; None: the one in their middle
+    Raises FastGSError where the file knows no cameras, or its object is stretched.
+    """
+    viewpoints = surroundings_of(splat).cameras
+    if not viewpoints:
+        raise fg.FastGSError(f"{objects.abspath(splat)}: the file does not say where cameras of its capture stood; import the capture's "
+                             "cameras, or store them in the file with fastgs annotate.")
+    viewpoint = viewpoints[middle_camera(viewpoints) if index is None else min(index, len(viewpoints) - 1)]
+    camera = space.out_of(camera_of(viewpoint), space.world_matrix(splat, ""))
+    obj = bpy.data.objects.new(viewpoint.name or "Capture Camera", bpy.data.cameras.new(viewpoint.name or "Capture Camera"))
+    placing.set_optics(obj.data, camera)
+    placing.set_pose(obj, camera)
+    obj.data.fastgs.view = viewpoint.name or "camera"
+    for collection in splat.users_collection:
+        collection.objects.link(obj)
+    context.scene.camera = obj
+    for area, view in views(context):
+        view.view_perspective = 'CAMERA'
+        area.tag_redraw()
+    return obj
+
+
+def viewpoint_of_view(context, splat: bpy.types.Object) -> Viewpoint:
+    """How a 3D view looks at a splat object now, as its file can keep it.  Raises FastGSError where the object is stretched."""
+    area, view = context.area, context.space_data.region_3d
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    pixels = context.space_data.lens / SENSOR * max(region.width, region.height)
+    distance = view.view_distance
+    pose = Matrix.LocRotScale(view.view_location + view.view_rotation @ Vector((0, 0, distance)), view.view_rotation, None)
+    if view.view_perspective == 'CAMERA':
+        pose, distance = view.view_matrix.inverted(), 0.0
+    camera = fg.Camera(region.width, region.height, pixels, pixels, region.width / 2, region.height / 2,
+                       np.linalg.inv(np.array(pose, np.float64) @ cameras.OPENCV))
+    world = space.world_matrix(splat, "")
+    return viewpoint_of(space.into(camera, world), "", distance / max(world.median_scale, 1e-30))
