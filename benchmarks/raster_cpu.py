@@ -85,7 +85,7 @@ class Stage:
         self.out, self.alpha = np.zeros((*self.size, self.channels), np.float32), np.zeros(self.size, np.float32)
 
     def __call__(self):
-        kernel, (height, width) = raster.rasteriser(self.channels, False), self.size
+        kernel, (height, width) = raster.rasteriser(self.channels), self.size
         rest = (self.columns, 0, 0, width, height, 0, 0, self.starts, self.ids, self.geometry, self.attributes, self.out, self.alpha,
                 np.empty((0, 0), np.float32))
         threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, rasterise.TILES))

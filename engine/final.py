@@ -2,9 +2,12 @@
 """Renders final frames: F12, animations and the command line."""
 from __future__ import annotations
 
+import math
 from concurrent.futures import CancelledError
+from dataclasses import dataclass, replace
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.threads import set_threads
 from ..scene import camera, notices, objects, settings, snapshot, world
 from . import compiling, passes, worker
@@ -30,33 +33,71 @@ def _render_layer(engine, depsgraph):
     scene, layer = depsgraph.scene, depsgraph.view_layer
     set_threads(scene.render.threads if scene.render.threads_mode == 'FIXED' else settings.threads)
     area = camera.render_area(scene.render)
-    shown = snapshot.take(depsgraph)
+    wanted = passes.switched_on(scene, layer)
+    views = _views(scene.render)
+    now = _moment(engine, depsgraph, area, views)
     background, remark = world.background(scene, layer)
     if remark:
         notices.warn(engine, remark)
+    settings_now = passes.settings(scene)
+    neighbours = [_moment_at(engine, depsgraph, area, views, frames) for frames in (-1, 1)] if _has(wanted, "vector") else []
     status = Status(engine, f"{scene.name}, {layer.name}")
     status("Reading")
-    instances, left_out = worker.run(lambda progress: shown.load(), engine.test_break, status.progress)
-    _tell(engine, layer, shown, left_out)
+    instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)
+    _tell(engine, layer, now.shown, left_out)
     if compiling.is_running():
         status("Compiling the renderer for this machine, once")
         worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)
     status.count = sum(len(instance.model) for instance in instances)
     status.memory(objects.loaded_bytes(), area)
 
-    wanted = passes.switched_on(scene, layer)
     passes.add(engine, layer, wanted)
-    views = _views(scene.render)
     for index, view in enumerate(views):
-        eye = _camera(engine, depsgraph, area, view)
+        eye = now.cameras[view]
         status(f"Rendering {view}".strip())
+        before, after = (each.moment(view) for each in neighbours) if neighbours else (None, None)
+        found = replace(settings_now, before=before, after=after)
         images = worker.run(
-            lambda progress, eye=eye: passes.images(instances, eye, wanted, background, progress), engine.test_break,
+            lambda progress, eye=eye, found=found: passes.images(instances, eye, wanted, background, progress, found), engine.test_break,
             lambda fraction, index=index: status.progress((index + fraction) / len(views)))
         _, _, width, height = area.window
         result = engine.begin_result(0, 0, width, height, layer=layer.name, view=view)
         passes.fill(result.layers[0], images)
         engine.end_result(result)
+    passes.describe(engine, layer, wanted, [instance.name for instance in instances])
+
+
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """A scene at one moment, copied out of the depsgraph: its splats, and the camera of each of the frame's pictures by its name."""
+
+    shown: snapshot.Snapshot
+    cameras: dict[str, fg.Camera]
+
+    def moment(self, view: str) -> Moment:
+        """The moment as the library takes it, for one of the pictures."""
+        return Moment({instance.place: instance for instance in self.shown.load()[0]}, self.cameras[view])
+
+
+def _moment(engine, depsgraph, area, views) -> _Taken:
+    """The scene as the depsgraph stands."""
+    return _Taken(snapshot.take(depsgraph), {view: _camera(engine, depsgraph, area, view) for view in views})
+
+
+def _moment_at(engine, depsgraph, area, views, frames: float) -> _Taken:
+    """The scene so many frames later; the depsgraph comes back to where it was."""
+    scene = depsgraph.scene
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    there = frame + subframe + frames
+    engine.frame_set(math.floor(there), there - math.floor(there))
+    try:
+        return _moment(engine, depsgraph, area, views)
+    finally:
+        engine.frame_set(frame, subframe)
+
+
+def _has(wanted, name: str) -> bool:
+    return any(entry.name == name for entry in wanted)
 
 
 def _views(render) -> list[str]:

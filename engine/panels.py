@@ -4,7 +4,7 @@ import bpy
 
 ENGINE = 'FASTGS'
 LEFT_OUT = ("freestyle", "simplify", "FREESTYLE")
-ADDED = {'EEVEE_WORLD_PT_surface'}
+ADDED = {'EEVEE_WORLD_PT_surface', 'EEVEE_WORLD_PT_mist'}
 """Panels that Blender shows for other engines only, and that hold a setting which ours reads."""
 
 

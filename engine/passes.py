@@ -7,51 +7,79 @@ from __future__ import annotations
 
 from operator import attrgetter
 
+import bpy
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.passes import PASSES, Pass
+from ..fastgs_blender.rendering import cryptomatte
+from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, Pass, PassSettings
+from ..fastgs_blender.rendering.quantities import Mist
 from ..scene import colour
 from . import scene_linear
 
 COMBINED = "Combined"
 """Blender's pass that rgb and alpha fill together, over the world.  Every result has it."""
 
-CHOICES = {"Depth": lambda scene: "median_depth" if scene.fastgs.depth == 'MEDIAN' else "depth"}
+CHOICES = {"Depth": lambda scene: {'MEDIAN': "median_depth", 'FIRST': "first_depth"}.get(scene.fastgs.depth, "depth")}
 """(scene) -> name of the pass in the table, for Blender's passes that several of the table could fill."""
+
+EARLIER = {"Object Index": "IndexOB"} if bpy.app.version < (5, 0, 0) else {}
+"""What earlier Blenders call their passes."""
 
 
 def switched_on(scene, layer) -> list[Pass]:
     """The passes that a view layer wants, one for each of Blender's, in the table's order."""
     names = {p.blender: p.name for p in reversed(PASSES.values()) if p.blender}
     names |= {blender: choose(scene) for blender, choose in CHOICES.items()}
-    return [p for p in PASSES.values() if names.get(p.blender) == p.name and attrgetter(p.switch)(layer)]
+    levels = -(-layer.pass_cryptomatte_depth // cryptomatte.PAIRS)
+    return [p for p in PASSES.values() if names.get(p.blender) == p.name and attrgetter(p.switch)(layer) and p.level < levels]
 
 
 def register(engine, scene, layer):
     """Tell the compositor which sockets a view layer has."""
     for p in switched_on(scene, layer):
-        engine.register_pass(scene, layer, p.blender, len(p.letters), p.letters, p.kind)
+        engine.register_pass(scene, layer, _name(p), len(p.letters), p.letters, p.kind)
 
 
 def add(engine, layer, wanted: list[Pass]):
     """Announce a layer's passes that Blender does not add by itself; to be called before begin_result."""
     for p in wanted:
-        if not p.builtin:
+        if not p.standard:
             engine.add_pass(p.blender, len(p.letters), p.letters, layer=layer.name)
 
 
-def images(instances, camera: fg.Camera, wanted: list[Pass], background=None,
-           progress=lambda fraction: None) -> dict[str, np.ndarray]:
+def _name(p: Pass) -> str:
+    return EARLIER.get(p.blender, p.blender)
+
+
+def settings(scene) -> PassSettings:
+    """What passes depend on in an evaluated scene, but for the frames before and after."""
+    if scene.world is None:
+        return PassSettings()
+    mist = scene.world.mist_settings
+    return PassSettings(Mist(mist.start, mist.depth, mist.falloff))
+
+
+def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, progress=lambda fraction: None,
+           settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
     """All pictures of one view by the names of Blender's passes, [h, w] or [h, w, channels], the top row first.
 
     instances   list of rendering.instances.Instance
     background  scene-linear colour [3] under the splats, or None for transparent film
     progress    called with 0..1; what it raises cancels the render
+    settings    PassSettings
     """
-    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress)
-    named = {p.blender: p.shown(found[p.name]) for p in wanted}
+    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings)
+    named = {_name(p): p.shown(found[p.name]) for p in wanted}
     return named | {COMBINED: colour.film(found["rgb"], found["alpha"], background)}
+
+
+def describe(engine, layer, wanted: list[Pass], names: list[str]):
+    """Tell Blender's compositor and files what the numbers of Cryptomatte's passes mean; names: of the objects."""
+    if any(p.blender.startswith(cryptomatte.LAYER) for p in wanted):
+        result = engine.get_result()
+        for field, value in cryptomatte.metadata(sorted(set(names)), f"{layer.name}.{cryptomatte.LAYER}").items():
+            result.stamp_data_add_field(field, value)
 
 
 def fill(result_layer, pictures: dict[str, np.ndarray]):

@@ -100,6 +100,7 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         items=(
             ('EXPECTED', "Expected", "Mean depth of the splats, weighted by how much each is seen", 0),
             ('MEDIAN', "Median", "Depth at which half of the light is blocked: sharp edges, no values between surfaces", 1),
+            ('FIRST', "First Hit", "Depth of the nearest splat, however faint it is", 2),
         ),
         default='EXPECTED')
     show_splats: BoolProperty(

@@ -2,6 +2,7 @@
 """Takes a snapshot of the splat objects that an evaluated scene shows, and loads it as the library's model instances."""
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -21,6 +22,8 @@ class FileInstance:
     placement  [4, 4] float64 from the model's space to the world
     retime     how the object plays its clip
     settings   how the object shows its model
+    index      the object's number, its pass index
+    place      what finds the instance again on another frame
     """
 
     name: str
@@ -28,6 +31,8 @@ class FileInstance:
     placement: np.ndarray
     retime: Retime
     settings: ObjectSettings = field(default_factory=ObjectSettings)
+    index: int = 0
+    place: Hashable = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -86,7 +91,7 @@ class Snapshot:
         if frame is None:
             return None
         model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
-        return Instance(model, item.placement, t, item.settings)
+        return Instance(model, item.placement, t, item.settings, item.name, item.index, item.place)
 
 
 def take(depsgraph, visible=lambda obj: True) -> Snapshot:
@@ -106,7 +111,9 @@ def take(depsgraph, visible=lambda obj: True) -> Snapshot:
         key = obj.original.as_pointer(), placement.tobytes()
         if key not in seen:
             seen.add(key)
-            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings_of(obj, depsgraph)))
+            place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
+            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings_of(obj, depsgraph),
+                                      obj.pass_index, place))
     # as Blender computes the time of its animation, time stretching included
     frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
     return Snapshot(found, frame, render.fps / render.fps_base)

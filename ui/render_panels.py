@@ -51,9 +51,11 @@ class FASTGS_PT_passes(_Engine, bpy.types.Panel):
         layout.use_property_decorate = False
         layer = context.view_layer
         col = layout.column(heading="Include")
-        for switch, name in {entry.switch: entry.blender for entry in PASSES.values() if entry.switch}.items():
+        for switch, name in {entry.switch: entry.title or entry.blender for entry in PASSES.values() if entry.switch}.items():
             group, _, prop = switch.rpartition(".")
             col.prop(getattr(layer, group) if group else layer, prop, text=name)
+        if layer.use_pass_cryptomatte_object:
+            layout.prop(layer, "pass_cryptomatte_depth", text="Cryptomatte Levels")
 
 
 CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes)

@@ -67,6 +67,25 @@ class Camera:
         y = sorted((-self.cy / self.fy - my, (self.height - self.cy) / self.fy + my))
         return x[0], x[1], y[0], y[1]
 
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Pixels [..., 2] of the image, from its top left corner, of points [..., 3] in the camera's axes; NaN behind the camera."""
+        depth = np.ones_like(points[..., 2:]) if self.orthographic else np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+        return points[..., :2] / depth * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def from_middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """x [w] and y [h] of the centres of the window's pixels, from the middle of the image."""
+        x0, y0, w, h = self.window
+        return np.arange(x0, x0 + w) + 0.5 - self.width / 2, np.arange(y0, y0 + h) + 0.5 - self.height / 2
+
+    def points(self, depth: np.ndarray) -> np.ndarray:
+        """The points [h, w, 3] in the world at a depth [h, w] on the rays through the window's pixel centres."""
+        x, y = self.from_middle()
+        spread = np.ones_like(depth) if self.orthographic else depth
+        u, v = (x + self.width / 2 - self.cx) / self.fx, (y + self.height / 2 - self.cy) / self.fy
+        points = np.stack([u * spread, v[:, None] * spread, depth], -1)
+        camera_to_world = np.linalg.pinv(self.world_to_camera)
+        return points @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
+
     def rays(self, model_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space.
 

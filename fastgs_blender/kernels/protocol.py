@@ -12,7 +12,7 @@ N Gaussians, C channels, h x w pixels of a camera's window, K coefficients of th
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -54,11 +54,11 @@ class PictureBackend(Protocol):
     def numpy(self, array: Array) -> np.ndarray:
         """The array's values; the caller does not change them, but may keep them as long as nothing writes to the array."""
 
-    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool,
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
              progress: Callable[[float], None]) -> Buffers:
         """Slice, crop, cull and project all instances, sort the splats, list them by tile and blend them (layout.Buffers).
 
-        median    whether the median depth is wanted
+        probes    which of layout.PROBES are wanted
         progress  called with 0..1 between pieces of work; what it raises ends the work and passes through
         """
 

@@ -13,25 +13,38 @@ from ..model.sequence import Sequence, Source
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
-from .layout import Layout
-from .passes import PASSES, Blended
+from .layout import PROBES, Layout
+from .passes import DEFAULTS, PASSES, Blended, PassSettings
+from .quantities import shares
 
+AT_ONCE = 16
+"""Objects whose shares of the pixels are computed with one list of splats: each takes a number of every splat."""
 DECODER_LIMIT = 1e12
 """Weights of a decoder beyond which its colours may not fit into float32."""
 
 
 def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
-           progress=None) -> dict[str, np.ndarray]:
+           progress=None, settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
               placement [4, 4] in the world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
-              depth         [h, w]  expected depth along the view axis, inf where alpha is 0
+              depth         [h, w]  expected depth along the view axis, of the points of greatest density on the pixel's ray; inf where
+                            alpha is 0
               median_depth  [h, w]  depth where transmittance falls to a half (the last splat's where it does not), else inf
+              first_depth   [h, w]  depth of the nearest splat, else inf
+              mist          [h, w]  0 near .. 1 far, and where nothing is
+              position      [h, w, 3]  in the world, the point at that depth; 0 where alpha is 0
+              normal        [h, w, 3]  unit vectors in the world, of the Gaussians' shortest axes, turned to the camera; else 0
+              vector        [h, w, 4]  motion in pixels, y up: to the frame before minus here, and here minus in the frame after
+              object_index  [h, w]  Instance.index of what covers most of the pixel; 0 for nothing
+              cryptomatte_00 .. _07  [h, w, 4]  two objects each, by Instance.name: number and coverage (cryptomatte.py)
+              count         [h, w]  how many splats were blended
     backend   "cpu" (numba), "reference" (NumPy, slow), "auto"
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
+    settings  PassSettings: the mist's distances, and the frames before and after for vectors
 
     Returns float32 arrays, the top row first, of the camera's window.  Same inputs, same bytes, for any number of threads.
     """
@@ -39,11 +52,11 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", 
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
     entries = [PASSES[name] for name in passes]
-    needs = {part for entry in entries for part in entry.needs}
+    needs = {part for entry in entries for part in entry.needs} | {"alpha"}
     kernels = load_backend(backend)
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
-    blended = _blended(kernels, instances, camera, needs, progress) if instances else None
+    blended = _blended(kernels, instances, camera, needs, progress, settings) if instances else None
     out = {}
     for entry in entries:
         if blended is None:
@@ -56,13 +69,23 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", 
     return out
 
 
-def _blended(backend, instances, camera, needs, progress) -> Blended:
+def _blended(backend, instances, camera, needs, progress, settings) -> Blended:
     """The instances drawn by a backend: what the passes that were asked for are computed from."""
-    layout = Layout(instances, depth="depth" in needs)
-    buffers = backend.draw(instances, camera, layout, "median" in needs, progress)
+    objects = list(dict.fromkeys(instance.identity for instance in instances)) if "shares" in needs else []
+    quantities = settings.quantities(needs, instances)
+    if objects:
+        quantities["shares"] = shares(instances, objects[:AT_ONCE])
+    draws = max(1, -(-len(objects) // AT_ONCE))
+    layout = Layout(instances, False, quantities, plane="plane" in needs)
+    buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws))
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
-    depth, median = (None if array is None else backend.numpy(array) for array in (buffers.depth, buffers.median))
-    return Blended(rgb, backend.numpy(buffers.alpha), depth, median)
+    sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))
+    parts = [sums.pop("shares")] if objects else []
+    for i in range(1, draws):
+        more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])})
+        drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws))
+        parts.append(backend.numpy(drawn.sums["shares"]))
+    return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None)
 
 
 def _instances(model, camera, t) -> list[ViewedInstance]:

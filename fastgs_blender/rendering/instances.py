@@ -2,7 +2,8 @@
 """The instance of a model in a picture: which model, where it stands, which time it shows, and how its object shows it."""
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Hashable
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +45,9 @@ class Instance:
     placement  [4, 4] from the model's space to the world; kept as float64
     t          the time to show, any real number
     settings   ObjectSettings
+    name       of the object that shows the model, and
+    index      its number: what Cryptomatte and the Object Index pass tell objects apart by
+    place      what finds the instance again at another moment (Moment)
 
     Raises FastGSError where the placement or the time is not finite.
     """
@@ -52,6 +56,9 @@ class Instance:
     placement: np.ndarray
     t: float
     settings: ObjectSettings = ObjectSettings()
+    name: str = ""
+    index: int = 0
+    place: Hashable = None
 
     def __post_init__(self):
         placement = np.array(self.placement, np.float64)
@@ -64,7 +71,12 @@ class Instance:
 
     def viewed(self, camera: Camera) -> ViewedInstance:
         """The instance before a camera."""
-        return ViewedInstance(self.model, self.placement, self.t, self.settings, camera=camera)
+        return ViewedInstance(**{f.name: getattr(self, f.name) for f in fields(Instance)}, camera=camera)
+
+    @property
+    def identity(self) -> tuple[str, int]:
+        """(name, index) of its object."""
+        return self.name, self.index
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,3 +129,14 @@ class ViewedInstance(Instance):
     def in_range(self) -> bool:
         """Whether its matrix is small enough to compute with (LIMIT); instances that are not in range are left out."""
         return bool((np.abs(self.model_to_camera) <= LIMIT).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A scene at another moment than a picture's: where its instances, by their places, and its camera are then.
+
+    An instance that is not there then is taken to stand still.
+    """
+
+    instances: dict[Hashable, Instance]
+    camera: Camera

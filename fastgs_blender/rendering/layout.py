@@ -1,12 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The channels that are blended when several instances are drawn as one list of splats, and the buffers that come of it."""
+"""The channels that are blended when several instances are drawn as one list of splats, and the buffers that come of it.
+
+A picture holds two kinds of numbers for each pixel: sums over the splats of a value times the splat's weight (colour, and the
+quantities of quantities.py), and probes, which look at the splats one by one while they are blended.
+"""
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..model.appearance import Features
 from .instances import ViewedInstance
+from .quantities import Quantity
+
+DEPTH_FROM = {"median": 0.5, "first": float(np.nextafter(np.float32(1), np.float32(0)))}
+"""Probes that are a depth: that of the last splat before which the transmittance is above this; infinite where nothing is."""
+PROBES = (*DEPTH_FROM, "count")
+"""All probes; count: how many splats were blended into the pixel."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +39,18 @@ class Layout:
     """Which channel holds what when all instances are blended together.
 
     Three channels for all instances with plain colour, nine for each instance with a decoder (its rays differ from instance to
-    instance), plus its share of alpha where it is not alone; the depth, if wanted, comes last.
+    instance), plus its share of alpha where it is not alone; then the depth, if wanted, and further quantities.
 
-    groups    list of ChannelGroup
-    depth     channel of the depth, or None
-    channels  number of channels
+    groups      list of ChannelGroup
+    depth       channel of the depth of the splats' centres, or None
+    plane       the first of three channels a, b, c with which a splat's depth at a pixel is a + b x + c y, x and y counted from the
+                middle of the image; or None
+    quantities  by name, what else is summed (quantities.py)
+    places      by name, which channels hold the sum of a quantity: slices
+    channels    number of channels
     """
 
-    def __init__(self, instances: list[ViewedInstance], depth: bool):
+    def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False):
         decoded = [i for i in instances if isinstance(i.model.appearance, Features)]
         plain = len(decoded) < len(instances) or not instances
         alone = len(decoded) == 1 and not plain
@@ -44,7 +60,17 @@ class Layout:
             self.groups.append(ChannelGroup(offset, None if alone else offset + 9, instance))
             offset += 9 if alone else 10
         self.depth = offset if depth else None
-        self.channels = offset + int(depth)
+        self.places = {"depth": slice(offset, offset + 1)} if depth else {}
+        offset += int(depth)
+        self.plane = offset if plane else None
+        if plane:
+            self.places["plane"] = slice(offset, offset + 3)
+            offset += 3
+        self.quantities = quantities or {}
+        for name, quantity in self.quantities.items():
+            self.places[name] = slice(offset, offset + quantity.width)
+            offset += quantity.width
+        self.channels = offset
 
     def group_of(self, instance: ViewedInstance) -> ChannelGroup:
         """The group that an instance's Gaussians write to."""
@@ -57,11 +83,11 @@ class Buffers:
 
     channels  [h, w, C]  premultiplied, as the layout says
     alpha     [h, w]
-    depth     [h, w]     sum of the splats' depths times their weights, or None
-    median    [h, w]     median depth, or None
+    sums      [h, w, K]  by name: the channels of the depth, the plane and the quantities
+    probes    [h, w]     by name: those that were asked for
     """
 
     channels: Any
     alpha: Any
-    depth: Any
-    median: Any
+    sums: dict[str, Any]
+    probes: dict[str, Any]

@@ -18,7 +18,8 @@ from ..util import rotations
 from .crops import kept_by
 from .culling import order_in_numpy
 from .instances import LIMIT, ViewedInstance
-from .layout import Buffers, Layout
+from .layout import DEPTH_FROM, PROBES, Buffers, Layout
+from .quantities import Shown
 
 T_STOP = 1e-4
 """A pixel is finished when the next splat would leave this transmittance or less; that splat is not blended (INRIA, gsplat)."""
@@ -83,7 +84,7 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         jacobian[:, 1, 2] = -camera.fy * np.clip(y, y_low, y_high)
         jacobian /= z[:, None, None]
     # Sigma_2D = (J W R S)(J W R S)^T; its determinant as a sum of squares (Cauchy-Binet), which needles do not cancel
-    factor = jacobian @ factor
+    turned, factor = factor, jacobian @ factor
     covariance = factor @ factor.transpose(0, 2, 1)
     sharp = (np.cross(factor[:, 0], factor[:, 1]) ** 2).sum(1)
     trace = covariance[:, 0, 0] + covariance[:, 1, 1]
@@ -101,14 +102,38 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         channels[:, group.weight] = 1
     if layout.depth is not None:
         channels[:, layout.depth] = z
+    if layout.plane is not None:
+        box = np.sqrt(2 * np.log(opacity / raster.alpha_cut)[:, None] * np.diagonal(covariance, axis1=1, axis2=2))
+        channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, sharp, box, mean, z, camera)
+    shown = Shown(instance, s.index)
+    for name, quantity in layout.quantities.items():
+        channels[:, layout.places[name]] = quantity.of(shown)
     same = np.ones(len(z))
     splats = Splats(mean, covariance, determinant, opacity, z, channels, raster.alpha_max * same, raster.alpha_cut * same)
     drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & (np.abs(channels) <= LIMIT).all(1)
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
 
 
-def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Channels [h, w, C], alpha [h, w] and median depth [h, w]: front-to-back compositing into the camera's window (rasterisers.md 3.2).
+def plane(deep, flat, sharp, box, mean, z, camera: Camera) -> np.ndarray:
+    """Depth of each splat at the pixels it covers, a + b x + c y with x and y from the image's middle: [M, 3].
+
+    It is the depth of the greatest density on a pixel's ray, for a flat Gaussian that of its plane (RaDe-GS, section 4): its slope is
+    cov(z, xy) cov(xy)^-1, without the blur.  It never changes by more than the depth itself within the splat's box.
+
+    deep [M, 3], flat [M, 2, 3]: the rows of the covariance's square root along z, in space, and along x and y, in pixels
+    sharp [M] determinant of cov(xy), box [M, 2] half the size of the box in which the splat is drawn
+    """
+    (xx, xy), (_, yy) = np.einsum("mik,mjk->ijm", flat, flat)
+    x, y = np.einsum("mik,mk->im", flat, deep)
+    slope = np.stack([yy * x - xy * y, xx * y - xy * x], 1) / sharp[:, None]
+    change = (np.abs(slope) * box).sum(1)
+    slope = np.where((change > z)[:, None], slope * (z / change)[:, None], slope)
+    slope = np.where(np.isfinite(slope).all(1, keepdims=True), slope, 0)
+    return np.concatenate([(z - (slope * (mean - np.array([camera.width, camera.height]) / 2)).sum(1))[:, None], slope], 1)
+
+
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Channels [h, w, C], alpha [h, w] and the probes [h, w]: front-to-back compositing into the camera's window (rasterisers.md 3.2).
 
     band: alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
     by differences, for checks of gradients; pictures have none.
@@ -116,7 +141,8 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.nda
     x0, y0, width, height = camera.window
     px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
     out = np.zeros((height, width, splats.channels.shape[1]))
-    transmittance, median = np.ones((height, width)), np.full((height, width), np.inf)
+    transmittance = np.ones((height, width))
+    probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
     live = np.ones((height, width), bool)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
@@ -143,9 +169,11 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.nda
         blended = hit & (after > T_STOP)
         live[box] &= ~(hit & ~blended)
         out[box] += np.where(blended, alpha * t, 0)[..., None] * splats.channels[i]
-        median[box] = np.where(blended & (t > 0.5), splats.depth[i], median[box])
+        for name, above in DEPTH_FROM.items():
+            probes[name][box] = np.where(blended & (t > above), splats.depth[i], probes[name][box])
+        probes["count"][box] += blended
         transmittance[box] = np.where(blended, after, t)
-    return out, 1 - transmittance, median
+    return out, 1 - transmittance, probes
 
 
 def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -172,14 +200,15 @@ class Oracle:
     def numpy(self, array):
         return array
 
-    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, median: bool, progress, band: float = 0.0) -> Buffers:
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress, band: float = 0.0) -> Buffers:
         """All instances together, composited into the layout's channels; band: see rasterise()."""
         with np.errstate(all="ignore"):  # what overflows is not drawn
             found = [project(instance, camera, layout) for instance in instances]
         progress(0.1)
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
-        channels, alpha, nearest = rasterise(splats, camera, band)
-        return Buffers(channels, alpha, None if layout.depth is None else channels[..., layout.depth], nearest if median else None)
+        channels, alpha, found = rasterise(splats, camera, band)
+        sums = {name: channels[..., where] for name, where in layout.places.items()}
+        return Buffers(channels, alpha, sums, {name: found[name] for name in probes})
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> np.ndarray:
         """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""

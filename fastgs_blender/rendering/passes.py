@@ -6,28 +6,69 @@ A new pass is one entry of PASSES.  render(), `fastgs render`, the EXR writer an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..cameras.camera import Camera
+from . import cryptomatte
+from .instances import Moment, ViewedInstance
+from .quantities import NORMAL, Mist, Quantity, vector
+
 FAR = np.float32(1e10)
 """Depth where there is nothing, in files and in Blender, as Blender's own engines write it: filters turn an infinity into NaN."""
+LEVELS = 8
+"""Levels of Cryptomatte that can be had: as many as Blender's most, 16 objects a pixel, needs."""
+
+
+@dataclass(frozen=True)
+class PassSettings:
+    """What passes depend on besides the models and the camera.
+
+    mist           the distances of the Mist pass
+    before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
+    """
+
+    mist: Mist = field(default_factory=Mist)
+    before: Moment | None = None
+    after: Moment | None = None
+
+    def quantities(self, names, instances: list[ViewedInstance]) -> dict[str, Quantity]:
+        """Those quantities, of all that passes may need, whose names are given."""
+        table = {
+            "mist": self.mist.quantity, "normal": lambda: NORMAL,
+            "vector": lambda: vector(instances, self.before, self.after),
+        }
+        return {name: make() for name, make in table.items() if name in names}
+
+
+DEFAULTS = PassSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Blended:
     """What a picture's passes are computed from, NumPy arrays of the window.
 
-    rgb     [h, w, 3]  premultiplied colour; None where no pass needs it
-    alpha   [h, w]
-    depth   [h, w]     sum of the splats' depths times their weights; None where no pass needs it
-    median  [h, w]     median depth; None where no pass needs it
+    camera   whose picture it is
+    rgb      [h, w, 3]  premultiplied colour; None where no pass needs it
+    alpha    [h, w]
+    sums     [h, w, K]  by name, the plane's and the quantities' sums over the splats, times their weights (quantities.py)
+    probes   [h, w]     by name (layout.PROBES)
+    objects  (name, index) of each object in the picture
+    shares   [h, w, K]  what part of each pixel each of the objects covers; None where no pass needs it
     """
 
+    camera: Camera
     rgb: np.ndarray | None
     alpha: np.ndarray
-    depth: np.ndarray | None
-    median: np.ndarray | None
+    sums: dict[str, np.ndarray]
+    probes: dict[str, np.ndarray]
+    objects: list[tuple[str, int]]
+    shares: np.ndarray | None
+
+    def mean(self, name: str) -> np.ndarray:
+        """A quantity's mean over what covers each pixel, weighted by how much each splat is seen; 0 where alpha is 0."""
+        return np.divide(self.sums[name], self.alpha[..., None], out=np.zeros_like(self.sums[name]), where=self.alpha[..., None] > 0)
 
 
 @dataclass(frozen=True)
@@ -36,7 +77,7 @@ class Pass:
 
     name      what render() calls it
     image     (Blended) -> [h, w] or [h, w, channels]
-    needs     the members of Blended that `image` reads, alpha apart
+    needs     what `image` reads of Blended, alpha apart: "rgb", "shares", names of sums and of probes
     channels  1, or how many the last axis has
     empty     its value where nothing is drawn
     colour    whether it is a colour, which files and Blender get in scene-linear light
@@ -47,6 +88,9 @@ class Pass:
     switch    the property of Blender's view layer that switches it on: one of Blender's own, or with the prefix "fastgs." one of
               the extension's, which is made from this table
     description   what that switch of the extension's says to users
+    title     what panels call it, if not as Blender names the pass
+    level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
+              if nothing else is said
     """
 
     name: str
@@ -61,11 +105,18 @@ class Pass:
     kind: str = "VALUE"
     switch: str = ""
     description: str = ""
+    title: str = ""
+    level: int = 0
 
     @property
     def builtin(self) -> bool:
-        """Whether the pass, and the switch for it, are Blender's own."""
+        """Whether the switch for it is Blender's own."""
         return not self.switch.startswith("fastgs.")
+
+    @property
+    def standard(self) -> bool:
+        """Whether Blender adds the pass to a picture by itself."""
+        return self.builtin and not self.blender.startswith(cryptomatte.LAYER)
 
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image [h, w] or [h, w, channels] as files and Blender hold it: FAR in place of infinity."""
@@ -73,8 +124,41 @@ class Pass:
 
 
 def _expected_depth(blended: Blended) -> np.ndarray:
-    total, alpha = blended.depth, blended.alpha
-    return np.divide(total, alpha, out=np.full(alpha.shape, np.inf, total.dtype), where=alpha > 0)
+    depth, (x, y) = blended.mean("plane"), blended.camera.from_middle()
+    return np.where(blended.alpha > 0, depth[..., 0] + depth[..., 1] * x + depth[..., 2] * y[:, None], np.inf)
+
+
+def _position(blended: Blended) -> np.ndarray:
+    """The point at the expected depth on the ray of each pixel."""
+    points = blended.camera.points(np.where(blended.alpha > 0, _expected_depth(blended), 0))
+    return np.where(blended.alpha[..., None] > 0, points, 0)
+
+
+def _mist(blended: Blended) -> np.ndarray:
+    return blended.sums["mist"][..., 0] + (1 - blended.alpha)
+
+
+def _normal(blended: Blended) -> np.ndarray:
+    total = blended.sums["normal"]
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def _object_index(blended: Blended) -> np.ndarray:
+    """The index of what covers most of each pixel; that of nothing is 0."""
+    numbers = np.unique([0, *(index for _, index in blended.objects)])
+    cover = np.zeros((*blended.alpha.shape, len(numbers)), np.float32)
+    cover[..., np.searchsorted(numbers, 0)] = 1 - blended.alpha
+    for i, (_, index) in enumerate(blended.objects):
+        cover[..., np.searchsorted(numbers, index)] += blended.shares[..., i]
+    return numbers[cover.argmax(-1)]
+
+
+def _cryptomatte(level: int) -> Pass:
+    name = f"{cryptomatte.LAYER}{level:02d}"
+    return Pass(f"cryptomatte_{level:02d}", lambda b: cryptomatte.level(b.shares, [name for name, _ in b.objects], level), ("shares",), 4,
+                exr=tuple(f"{name}.{letter}" for letter in "rgba"), blender=name, letters="rgba", kind="COLOR",
+                switch="use_pass_cryptomatte_object", title="Cryptomatte Object", level=level)
 
 
 PASSES = {entry.name: entry for entry in (
@@ -83,8 +167,22 @@ PASSES = {entry.name: entry for entry in (
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
     Pass("alpha", lambda b: b.alpha, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up"),
-    Pass("depth", _expected_depth, ("depth",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
-    Pass("median_depth", lambda b: b.median, ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
+    Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
+    Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
          switch="use_pass_z"),
+    Pass("first_depth", lambda b: b.probes["first"], ("first",), empty=np.inf, exr=("FirstDepth.Z",), blender="Depth", letters="Z",
+         switch="use_pass_z"),
+    Pass("mist", _mist, ("mist",), empty=1.0, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist"),
+    Pass("position", _position, ("plane",), 3, exr=("Position.X", "Position.Y", "Position.Z"),
+         blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position"),
+    Pass("normal", _normal, ("normal",), 3, exr=("Normal.X", "Normal.Y", "Normal.Z"),
+         blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal"),
+    Pass("vector", lambda b: b.mean("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
+         blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector"),
+    Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",
+         switch="use_pass_object_index"),
+    *(_cryptomatte(level) for level in range(LEVELS)),
+    Pass("count", lambda b: b.probes["count"], ("count",), exr=("Gaussian Count.X",), blender="Gaussian Count", letters="X",
+         switch="fastgs.use_pass_count", description="Deliver how many Gaussians were blended into each pixel, to see what a frame costs"),
 )}
 """The passes by name."""

@@ -18,7 +18,7 @@ def read_exr(path) -> dict[str, np.ndarray]:
     """Passes of a multi-layer EXR by "Layer.Pass", float32 [h, w, channels]; Blender 4 writes one part, 5 one part a pass."""
     import OpenEXR
 
-    order = "RGBAXYZWV"
+    order = "RGBArgbaXYZWV"
     planes: dict[str, dict[str, np.ndarray]] = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:

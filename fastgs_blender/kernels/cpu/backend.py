@@ -31,13 +31,14 @@ class CPU:
     def read(self, *arrays):
         return list(arrays)
 
-    def draw(self, instances, camera, layout, median, progress) -> Buffers:
+    def draw(self, instances, camera, layout, probes, progress) -> Buffers:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
-        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, median,
+        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
                             lambda f: progress(0.35 + 0.6 * f))
-        depth = None if layout.depth is None else picture.channels[..., layout.depth]
-        return Buffers(picture.channels[..., :layout.channels], picture.alpha, depth, picture.median)
+        channels = picture.channels
+        sums = {name: channels[..., where] for name, where in layout.places.items()}
+        return Buffers(channels[..., :layout.channels], picture.alpha, sums, picture.probes)
 
     def colour(self, buffers, layout, camera):
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))
@@ -84,7 +85,7 @@ class CPU:
             clock.append(time.perf_counter())
             order = splats.order()
             clock.append(time.perf_counter())
-            rasterise(order, splats.geometry, splats.attributes, splats.channels, camera, median=False)
+            rasterise(order, splats.geometry, splats.attributes, splats.channels, camera)
             clock.append(time.perf_counter())
             for values, span in zip(times.values(), np.diff(clock), strict=True):
                 values.append(1000 * span)

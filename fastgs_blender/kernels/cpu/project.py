@@ -136,6 +136,27 @@ def _project_axis(axis, row0, row1, row2, a02, a12):
     return row0[0] * x + row0[1] * y + row0[2] * z + a02 * depth, row1[0] * x + row1[1] * y + row1[2] * z + a12 * depth
 
 
+@inline
+def _depths(axis0, axis1, axis2, row2, size0, size1, size2):
+    """How far the ends of the axes lie in depth."""
+    return ((row2[0] * axis0[0] + row2[1] * axis0[1] + row2[2] * axis0[2]) * size0,
+            (row2[0] * axis1[0] + row2[1] * axis1[1] + row2[2] * axis1[2]) * size1,
+            (row2[0] * axis2[0] + row2[1] * axis2[1] + row2[2] * axis2[2]) * size2)
+
+
+@inline
+def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
+    """Change of a splat's depth by pixel in x and y: oracle.plane."""
+    along_u, along_v = d0 * u[0] + d1 * u[1] + d2 * u[2], d0 * v[0] + d1 * v[1] + d2 * v[2]
+    x, y = (s11 * along_u - s01 * along_v) / det, (s00 * along_v - s01 * along_u) / det
+    change = abs(x) * radius_x + abs(y) * radius_y
+    if change > z:
+        x, y = x * (z / change), y * (z / change)
+    if not (abs(x) < np.inf and abs(y) < np.inf):
+        return 0.0, 0.0
+    return x, y
+
+
 @kernel
 def project(first, last, boxes, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
@@ -147,7 +168,8 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
                its direction) in model space
     lens       [14] float64: fx, fy, cx, cy, near, far, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
     constants  (blur, alpha max, alpha cut, antialiased, orthographic)
-    channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1)
+    channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1, (first of the plane's channels
+                       or -1, the middle of the image in x and in y))
     geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
@@ -156,7 +178,7 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
-    appearance, degree, channel, weight_channel, depth_channel = channel_plan
+    appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut = math.log2(alpha_cut)
     out = first
@@ -217,6 +239,13 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
             attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
         if depth_channel >= 0:
             attributes[out, raster.CHANNEL + depth_channel] = z
+        if plane_channel >= 0:
+            d0, d1, d2 = _depths(axis0, axis1, axis2, row2, size0 / per_depth, size1 / per_depth, size2 / per_depth)
+            slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - blur, s01, s11 - blur, sharp, z, radius_x, radius_y)
+            plane = raster.CHANNEL + plane_channel
+            attributes[out, plane] = z - slope_x * (mx - middle_x) - slope_y * (my - middle_y)
+            attributes[out, plane + 1] = slope_x
+            attributes[out, plane + 2] = slope_y
         root = math.sqrt(s11)
         geometry[out, raster.MEAN_X] = mx
         geometry[out, raster.MEAN_Y] = my

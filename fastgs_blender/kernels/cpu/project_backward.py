@@ -164,7 +164,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
     blur, _, _, antialiased, orthographic = constants
-    appearance, degree, channel, _, depth_channel = channel_plan
+    appearance, degree, channel, _, depth_channel, _ = channel_plan
     row0, row1, row2, shift, eye = rows_of(view)
     terms, colour = np.empty(25), np.empty(3)
     for n in range(first, last):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rasterises: blends the splats of each 16 x 16 tile front to back, eight pixels at a time.
 
-The state of a tile is one local array of planes of 256 pixels: transmittance, then the channels, then the median depth.
+The state of a tile is one local array of planes of 256 pixels: transmittance, then the channels, then the probes or the trace.
 A pixel that is finished keeps its transmittance with the sign turned.
 """
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numba import float32
 from numba.core import types
 from numba.extending import intrinsic
 
+from ...rendering.layout import DEPTH_FROM, PROBES
 from ...rendering.oracle import T_STOP
 from . import simd
 from .jit import kernel
@@ -29,7 +30,7 @@ LOG2_OPACITY, ALPHA_MAX, LOG2_CUT, DEPTH, RADIUS_X, RADIUS_Y, CHANNEL = range(7)
 
 AHEAD = 8
 """How many splats ahead memory is asked for: a tile's splats lie all over it."""
-SIZES = (3, 4, 9, 10, 16, 32, 64, 128, 256)
+SIZES = (3, 4, 6, 9, 10, 16, 32, 64, 128, 256)
 """Numbers of channels for which code is made; others are padded to the next."""
 
 
@@ -45,18 +46,19 @@ def fade(alpha, log2_cut, band):
 
 
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, channels, median, trace, smooth):
+def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, channels, probes, trace, smooth):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
-    channels, median, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  trace: remember `place` as
-    that of the last splat blended; smooth: let alpha fade in over `band` above the cut.
+    channels, probes, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  probes: which of
+    layout.PROBES are computed, a bit each; trace: remember `place` as that of the last splat blended; smooth: let alpha fade in
+    over `band` above the cut.
     """
-    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, median, trace, smooth)):
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, probes, trace, smooth)):
         return None
     count = channels.literal_value
     number = types.float32
     signature = types.void(
-        state, types.intp, number, number, number, attributes, types.intp, number, number, channels, median, trace, smooth)
+        state, types.intp, number, number, number, attributes, types.intp, number, number, channels, probes, trace, smooth)
 
     def build(context, b, signature, args):
         state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
@@ -83,32 +85,44 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, ch
         if trace.literal_value:
             plane = PIXELS * (1 + count)
             state.store(pixel, plane, simd.broadcast(b, args[7]).where(weight > 0.0, state.floats(pixel, plane)))
-        if median.literal_value:
-            plane = PIXELS * (1 + count)
-            front = b.and_(weight > 0.0, before > 0.5)
-            state.store(pixel, plane, column(DEPTH).where(front, state.floats(pixel, plane)))
+        plane = PIXELS * (1 + count)
+        for name in chosen(probes.literal_value):
+            old, drawn = state.floats(pixel, plane), weight > 0.0
+            if name == "count":
+                new = (old + 1.0).where(drawn, old)
+            else:
+                new = column(DEPTH).where(b.and_(drawn, before > DEPTH_FROM[name]), old)
+            state.store(pixel, plane, new)
+            plane += PIXELS
         return context.get_dummy_value()
 
     return signature, build
 
 
-@cache
-def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0.0):
-    """The kernel for a number of channels, with or without the median depth.
+def chosen(bits: int) -> list[str]:
+    """The probes of a set that is given as bits, in their order."""
+    return [name for i, name in enumerate(PROBES) if bits >> i & 1]
 
-    trace: write what the backward pass starts from (raster_backward.py) instead of the median depth.  band: alpha fades in over
+
+@cache
+def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0):
+    """The kernel for a number of channels, and the probes (layout.PROBES, in their order).
+
+    trace: write what the backward pass starts from (raster_backward.py) instead of probes.  band: alpha fades in over
     this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.
     """
-    assert not (median and trace)
-    median, trace, smooth, band = int(median), int(trace), int(band > 0), float(band)
-    planes = 1 + channels + (median or trace)
+    assert not (probes and trace)
+    trace, smooth, band = int(trace), int(band > 0), float(band)
+    bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
+    planes = 1 + channels + (number or trace)
 
-    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, depth):
+    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
-        The window is x0..right, y0..bottom in pixels of the image; out [h, w, C], alpha [h, w], depth [h, w] are the window's.
-        starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  With trace, depth is [h, 2 w]: the final
-        transmittance, and beside it the place in the tile's list of the last splat blended, or -1.
+        The window is x0..right, y0..bottom in pixels of the image; out [h, w, C] and alpha [h, w] are the window's.
+        starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  extra [h, P w]: the pictures of the P probes,
+        side by side; with trace [h, 2 w]: the final transmittance, and beside it the place in the tile's list of the last splat
+        blended, or -1.
         """
         state = np.empty(planes * PIXELS, np.float32)
         for tile in range(first, last):
@@ -118,8 +132,8 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
                 inside = x >= x0 and x < right and y >= y0 and y < bottom
                 state[i] = float32(1.0) if inside else float32(-1.0)
             state[PIXELS:] = float32(0.0)
-            if median:
-                state[PIXELS * (1 + channels):] = float32(np.inf)
+            if depths:
+                state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
             blended = 0
@@ -145,7 +159,7 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
                     for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
                         x = half * simd.LANES
                         blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
-                               channels, median, trace, smooth)
+                               channels, bits, trace, smooth)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]
@@ -159,10 +173,10 @@ def rasteriser(channels: int, median: bool, trace: bool = False, band: float = 0
                     alpha[y - y0, x - x0] = float32(1.0) - abs(state[p])
                     for c in range(channels):
                         out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
-                    if median:
-                        depth[y - y0, x - x0] = state[PIXELS * (1 + channels) + p]
+                    for k in range(number):
+                        extra[y - y0, x - x0 + k * (right - x0)] = state[PIXELS * (1 + channels + k) + p]
                     if trace:
-                        depth[y - y0, x - x0] = abs(state[p])
-                        depth[y - y0, x - 2 * x0 + right] = state[PIXELS * (1 + channels) + p]
+                        extra[y - y0, x - x0] = abs(state[p])
+                        extra[y - y0, x - 2 * x0 + right] = state[PIXELS * (1 + channels) + p]
 
     return kernel(rasterise)

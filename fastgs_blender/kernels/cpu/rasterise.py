@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
+from ...rendering.layout import PROBES
 from ...util.threads import ranges, run
 from . import raster, raster_backward
 from .tile_lists import TileLists, list_tiles, tile_cursors
@@ -23,20 +24,21 @@ BACKWARD_BYTES = 24 << 20
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], median depth [h, w] or None."""
+    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], and each probe's picture [h, w] by its name."""
 
     channels: np.ndarray
     alpha: np.ndarray
-    median: np.ndarray | None
+    probes: dict[str, np.ndarray]
 
 
-def rasterise(order, geometry, attributes, channels: int, camera: Camera, median: bool, progress=None) -> Picture:
-    """Blend splats (raster.py) in the given order into the camera's window."""
+def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None) -> Picture:
+    """Blend splats (raster.py) in the given order into the camera's window; probes: which of layout.PROBES to compute."""
     _, _, width, height = camera.window
-    nearest = np.empty((height, width) if median else (0, 0), np.float32)
+    probes = tuple(name for name in PROBES if name in probes)
+    extra = np.empty((height, len(probes) * width), np.float32)
     listing = TileLists.of(order, geometry, attributes, camera)
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, median), nearest, progress)
-    return Picture(out, alpha, nearest if median else None)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, probes), extra, progress)
+    return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)})
 
 
 def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None):
@@ -90,10 +92,10 @@ def rasterise_forward(order, geometry, attributes, channels: int, camera: Camera
     _, _, width, height = camera.window
     trace = np.empty((height, 2 * width), np.float32)
     listing = TileLists.of(order, geometry, attributes, camera)
-    kernel = raster.rasteriser(channels, False, True, float(band))
+    kernel = raster.rasteriser(channels, (), True, float(band))
     out, alpha, lists = _blend(listing, geometry, attributes, channels, kernel, trace)
     whole = len(listing.bands(ENTRIES)) == 1
-    return Picture(out, alpha, None), RasterState(order, geometry, attributes, float(band), listing, lists if whole else None, trace)
+    return Picture(out, alpha, {}), RasterState(order, geometry, attributes, float(band), listing, lists if whole else None, trace)
 
 
 def rasterise_backward(state: RasterState, grad_channels, grad_alpha) -> RasterGradients:

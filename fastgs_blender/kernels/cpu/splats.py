@@ -11,6 +11,7 @@ from ...model.appearance import RGB, SH, Changing, Features, features_at, moment
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
+from ...rendering.quantities import Shown
 from ...util.threads import ranges, run
 from . import project, raster
 from .project_backward import project_backward as project_rows_backward
@@ -64,9 +65,20 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
         counts = run(lambda first, last, rest=(*inputs, *rows): project.project(first, last, *rest), pieces, share)
         runs.append([(done + first, number) for (first, _), number in zip(pieces, counts)])
+        if layout.quantities:
+            run(lambda first, number, instance=instance: _fill(instance, layout, attributes, arrays[3], first, number), runs[-1])
         done += count
     index = [np.arange(first, first + number, dtype=np.int32) for pieces in runs for first, number in pieces]
     return ProjectedSplats(*arrays, runs, np.concatenate(index) if index else np.empty(0, np.int32))
+
+
+def _fill(instance, layout, attributes, source, first: int, number: int):
+    """Write the layout's quantities into the rows of splats first..first + number, which are the Gaussians source[row]."""
+    rows = slice(first, first + number)
+    shown = Shown(instance, source[rows])
+    for name, quantity in layout.quantities.items():
+        where = layout.places[name]
+        attributes[rows, raster.CHANNEL + where.start:raster.CHANNEL + where.stop] = quantity.of(shown)
 
 
 def project_backward(instance: ViewedInstance, camera: Camera, layout: Layout, splats: ProjectedSplats, gradients: RasterGradients,
@@ -117,7 +129,8 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
         np.ascontiguousarray(view), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
         (CODES[type(look)], getattr(look, "degree", 0), group.offset,
-         -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth),
+         -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth,
+         (-1 if layout.plane is None else layout.plane, camera.width / 2, camera.height / 2)),
     )
 
 

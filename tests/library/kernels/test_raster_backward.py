@@ -156,6 +156,6 @@ def test_nothing_to_draw(rng):
 
 def test_a_traced_picture_is_the_picture(rng):
     order, geometry, attributes = splats(rng, 200)
-    plain = cpu.rasterise(order, geometry, attributes, 3, CAMERA, False)
+    plain = cpu.rasterise(order, geometry, attributes, 3, CAMERA)
     traced, _ = cpu.rasterise_forward(order, geometry, attributes, 3, CAMERA)
     assert np.array_equal(plain.channels, traced.channels) and np.array_equal(plain.alpha, traced.alpha)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Quantities: what passes sum over the splats besides colour and depth, each a few numbers of every Gaussian that is drawn.
+
+They are computed here, in float64 array code, for every backend: only for the splats of a picture, and only where a pass asks.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..util import rotations
+from .instances import LIMIT, Instance, Moment, ViewedInstance
+
+
+class Shown:
+    """The M Gaussians `index` of an instance before its camera, at its time.  What is asked for is computed then, in float64."""
+
+    def __init__(self, instance: ViewedInstance, index: np.ndarray):
+        self.instance, self.index = instance, index
+
+    @cached_property
+    def position(self) -> np.ndarray:
+        """[M, 3] in the model's space."""
+        return self._position_at(self.instance.t)
+
+    @cached_property
+    def world(self) -> np.ndarray:
+        """[M, 3] in the world."""
+        return _transformed(self.instance.placement, self.position)
+
+    @cached_property
+    def view(self) -> np.ndarray:
+        """[M, 3] in the camera's axes."""
+        return _transformed(self.instance.model_to_camera, self.position)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """[M, 3] unit vectors in the world: the shortest axis, turned to the camera.
+
+        As a normal it is transformed by the inverse of the placement's transpose.
+        """
+        model, i, placement = self.instance.model, self.index, self.instance.placement[:3, :3]
+        turn, _ = model.rotation_basis.evaluate(model.rotation_motion[i], self.instance.t, model.mu_tau[i].astype(np.float64))
+        axes = rotations.to_matrices(rotations.unit(model.rotation[i] + turn))
+        shortest = np.take_along_axis(axes, model.scale[i].argmin(1)[:, None, None], 2)[..., 0]
+        normal = shortest @ np.linalg.pinv(placement)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        camera_to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
+        forward = camera_to_world[:3, 2] if self.instance.camera.orthographic else self.world - camera_to_world[:3, 3]
+        return np.where((normal * forward).sum(1, keepdims=True) > 0, -normal, normal)
+
+    def pixels(self, instance: ViewedInstance) -> np.ndarray:
+        """[M, 2] where the same Gaussians of another instance of the model lie in its camera's picture."""
+        return instance.camera.pixels(_transformed(instance.model_to_camera, self._position_at(instance.t)))
+
+    def _position_at(self, t: float) -> np.ndarray:
+        model, i = self.instance.model, self.index
+        return model.position[i] + model.basis.evaluate(model.motion[i], t, model.mu_tau[i].astype(np.float64))[0]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Some numbers of each Gaussian: values(Shown) gives [M, width] float64."""
+
+    width: int
+    values: Callable[[Shown], np.ndarray]
+
+    def of(self, shown: Shown) -> np.ndarray:
+        """The values [M, width]; 0 where they are not numbers or too large to be summed."""
+        with np.errstate(all="ignore"):
+            values = self.values(shown)
+        return np.where(np.abs(values) <= LIMIT, values, 0)
+
+
+@dataclass(frozen=True)
+class Mist:
+    """Blender's mist: 0 up to a distance of `start` from the camera, 1 from `depth` beyond that on.
+
+    falloff  the curve between: 'QUADRATIC', 'LINEAR' or 'INVERSE_QUADRATIC' (the square root)
+    """
+
+    start: float = 5.0
+    depth: float = 25.0
+    falloff: str = 'QUADRATIC'
+
+    def quantity(self) -> Quantity:
+        """How far each Gaussian lies in the mist."""
+        exponent = {'QUADRATIC': 2.0, 'LINEAR': 1.0, 'INVERSE_QUADRATIC': 0.5}[self.falloff]
+
+        def values(shown: Shown) -> np.ndarray:
+            distance = np.abs(shown.view[:, 2]) if shown.instance.camera.orthographic else np.linalg.norm(shown.view, axis=1)
+            return np.clip((distance - self.start) / max(self.depth, 1e-30), 0, 1)[:, None] ** exponent
+
+        return Quantity(1, values)
+
+
+def vector(instances: list[ViewedInstance], before: Moment | None, after: Moment | None) -> Quantity:
+    """Blender's speed vectors in pixels, y up: from where a Gaussian is to where it was one frame earlier, and from where it will be
+    one frame later to where it is (Cycles `primitive_motion_vector`).
+
+    The places at the other frames come from the model's motion as a function of time, at those very times, and from the moments'
+    placements and cameras.  Without moments, cameras and placements stand still and the time moves by a frame of each model's clip.
+    """
+    moved = {instance: (_moved(instance, before, -1), _moved(instance, after, 1)) for instance in instances}
+
+    def values(shown: Shown) -> np.ndarray:
+        previous, following = (shown.pixels(other) for other in moved[shown.instance])
+        now = shown.pixels(shown.instance)
+        return np.concatenate([previous - now, now - following], 1) * [1, -1, 1, -1]
+
+    return Quantity(4, values)
+
+
+def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> ViewedInstance:
+    """The instance at another moment, or so many frames of its clip later."""
+    if moment is None:
+        return replace(instance, t=instance.t + frames / instance.model.clip.frame_count)
+    there = moment.instances.get(instance.place, instance)
+    t = there.t if there.model is instance.model else instance.t  # frames of a sequence are not the same Gaussians
+    return Instance(instance.model, there.placement, t).viewed(moment.camera)
+
+
+def shares(instances: list[ViewedInstance], names: list) -> Quantity:
+    """1 in the column of each Gaussian's object, among names (Instance.identity): what part of a pixel each object covers."""
+    column = {instance: names.index(instance.identity) for instance in instances if instance.identity in names}
+
+    def values(shown: Shown) -> np.ndarray:
+        out = np.zeros((len(shown.index), len(names)))
+        if shown.instance in column:
+            out[:, column[shown.instance]] = 1
+        return out
+
+    return Quantity(len(names), values)
+
+
+NORMAL = Quantity(3, lambda shown: shown.normal)
+
+
+def _transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
