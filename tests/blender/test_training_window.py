@@ -45,6 +45,13 @@ def test_from_the_open_scene_to_a_rendered_shot(user, environment):
     assert facts["python"] == f"/mnt/{environment}/bin/python"
     assert facts["kinds"][-2:] == ['TRAINING', 'FINISHED'] and any("left" in line for line in facts["lines"])
     assert "Held-out PSNR" in facts["report"] and "8 cameras, 3 frames, 160 x 120" in facts["checked"]
+    done, whole = facts["filming"]
+    assert 0 < done < whole == 24 and facts["turned"] > 0.1, "Runs counts the pictures, and the view turns while they are made"
+    assert facts["seen"], "the model so far came while training went on"
+    assert facts["hidden"] == ["Cylinder", "Suzanne"]
+    again = facts["again"]
+    assert again["another"] and again["kinds"][0] != 'FINISHED' and again["kinds"][-1] == 'FINISHED', again
+    assert again["steps"] == 60
     truth, found = (read_png(user.folder / f"toy-{name}.png")[..., :3] for name in ("truth", "model"))
     print("F12 of the model against F12 of the scene:", psnr(found, truth), "dB")
     assert psnr(found, truth) > 20  # the world alone is at 16

@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 from background import ADDON, look
 from mathutils import Euler
-from window import area_of, f12, settled, shot, sidebar, until, within
+from window import area_of, f12, press, settled, shot, sidebar, until, within
 
 
 def part(name):
@@ -118,11 +118,20 @@ def from_scene_to_shot(environment, cache):
     settings = scene.fastgs.training
     settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
     settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
-    watch, displays = part("scene.training.watch"), part("scene.training.displays")
+    watch, displays, progress = part("scene.training.watch"), part("scene.training.displays"), part("scene.filming.progress")
+    yield 0.5
+    shot("train-panel")
     yield from click(area, "fastgs.train")
+    yield from until(lambda: progress.current and progress.current.made > 1, 100)
+    filming = [progress.current.done, progress.current.whole, area.spaces.active.region_3d.view_rotation.copy()]
+    yield from press('NUMPAD_6', area)  # the view turns meanwhile
+    turned = filming.pop().rotation_difference(area.spaces.active.region_3d.view_rotation).angle
+    shot("filming")
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
+    yield 0.5
+    shot("run-appears")
     kinds, texts = [], set()
     images = area_of('IMAGE_EDITOR').spaces.active
 
@@ -140,13 +149,17 @@ def from_scene_to_shot(environment, cache):
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.5
+    yield from click(area, "fastgs.train_import")
+    so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None), 60)
+    seen = so_far is not None and so_far.fastgs.filepath.endswith("so-far.safetensors")
     shot("training")
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED'), 300)
     state = watch.found()[0][1]
     if state.kind == 'FAILED':
         raise AssertionError(state.text)
-    yield from until(lambda: any("fastgs_job" in obj for obj in scene.objects), 20)
+    yield from until(lambda: any(obj.fastgs.filepath.endswith("model.safetensors") for obj in scene.objects), 20)
     model = next(obj for obj in scene.objects if "fastgs_job" in obj)
+    hidden = sorted(obj.name for obj in scene.objects if obj.hide_get() and obj.hide_render)
     yield 0.5
     shot("notified")
     window = bpy.context.window_manager.windows[0]
@@ -156,10 +169,11 @@ def from_scene_to_shot(environment, cache):
     for obj in scene.objects:
         obj.hide_set(obj != model)
     yield from click(area, "fastgs.train_report", 0.8)
-    editor = area_of('TEXT_EDITOR').spaces.active
-    editor.text = bpy.data.texts["FAST-GS Report"]
+    yield 1.0
+    shot("report")
+    yield from press('ESC', area)
+    bpy.ops.fastgs.train_report()
     yield 0.5
-    editor.top = 0
     scene.frame_set(3)
     yield from settled("trained")
 
@@ -181,5 +195,28 @@ def from_scene_to_shot(environment, cache):
     shot("trained-f12")
     bpy.data.images["Render Result"].save_render(os.path.abspath("toy-model.png"))
     report = bpy.data.texts["FAST-GS Report"].as_string()
+    again = yield from train_again(area, settings, job)
     return {"kinds": kinds, "lines": sorted(texts), "camera": camera, "matrix": [list(row) for row in model.matrix_world],
-            "gaussians": model.fastgs.gaussian_count, "python": job.python, "report": report, "checked": checked}
+            "gaussians": model.fastgs.gaussian_count, "python": job.python, "report": report, "checked": checked, "filming": filming,
+            "turned": turned, "seen": seen, "hidden": hidden, "again": again}
+
+
+def train_again(area, settings, job):
+    """The Train button once more, into the folder of the finished run, which is begun anew: the states that the new job goes through."""
+    watch = part("scene.training.watch")
+    bpy.ops.screen.back_to_previous()
+    yield 1.0
+    area = area_of()
+    settings.out, settings.existing, settings.iterations = job.out, 'OVERWRITE', 60
+    yield from sidebar(area)
+    shot("train-again")
+    yield from click(area, "fastgs.train", 0.8)
+    kinds = []
+    for _ in range(1000):
+        new, state = watch.look()[-1]
+        if not kinds or kinds[-1] != state.kind:
+            kinds.append(state.kind)
+        if state.kind in ('FINISHED', 'FAILED'):
+            break
+        yield 0.1
+    return {"kinds": kinds, "another": new.id != job.id, "steps": state.values.get("iterations"), "text": state.text}
