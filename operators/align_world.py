@@ -55,7 +55,8 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
         name="From", description="How the ground is found",
         items=(
             ('POINTS', "Three Points", "Three selected objects, or three vertices of the proxy in Edit Mode, that lie on the ground", 0),
-            ('CAMERAS', "Cameras", "The capture's cameras, which were held level; the floor is where the lowest splats are", 1),
+            ('CAMERAS', "Cameras", "The capture's cameras, which were held level; the floor is where the lowest splats are, "
+             "or the lowest camera where there are no splats", 1),
         ), default='POINTS')
 
     def motion(self, context, worlds):
@@ -70,9 +71,12 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
             raise FastGSError("there are no cameras of a capture in this scene; import them first (File > Import > Capture Cameras).")
         turned = alignment.ground_from_cameras(eyes)
         places = self._places(worlds)
-        if len(places):
-            heights = places @ turned[:3, :3].T + turned[:3, 3]
-            turned[2, 3] -= np.percentile(heights[:, 2], LOWEST)
+        known = len(places) > 0
+        heights = (places if known else np.array([eye[:3, 3] for eye in eyes])) @ turned[2, :3]
+        turned[2, 3] = -(np.percentile(heights, LOWEST) if known else heights.min())
+        if not known:
+            self.report({'WARNING'}, "There are no splats that show where the floor is, so the lowest camera now stands on it; set the "
+                                     "ground again when the model is there, or from three points.")
         return turned, []
 
     def _places(self, worlds) -> np.ndarray:

@@ -115,9 +115,10 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         col.prop(settings, "preset")
         draw_rows(col, estimate_rows(context, settings))
         place = draw_place(layout, context, settings)
-        layout.prop(settings, "import_result", text="Import")
+        col = layout.column(align=True)
+        col.prop(settings, "import_result", text="Import")
         if settings.source == 'SCENE':
-            row = layout.row()
+            row = col.row()
             row.enabled = settings.import_result
             row.prop(settings, "hide_originals")
         draw_start(layout, context, settings, place)
@@ -252,4 +253,4 @@ def unregister():
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
 
 
-CLASSES = (FASTGS_PT_training, FASTGS_PT_training_filming, FASTGS_PT_training_options, FASTGS_PT_training_runs)
+CLASSES = (FASTGS_PT_training, FASTGS_PT_training_runs, FASTGS_PT_training_filming, FASTGS_PT_training_options)

@@ -23,7 +23,10 @@ FRAGMENT = """
 void main()
 {
   vec4 seen = texture(picture, v_uv);
-  out_colour = vec4(seen.rgb, 1.0);
+  if (seen.a < 0.002) {
+    discard;
+  }
+  out_colour = vec4(straight ? seen.rgb * seen.a : seen.rgb, seen.a);
 }
 """
 UVS = [(1.0, 1.0), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
@@ -46,9 +49,19 @@ def draw(context, depsgraph) -> None:
         if obj.type == 'CAMERA' and obj.original != looked_through and obj.visible_in_viewport_get(space):
             texture = _texture(obj.original.data, scene.frame_current, playing)
             if texture is not None:
-                place = np.array(obj.matrix_world.normalized())  # a frustum's size is its display size
-                draw_picture(texture, plane(obj.data, scene, scene.fastgs.picture_size) @ place[:3, :3].T + place[:3, 3],
-                             region.perspective_matrix)
+                place = np.array(obj.matrix_world.normalized())
+                size = scene.fastgs.picture_size * growth(obj)
+                draw_picture(texture, plane(obj.data, scene, size) @ place[:3, :3].T + place[:3, 3], region.perspective_matrix,
+                             is_straight(obj.original.data))
+
+
+def growth(camera) -> float:
+    """By how much an object's scale makes the frustum larger that Blender draws: the harmonic mean of the three axes' lengths.
+
+    That of an orthographic camera stays as it is.
+    """
+    lengths = np.linalg.norm(np.array(camera.matrix_world)[:3, :3], axis=0)
+    return 3 / np.sum(1 / np.maximum(lengths, 1e-30)) if camera.data.type != 'ORTHO' else 1.0
 
 
 def plane(camera, scene, size: float) -> np.ndarray:
@@ -60,10 +73,13 @@ def plane(camera, scene, size: float) -> np.ndarray:
     return corners / abs(corners[:, 2:]) * (size * camera.display_size * camera.lens / sensor)
 
 
-def draw_picture(texture, corners: np.ndarray, to_clip) -> None:
-    """A picture on four corners [4, 3]: right top, right bottom, left bottom, left top."""
+def draw_picture(texture, corners: np.ndarray, to_clip, straight: bool = True) -> None:
+    """A picture on four corners [4, 3]: right top, right bottom, left bottom, left top; straight: its colours are not multiplied by alpha.
+
+    Nothing is drawn where it is transparent.
+    """
     before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
-    gpu.state.blend_set('NONE')
+    gpu.state.blend_set('ALPHA_PREMULT')
     gpu.state.depth_test_set('LESS_EQUAL')
     gpu.state.depth_mask_set(True)
     shader = _shader()
@@ -72,6 +88,7 @@ def draw_picture(texture, corners: np.ndarray, to_clip) -> None:
     shader.bind()
     shader.uniform_float("to_clip", to_clip)
     shader.uniform_sampler("picture", texture)
+    shader.uniform_bool("straight", straight)
     batch.draw(shader)
     gpu.state.blend_set(before[0])
     gpu.state.depth_test_set(before[1])
@@ -96,9 +113,20 @@ def free_shader() -> None:
     _shader.cache_clear()
 
 
+def _background(camera):
+    """A camera's first background that is an image, or None."""
+    return next((b for b in camera.background_images if b.source == 'IMAGE' and b.image is not None), None)
+
+
+def is_straight(camera) -> bool:
+    """Whether the texture of a camera's background has colours that are not multiplied by its alpha, as Blender keeps them."""
+    image = _background(camera).image
+    return image.alpha_mode == 'STRAIGHT' if image.is_float else image.alpha_mode != 'PREMUL'
+
+
 def _texture(camera, frame: int, playing: bool):
     """The texture of a camera's first background, or None; while the animation plays the one of before has to do."""
-    background = next((b for b in camera.background_images if b.source == 'IMAGE' and b.image is not None), None)
+    background = _background(camera)
     if background is None or not camera.show_background_images:
         return None
     image = background.image
@@ -124,6 +152,7 @@ def _shader():
     info.vertex_in(1, 'VEC2', "uv")
     info.vertex_out(between)
     info.push_constant('MAT4', "to_clip")
+    info.push_constant('BOOL', "straight")
     info.sampler(0, 'FLOAT_2D', "picture")
     info.fragment_out(0, 'VEC4', "out_colour")
     info.vertex_source(VERTEX)

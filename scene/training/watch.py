@@ -14,6 +14,8 @@ from . import displays, installation, results
 
 log = logging.getLogger(__name__)
 EVERY = 1.0
+SETTLED = 0.4
+"""Seconds after which panels that moved stand still."""
 
 _found: list[tuple[Job, State]] | None = None
 
@@ -107,7 +109,13 @@ def summary(state: State) -> str:
 
 
 def redraw() -> None:
-    """The panels and the status bars of all windows."""
+    """The panels and the status bars of all windows, and once more: panels that grow are put in their places one redraw later."""
+    _redraw()
+    if not bpy.app.background and not bpy.app.timers.is_registered(_redraw):
+        bpy.app.timers.register(_redraw, first_interval=SETTLED)
+
+
+def _redraw() -> None:
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type in {'VIEW_3D', 'IMAGE_EDITOR', 'TEXT_EDITOR'}:
@@ -136,7 +144,8 @@ def register():
 def unregister():
     global _found
     _found = None
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
+    for timer in (_tick, _redraw):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     displays.unregister()
     installation.unregister()

@@ -130,8 +130,9 @@ def from_scene_to_shot(environment, cache):
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
-    yield 0.5
+    yield 1.0
     shot("run-appears")
+    settings.source = 'FOLDER'  # a shorter panel: all of the run is in sight
     kinds, texts = [], set()
     images = area_of('IMAGE_EDITOR').spaces.active
 
@@ -177,7 +178,6 @@ def from_scene_to_shot(environment, cache):
     scene.frame_set(3)
     yield from settled("trained")
 
-    settings.source = 'FOLDER'
     yield from click(area, "fastgs.train_check", 0.3)
     yield from until(lambda: part("fastgs_blender.jobs.checks").latest, 100)
     checked = part("fastgs_blender.jobs.checks").latest.text

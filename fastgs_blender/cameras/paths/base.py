@@ -19,6 +19,8 @@ MOST_FRAMES = 1_000_000
 """Frames of a path whose file holds each of them."""
 MOST_INTERPOLATED = 43_200
 """Frames that are made from a file's keyframes: half an hour at 24 frames per second.  A file of a few bytes could ask for any number."""
+SQUARE, CENTRED = 1e-5, 1e-3
+"""Up to where pixels are square (share of a side) and a lens is not shifted (pixels): Blender's cameras are of single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +104,9 @@ def check_frames(file, entries: Sequence) -> None:
 def warn_of_losses(path: CameraPath, kind: str, *, one_size: bool = True) -> None:
     """LossWarning for what formats without intrinsics cannot hold."""
     off = max(max(abs(c.cx - c.width / 2), abs(c.cy - c.height / 2)) for c in path.cameras)
-    if off > 1e-6:
+    if off > CENTRED:
         warnings.warn(f"{kind} holds no shift of the lens; it is left out ({off:.3g} pixels).", LossWarning, stacklevel=3)
-    if max(abs(c.fx / c.fy - 1) for c in path.cameras) > 1e-9:
+    if max(abs(c.fx / c.fy - 1) for c in path.cameras) > SQUARE:
         warnings.warn(f"{kind} holds no pixels that are not square; the vertical focal length is written.", LossWarning, stacklevel=3)
     if one_size and len({(c.width, c.height) for c in path.cameras}) > 1:
         warnings.warn(f"{kind} has one size for all frames; the first is written.", LossWarning, stacklevel=3)

@@ -70,6 +70,19 @@ def test_ground_from_cameras(scene, capture):
         assert_level(obj)
 
 
+def test_no_camera_is_below_a_floor_that_nothing_shows(scene, capture, capfd):
+    """Without splats the lowest camera stands on the floor, and the operator says that it is a guess."""
+    bpy.data.objects.remove(capture[0])
+    bpy.data.objects["cam1"].location.z -= 0.7
+    bpy.context.view_layer.update()
+    select([], capture[1])
+    assert bpy.ops.fastgs.set_ground(source='CAMERAS') == {'FINISHED'}
+    np.testing.assert_allclose(np.array(capture[1].matrix_world)[2, :3], [0, 0, 1], atol=1e-5)
+    heights = [obj.matrix_world.translation.z for obj in scene.objects if obj.type == 'CAMERA']
+    assert min(heights) == pytest.approx(0, abs=1e-4) and max(heights) == pytest.approx(0.7, abs=1e-4)
+    assert "no splats that show where the floor is" in capfd.readouterr().out
+
+
 def test_scale_from_two_points(scene, capture):
     a, b = marks(scene, [(1, 1, 0), (1, 3, 0)])
     assert bpy.ops.fastgs.set_scale(distance=0.5) == {'FINISHED'}

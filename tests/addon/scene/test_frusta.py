@@ -99,9 +99,34 @@ def test_size_and_place(camera, drawn, scene):
     scene.fastgs.picture_size = 0.5
     assert (drawn()[..., 3] > 0).sum() == pytest.approx(area / 4, rel=0.1)
     camera.location.x = 1.0
-    camera.scale = (3, 3, 3)  # Blender's frusta do not grow with it either
-    columns = np.flatnonzero((drawn()[..., 3] > 0).any(0))
-    assert columns.mean() == pytest.approx(48 + 24, abs=1)
+    small = drawn()[..., 3] > 0
+    assert np.flatnonzero(small.any(0)).mean() == pytest.approx(48 + 24, abs=1)
+    camera.parent = bpy.data.objects.new("World", None)  # as Set Scale leaves a capture: Blender's frusta grow with it
+    scene.collection.objects.link(camera.parent)
+    camera.parent.scale = (0.5, 0.5, 0.5)
+    shown = drawn()[..., 3] > 0
+    assert shown.sum() == pytest.approx(small.sum() / 4, rel=0.1)
+    assert np.flatnonzero(shown.any(0)).mean() == pytest.approx(48 + 12, abs=1)
+
+
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_transparent_pictures_show_what_is_behind_them(camera, drawn, module, tmp_path, kind):
+    """The left third is clear, the middle half covered by red, the right blue; over nothing and over the grey of another picture."""
+    picture = np.zeros((8, 12, 4), np.float32)
+    picture[:, 4:8] = (1, 0, 0, 0.5)
+    picture[:, 8:] = (0, 0, 1, 1)
+    path = tmp_path / f"clear.{kind}"
+    if kind == "exr":
+        picture[..., :3] *= picture[..., 3:]  # as such files keep colours
+        module("fastgs_blender.util.picture_files").write_exr(path, dict(zip("RGBA", np.moveaxis(picture, -1, 0))))
+    else:
+        module("fastgs_blender.util.picture_files").write_png(path, np.uint8(255 * picture))
+    camera.data.background_images[0].image = bpy.data.images.load(str(path))
+    shown = drawn()[32]
+    left, middle, right = (shown[column] for column in (30, 48, 66))
+    np.testing.assert_allclose(left, 0, atol=2e-3)
+    np.testing.assert_allclose(middle, (0.5, 0, 0, 0.5), atol=5e-3)
+    np.testing.assert_allclose(right, (0, 0, 1, 1), atol=2e-3)
 
 
 def test_pictures_stand_still_during_playback(camera, drawn, scene):
