@@ -25,7 +25,12 @@ class _Align:
 
     @classmethod
     def poll(cls, context):
-        return context.mode in {'OBJECT', 'EDIT_MESH'} and any(is_world(obj) for obj in context.scene.objects)
+        reason = "" if context.mode in {'OBJECT', 'EDIT_MESH'} else "Go to Object Mode first"
+        if not reason and not any(is_world(obj) for obj in context.scene.objects):
+            reason = "Import a capture or a model first"
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
 
     def motion(self, context, worlds):
         """The motion [4, 4] and the marks that go with it.  Raises FastGSError."""
@@ -55,8 +60,7 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
         name="From", description="How the ground is found",
         items=(
             ('POINTS', "Three Points", "Three selected objects, or three vertices of the proxy in Edit Mode, that lie on the ground", 0),
-            ('CAMERAS', "Cameras", "The capture's cameras, which were held level; the floor is where the lowest splats are, "
-             "or the lowest camera where there are no splats", 1),
+            ('CAMERAS', "Cameras", "The capture's cameras, held level; the floor is at the lowest splats, or at the lowest camera", 1),
         ), default='POINTS')
 
     def motion(self, context, worlds):

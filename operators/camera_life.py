@@ -229,10 +229,29 @@ class FASTGS_OT_key_from_view(bpy.types.Operator):
             # a view shows, at the same focal length, twice what a camera with Blender's standard sensor does
             camera.data.lens = context.space_data.lens * camera.data.sensor_width / 72.0
         channels = {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}
+        frame = context.scene.frame_current
+        before, same, after = _keys_around(camera, frame)
         for owner, name in ((camera, "location"), (camera, channels.get(camera.rotation_mode, "rotation_euler")), (camera.data, "lens")):
-            owner.keyframe_insert(name, frame=context.scene.frame_current)
-        self.report({'INFO'}, f'"{camera.name}" is keyed on frame {context.scene.frame_current}.')
+            owner.keyframe_insert(name, frame=frame)
+        done = f'"{camera.name}" is keyed on frame {frame}'
+        if same:
+            self.report({'WARNING'}, f"{done}, in place of the key that was there.")
+        elif before is not None and after is not None:
+            self.report({'WARNING'}, f"{done}, between its keys on frames {before:g} and {after:g}: its move there has changed.")
+        elif before is not None:
+            self.report({'INFO'}, f"{done}, after its key on frame {before:g}.")
+        else:
+            self.report({'INFO'}, f"{done}, before its key on frame {after:g}." if after is not None else f"{done}.")
         return {'FINISHED'}
+
+
+def _keys_around(camera, frame) -> tuple[float | None, bool, float | None]:
+    """The frame of a camera's last key of its place before this one, whether it has one here, and that of the next one after."""
+    if not (camera.animation_data and camera.animation_data.action):
+        return None, False, None
+    at = {point.co.x for curve in camera_keys.curves(camera) if curve.data_path == "location" for point in curve.keyframe_points}
+    return (max((x for x in at if x < frame - 0.5), default=None), any(abs(x - frame) <= 0.5 for x in at),
+            min((x for x in at if x > frame + 0.5), default=None))
 
 
 CLASSES = (FASTGS_OT_bullet_time, FASTGS_OT_follow_region, FASTGS_OT_handheld, FASTGS_OT_key_from_view)

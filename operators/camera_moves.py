@@ -2,6 +2,8 @@
 """Animates cameras by ordinary keyframes: orbit, dolly, a smooth path through cameras."""
 from __future__ import annotations
 
+import re
+
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
@@ -153,11 +155,15 @@ class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):
 
 
 class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
-    """Move a camera smoothly through the selected cameras, in the order of their names"""
+    """Move a camera smoothly through the selected cameras, each next to its neighbours"""
 
     bl_idname = "fastgs.camera_through"
     bl_label = "Path Through Cameras"
 
+    order: EnumProperty(
+        name="Order", description="Which camera comes after which",
+        items=(('PLACE', "By Place", "A short way through all of them, from the active camera or the end nearest to it", 0),
+               ('NAME', "By Name", "In the order of their names, numbers as numbers", 1)), default='PLACE')
     closed: BoolProperty(name="Closed", description="Return to the first camera at the end", default=False)
     new_camera: BoolProperty(name="New Camera", description="Animate a new camera, which becomes the scene's camera", default=True)
 
@@ -167,7 +173,11 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
 
     def move(self, context, camera):
         chosen = [o for o in context.selected_objects if o.type == 'CAMERA' and (self.new_camera or o != camera)]
-        chosen.sort(key=lambda o: o.name)
+        chosen.sort(key=lambda o: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", o.name)])
+        if self.order == 'PLACE' and len(chosen) > 2:
+            first = chosen.index(context.object) if context.object in chosen else 0
+            places = np.array([o.matrix_world.translation for o in chosen])
+            chosen = [chosen[k] for k in moves.order_by_place(places, self.closed, first)]
         poses = [camera_keys.pose(o) for o in chosen]
         sensor = camera.data.sensor_width if camera else 36.0  # the fields of view count, whatever the sensors
         given = moves.Path(np.array([p for p, _ in poses]), np.array([q for _, q in poses]),

@@ -2,6 +2,7 @@
 """Imports the cameras of a capture, with their films or pictures as backgrounds."""
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -10,16 +11,23 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..fastgs_blender.util.errors import FastGSError, printable
+from ..scene.cameras import clips, undistorted
 from ..scene.cameras import space as camera_space
-from ..scene.cameras import undistorted
 from ..scene.cameras.backgrounds import reel_of, show_behind
 from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
-from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
 """Pictures that an import undistorts unasked: more take minutes."""
+OPTIONS = ("space", "backgrounds", "scale", "set_scene")
+"""What the file browser offers."""
+
+
+def _import_afterwards(window, chosen) -> None:
+    """Import a capture that was chosen in the file browser, once that has closed."""
+    with bpy.context.temp_override(window=window):
+        bpy.ops.fastgs.import_capture('EXEC_DEFAULT', True, modal_work=True, **chosen)
 
 
 class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
@@ -29,6 +37,8 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     bl_label = "Import Capture Cameras"
     bl_options = {'REGISTER', 'UNDO', 'PRESET'}
     doing = "Undistorting the pictures"
+    free = True
+    _browsing = False
 
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
@@ -48,18 +58,27 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         name="Set Scene", description="Give the scene the capture's frame rate, length and picture size, and its first camera",
         default=False)
 
+    modal_work: BoolProperty(
+        name="Stay Usable", description="Do long work in steps, while Blender stays usable", default=False, options={'HIDDEN', 'SKIP_SAVE'})
+
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        for name in ("space", "backgrounds", "scale", "set_scene"):
+        for name in OPTIONS:
             layout.prop(self, name)
 
     def invoke(self, context, event):
-        self._interactive = True
+        self._browsing = True
         return ImportHelper.invoke(self, context, event)
 
     def execute(self, context):
+        if self._browsing and not bpy.app.background:
+            self._browsing = False
+            chosen = {name: getattr(self, name) for name in ("filepath", "directory", *OPTIONS)}
+            bpy.app.timers.register(partial(_import_afterwards, context.window, chosen), first_interval=0.0)
+            return {'CANCELLED'}  # the file browser closes only when this operator has ended
+        self._interactive = self.modal_work
         path = bpy.path.abspath(self.filepath or self.directory)
         if not path:
             self.report({'ERROR'}, "No capture was chosen; choose its folder, or a file that describes it.")
@@ -82,10 +101,15 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         for problem in (*capture.faults, *capture.notes):
             self.report({'WARNING'}, sentence(problem))
         made = self._create(context, capture, reels)
-        if self.set_scene:
-            self._fit_scene(context.scene, capture, made)
-        else:
-            self._tell_rate(context.scene, capture)
+        context.view_layer.update()
+        clip = clips.filmed(context)
+        if clip is not None and self.set_scene:
+            clips.fit(context.scene, clip)
+        elif self.set_scene:
+            use_render_size(context.scene, made[0])
+        elif clip is not None and (difference := clips.difference(context.scene, clip)):
+            self.report({'WARNING'}, sentence(f"{difference}  Backgrounds show one picture a scene frame; Set Scene, in the Capture panel, "
+                                              "gives the scene the capture's rate, range and picture size."))
         self.report({'INFO'}, f"Imported {len(made)} cameras, {capture.clip.frame_count} frames")
         return {'FINISHED'}
 
@@ -112,6 +136,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
             data = bpy.data.cameras.new(view)
             obj = bpy.data.objects.new(view, data)
             data.fastgs.view = view
+            clips.remember(data, start, capture.clip)
             data.display_size = 0.1 * capture.extent
             data.clip_end = max(data.clip_end, 100 * capture.extent)
             collection.objects.link(obj)
@@ -144,17 +169,24 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
                                      f"again with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
         return {view: reel_of([shot for shot in capture.shots if shot.view == view]) for view in capture.views}
 
-    def _fit_scene(self, scene, capture, made):
-        scene.render.fps, scene.render.fps_base = frame_rate(capture.clip.fps)
-        start = round(made[0].parent.parent.fastgs.start_frame) if made[0].parent.parent else scene.frame_start
-        scene.frame_start, scene.frame_end = start, start + capture.clip.frame_count - 1
-        use_render_size(scene, made[0])
 
-    def _tell_rate(self, scene, capture):
-        rate = scene.render.fps / scene.render.fps_base
-        if capture.clip.frame_count > 1 and abs(rate / capture.clip.fps - 1) > 1e-3:
-            self.report({'WARNING'}, f"The capture has {capture.clip.fps:g} frames per second and the scene {rate:g}: backgrounds show one "
-                                     "picture a scene frame, so set the scene's frame rate to keep them in step with the splats.")
+class FASTGS_OT_set_scene(bpy.types.Operator):
+    """Give the scene the frame rate, the frame range and the picture size of the imported capture, and look through its camera"""
+
+    bl_idname = "fastgs.set_scene"
+    bl_label = "Set Scene"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        found = clips.filmed(context) is not None
+        if not found:
+            cls.poll_message_set("Import a capture's cameras first")
+        return found
+
+    def execute(self, context):
+        clips.fit(context.scene, clips.filmed(context))
+        return {'FINISHED'}
 
 
 class FASTGS_OT_render_as_filmed(bpy.types.Operator):
@@ -167,11 +199,14 @@ class FASTGS_OT_render_as_filmed(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         obj = context.object
-        return obj is not None and obj.type == 'CAMERA' and obj.data.fastgs.width > 0
+        filmed = obj is not None and obj.type == 'CAMERA' and obj.data.fastgs.width > 0
+        if not filmed:
+            cls.poll_message_set("Select a camera of a capture first")
+        return filmed
 
     def execute(self, context):
         use_render_size(context.scene, context.object)
         return {'FINISHED'}
 
 
-CLASSES = (FASTGS_OT_import_capture, FASTGS_OT_render_as_filmed)
+CLASSES = (FASTGS_OT_import_capture, FASTGS_OT_set_scene, FASTGS_OT_render_as_filmed)

@@ -145,6 +145,9 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     height: IntProperty(name="Height", description="Height of the pictures that it filmed, in pixels", min=0)
     pixel_aspect_x: FloatProperty(name="Pixel Width", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
     pixel_aspect_y: FloatProperty(name="Pixel Height", description="Pixel aspect of the pictures that it filmed", min=1.0, default=1.0)
+    clip_start: IntProperty(name="Clip Start", description="Scene frame of the capture's first picture")
+    clip_frames: IntProperty(name="Clip Frames", description="Frames of the capture; 0 if unknown", min=0)
+    clip_fps: FloatProperty(name="Clip Rate", description="The capture's frames per second", min=0.0)
 
 
 CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)

@@ -2,6 +2,10 @@
 """The panel of captures and camera paths in the sidebar of the 3D view."""
 import bpy
 
+from ..scene.cameras import clips
+from ..scene.cameras.worlds import is_world
+from .object_panels import draw_trouble
+
 
 class FASTGS_PT_capture(bpy.types.Panel):
     bl_label = "Capture"
@@ -12,9 +16,18 @@ class FASTGS_PT_capture(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        col = layout.column(align=True)
-        col.operator("fastgs.import_capture", icon='OUTLINER_OB_CAMERA')
-        col.operator("fastgs.render_as_filmed", icon='CAMERA_DATA')
+        layout.operator("fastgs.import_capture", icon='OUTLINER_OB_CAMERA')
+        clip = clips.filmed(context)
+        difference = "" if clip is None else clips.difference(context.scene, clip)
+        if difference:
+            box = layout.box()
+            draw_trouble(box.column(align=True), context, difference, 'INFO')
+            box.operator("fastgs.set_scene", icon='PREVIEW_RANGE')
+        if not any(is_world(obj) for obj in context.scene.objects):
+            draw_trouble(layout.column(align=True), context, "Ground and scale are those of a capture: import one first.", 'INFO')
+        elif not (context.object is not None and context.object.type == 'CAMERA' and context.object.data.fastgs.width):
+            draw_trouble(layout.column(align=True), context, "Render as Filmed needs a capture's camera: select one.", 'INFO')
+        layout.operator("fastgs.render_as_filmed", icon='CAMERA_DATA')
         col = layout.column(align=True)
         row = col.row(align=True)
         row.operator("fastgs.set_ground", text="Ground: Points", icon='EMPTY_AXIS').source = 'POINTS'

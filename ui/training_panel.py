@@ -253,4 +253,5 @@ def unregister():
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
 
 
-CLASSES = (FASTGS_PT_training, FASTGS_PT_training_runs, FASTGS_PT_training_filming, FASTGS_PT_training_options)
+CLASSES = (FASTGS_PT_training, FASTGS_PT_training_filming, FASTGS_PT_training_options, FASTGS_PT_training_runs)
+"""Runs come last in the last panel: nothing is below that could lie over a run while Blender moves panels apart."""

@@ -117,6 +117,39 @@ def through(s, poses: Path, closed: bool = False) -> Path:
     return Path(at[:, :3], _squad(u, rotation, closed), np.exp(at[:, 3]))
 
 
+def order_by_place(position, closed: bool = False, first: int = 0) -> np.ndarray:
+    """The order [N] of a short way through all places [N, 3]: from each to the nearest that is left, then 2-opt (Croes 1958).
+
+    A closed way begins at `first`, an open one at that of its ends which is nearer to `first`.  Same places keep their order.
+    """
+    position = np.asarray(position, np.float64)
+    count = len(position)
+    away = np.zeros((count + 1, count + 1))  # an open way is a closed one through another place, which is near to all
+    away[:count, :count] = np.linalg.norm(position[:, None] - position[None], axis=2)
+    tour, left = [first], [k for k in range(count) if k != first]
+    while left:
+        tour.append(left.pop(int(np.argmin(away[tour[-1], left]))))
+    if not closed:
+        tour.append(count)
+    tour = np.array(tour)
+    least = 1e-9 * max(away.max(), 1e-30)
+    improved = True
+    while improved:
+        improved = False
+        for i in range(len(tour) - 2):
+            here, then = tour[i], tour[i + 1]
+            ends, after = tour[i + 2:], np.roll(tour, -1)[i + 2:]
+            saved = away[here, then] + away[ends, after] - away[here, ends] - away[then, after]
+            best = int(np.argmax(saved))
+            if saved[best] > least:
+                tour[i + 1:i + 3 + best] = tour[i + 1:i + 3 + best][::-1].copy()
+                improved = True
+    if closed:
+        return np.roll(tour, -int(np.flatnonzero(tour == first)[0]))
+    tour = np.roll(tour, -int(np.flatnonzero(tour == count)[0]))[1:]
+    return tour if away[first, tour[0]] <= away[first, tour[-1]] else tour[::-1]
+
+
 def inside(path: Path, cameras, margin: float) -> np.ndarray:
     """How far [M] each position lies outside the region that the captured cameras [C, 3] span, 0 within.
 

@@ -97,18 +97,18 @@ def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Pla
     busy, name, held = busy or {}, Path(out).name, held_in(out)
     if held is None and out not in busy:
         return Place(out, text=f"The run goes into {name}.")
+    what = held.text if held else "a run that has not begun"
     if wish == 'NEW':
         new = next_free(out, busy)
-        return Place(new, "", f"{name} keeps {held.text if held else 'its run'}; the new run goes into {Path(new).name}.", asks=True)
+        return Place(new, "", f"The folder {name} keeps {what}; the new run goes into {Path(new).name}.", asks=True)
     if out in busy and not (wish == 'RESUME' and busy[out] == 'PAUSED'):
         return Place(out, trouble=f"{out} belongs to a training job that has not ended; choose another folder, or stop that job first.",
                      asks=True)
-    what = held.text if held else "a run that has not begun"
     if wish == 'OVERWRITE':
-        return Place(out, "--overwrite", f"{name} holds {what}. It is deleted, and a new run begins.", asks=True)
+        return Place(out, "--overwrite", f"The folder {name} holds {what}. It is deleted, and a new run begins.", asks=True)
     if wish == 'REFUSE':
         return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
     if held and held.finished:
         return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)
-    return Place(out, "--resume", f"{name} holds {what}. It continues, with the capture and the options that it began with.", asks=True,
+    return Place(out, "--resume", f"The folder {name} holds {what}. It continues, with the capture and the options that it began with.", asks=True,
                  capture=held.capture if held else "")

@@ -130,7 +130,7 @@ def from_scene_to_shot(environment, cache):
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
-    yield 1.0
+    yield 3.0
     shot("run-appears")
     settings.source = 'FOLDER'  # a shorter panel: all of the run is in sight
     kinds, texts = [], set()
@@ -150,7 +150,8 @@ def from_scene_to_shot(environment, cache):
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.5
-    yield from click(area, "fastgs.train_import")
+    with within(area):
+        bpy.ops.fastgs.train_import('INVOKE_DEFAULT')
     so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None), 60)
     seen = so_far is not None and so_far.fastgs.filepath.endswith("so-far.safetensors")
     shot("training")

@@ -191,6 +191,16 @@ def test_keys_from_the_view_make_a_smooth_editable_move(scene, module, add_camer
     assert track(scene, camera)[8 * 24, 2] == pytest.approx(wanted[25][2] + 1, abs=1e-4)
 
 
+def test_a_key_from_the_view_says_what_other_keys_it_comes_between(scene, add_camera, view, capfd):
+    add_camera()
+    for frame, words in ((10, "keyed on frame 10."), (30, "after its key on frame 10"), (5, "before its key on frame 10"),
+                         (20, "between its keys on frames 10 and 30"), (20, "in place of the key")):
+        scene.frame_set(frame)
+        with view((90, 0, frame), (0, -4, 1)):
+            bpy.ops.fastgs.key_from_view()
+        assert words in capfd.readouterr().out
+
+
 def test_a_key_from_the_view_is_undone_in_one_step(scene, module, add_camera, view):
     assert 'UNDO' in module("operators.camera_life").FASTGS_OT_key_from_view.bl_options
     add_camera(location=(1, 2, 3), lens=35)

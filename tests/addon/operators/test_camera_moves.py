@@ -57,6 +57,21 @@ def test_a_preview_is_a_curve_and_nothing_else(bpy, scene, cube, add_camera):
     assert not [o for o in scene.objects if o.type == 'CURVE'] and camera.animation_data is not None
 
 
+@pytest.mark.parametrize(("order", "wanted"), [('PLACE', [0, 1, 2, 3]), ('NAME', [2, 0, 3, 1])])
+def test_a_path_goes_by_place_or_by_name(bpy, scene, add_camera, order, wanted):
+    scene.frame_start, scene.frame_end = 1, 100
+    for x, name in enumerate(("cam9", "cam100", "cam1", "cam20")):
+        camera = add_camera(location=(x, 0, 0))
+        camera.name = name
+        camera.select_set(True)
+    bpy.context.view_layer.objects.active = bpy.data.objects["cam9"]
+    bpy.context.view_layer.update()
+    assert bpy.ops.fastgs.camera_through(order=order, spacing=3) == {'FINISHED'}
+    rows = track(scene, scene.camera)[:, 0]
+    assert [np.abs(rows - x).argmin() for x in wanted] == sorted(np.abs(rows - x).argmin() for x in wanted)
+    np.testing.assert_allclose(rows[[0, -1]], [wanted[0], wanted[-1]], atol=1e-3)
+
+
 @pytest.mark.parametrize("mode", ['XYZ', 'QUATERNION', 'AXIS_ANGLE'])
 def test_a_path_goes_through_the_selected_cameras(bpy, scene, module, add_camera, mode):
     scene.frame_start, scene.frame_end = 1, 91

@@ -102,3 +102,19 @@ def test_the_region_is_the_hull_of_the_cameras_and_a_margin(rng):
     np.testing.assert_allclose(held.position[2:], [[1.1, 0, 0], np.full(3, 1 + 0.1 / np.sqrt(3))], atol=2e-3)
     flat = cube[cube[:, 2] > 0]  # an arc or a wall of cameras spans a region too
     np.testing.assert_allclose(moves.inside(path, flat, 0.1)[:2], (0.9, np.hypot(0.05, 1) - 0.1), atol=2e-3)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_cameras_are_visited_by_their_places(closed):
+    """Of a ring and of a grid in any order: neighbours come after each other, from the first on."""
+    rng = np.random.default_rng(3)
+    angle = 2 * np.pi * np.arange(23) / (23 if closed else 30)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.1 * np.cos(5 * angle)], -1)
+    mixed = rng.permutation(len(ring))
+    first = int(np.flatnonzero(mixed == 0)[0])
+    order = mixed[moves.order_by_place(ring[mixed], closed, first)]
+    assert order[0] == 0 and set(np.abs(np.diff(order))) <= ({1, 22} if closed else {1})
+    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(5.0), [0.0]), -1).reshape(-1, 3)[rng.permutation(20)]
+    way = grid[moves.order_by_place(grid, closed)]
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < 19 * 1.2
+    assert list(moves.order_by_place(np.zeros((4, 3)), closed)) == [0, 1, 2, 3], "of the same place, as they were"
