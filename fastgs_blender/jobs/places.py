@@ -110,5 +110,5 @@ def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Pla
         return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
     if held and held.finished:
         return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)
-    return Place(out, "--resume", f"The folder {name} holds {what}. It continues, with the capture and the options that it began with.", asks=True,
+    return Place(out, "--resume", f"The folder {name} holds {what}. It continues, with its own capture and options.", asks=True,
                  capture=held.capture if held else "")

@@ -73,6 +73,19 @@ def test_a_path_goes_out_and_comes_back(scene, flight, now, tmp_path, kind, spla
         assert_same(got, camera)
 
 
+@pytest.mark.parametrize("size", [(1920, 1080), (1080, 1920), (997, 331), (4096, 2160)])
+def test_cameras_as_blender_makes_them_lose_nothing(scene, add_camera, tmp_path, capfd, size):
+    """Square pixels and an unshifted lens are told to be nothing else."""
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.frame_start, scene.frame_end = 1, 3
+    camera = add_camera()
+    for lens in (50.0, 33.3, 120.0):
+        camera.data.lens = lens
+        for kind in ('NERFSTUDIO', 'INSTANT_NGP', 'SUPERSPLAT'):
+            assert bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"), format=kind) == {'FINISHED'}
+    assert "Warning" not in capfd.readouterr().out
+
+
 def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, camera_paths, module):
     """Not only do export and import agree: the file itself is right, in the world of the capture's axes."""
     wanted = shots_of(scene, flight(True), now)

@@ -226,6 +226,20 @@ def test_distorted_pictures_are_undistorted_once(scene, capture, capfd, module):
     assert os.stat(path).st_mtime_ns == stamp
 
 
+def test_corrected_copies_keep_alpha(scene, capture, module):
+    folder, _, _ = capture(lens=True)
+    Image = pytest.importorskip("PIL.Image")
+    for path in (folder / "cam2").glob("*.png"):
+        pixels = np.full((48, 64, 4), 200, np.uint8)
+        pixels[:, :32, 3] = 0
+        Image.fromarray(pixels).save(path)
+    bpy.ops.fastgs.import_capture(filepath=str(folder))
+    path = bpy.path.abspath(bpy.data.objects["cam2"].data.background_images[0].image.filepath)
+    copy = np.asarray(Image.open(path))
+    assert path.endswith("00001.png") and (copy[24, [10, 54], 3] == [0, 255 * 200 // 255]).all() and copy[24, 54, 0] == 200
+    assert bpy.path.abspath(bpy.data.objects["cam0"].data.background_images[0].image.filepath).endswith(".jpg")
+
+
 def test_writing_undistorted_pictures_can_be_interrupted_and_goes_on(scene, capture, module, monkeypatch):
     """Every film is decoded once for all of its pictures; what an interruption has left is not written again."""
     undistorted = module("scene.cameras.undistorted")
