@@ -6,12 +6,15 @@ A list of {id, img_name, width, height, position, rotation, fx, fy}: position is
 """
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.outputs import replacing
 from ..util.reading import read_json, reading
 from . import poses
 from .camera import LARGEST_SIDE, Camera
@@ -27,18 +30,46 @@ class View:
     camera: Camera
 
 
-def load_cameras(path) -> list[View]:
-    """The cameras of a cameras.json; raises FastGSError where the file cannot be read or an entry is wrong."""
+def load_cameras(path: str | Path) -> list[View]:
+    """The cameras of a cameras.json; raises FastGSError where the file cannot be read or an entry is wrong.
+
+    Example:
+        camera = fg.load_cameras("examples/cameras.json")[4].camera
+    """
     path = Path(path)
     entries = read_json(path, LARGEST_FILE, "it is not JSON, or cut short; give a cameras.json as 3DGS trainers write it")
     with reading(path):
         return _views(path, entries)
 
 
+def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
+    """Write cameras as a cameras.json, each a View with a name or a Camera, which is named by its number.
+
+    Raises FastGSError for parallel projections, which such a file cannot hold, and where it cannot be written.
+
+    Example:
+        fg.save_cameras([camera], "cameras.json")
+    """
+    named = [view if isinstance(view, View) else View(f"{i:05d}", view) for i, view in enumerate(views)]
+    if any(view.camera.orthographic for view in named):
+        raise FastGSError(f"{path}: a cameras.json holds perspective cameras only.")
+    entries = []
+    for i, view in enumerate(named):
+        camera, pose = view.camera, poses.inverse(view.camera.world_to_camera)
+        entries.append({"id": i, "img_name": view.name, "width": camera.width, "height": camera.height, "position": pose[:3, 3].tolist(),
+                        "rotation": pose[:3, :3].tolist(), "fy": camera.fy, "fx": camera.fx, "cx": camera.cx, "cy": camera.cy})
+    try:
+        with replacing([Path(path)]) as (part,):
+            part.write_text(json.dumps(entries, allow_nan=False) + "\n", encoding="utf-8")
+    except (FastGSError, OSError) as error:
+        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
+        raise FastGSError(f"{path}: it cannot be written ({reason}); choose another place.") from error
+
+
 def _views(path, entries) -> list[View]:
     if isinstance(entries, dict) and isinstance(entries.get("format"), str) and entries["format"].startswith("fast-gs "):
         raise FastGSError(f"{path}: this describes a {entries['format'][:40]}, and not cameras as 3DGS trainers write them; both kinds of "
-                          "file are called cameras.json.")
+                          "file are called cameras.json; fastgs cameras writes one of this kind from it.")
     entries = [entries] if isinstance(entries, dict) else entries
     if not isinstance(entries, list) or not entries:
         raise FastGSError(f"{path}: the camera file must hold a list of at least one camera.")

@@ -38,6 +38,9 @@ def identify(path, layout: str | None = None) -> ModuleType:
     found = recognised(path)
     if found is not None:
         return found
+    if path.is_file() and path.suffix.lower() == ".json":
+        raise FastGSError(f"{path}: this file describes no capture that is known here; a cameras.json of a capture says \"format\": "
+                          "\"fast-gs capture\", one of 3DGS trainers holds cameras alone (docs/captures.md).")
     raise FastGSError(f"{path}: this is no capture; give a folder with one folder of pictures or one video per camera, or a data set as "
                       "docs/captures.md lists them.")
 

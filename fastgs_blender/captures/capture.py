@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.moving import focus
 from ..model.gaussians import Clip
 from ..model.points import Points
 from .sources import Source
@@ -129,14 +130,6 @@ class Capture:
 
     @property
     def focus(self) -> np.ndarray:
-        """The point [3] nearest to all training cameras' optical axes, in the least-squares sense; their mean place for parallel ones."""
-        shots = {shot.camera.world_to_camera.tobytes(): shot.camera.world_to_camera for shot in self.training if shot.camera is not None}
-        matrices = np.array(list(shots.values())).reshape(-1, 4, 4)
-        if not len(matrices):
-            return np.zeros(3)
-        centres = -np.einsum("nij,ni->nj", matrices[:, :3, :3], matrices[:, :3, 3])
-        across = np.eye(3) - np.einsum("ni,nj->nij", matrices[:, 2, :3], matrices[:, 2, :3])
-        system = across.sum(0)
-        if np.linalg.cond(system) > 1e6:
-            return centres.mean(0)
-        return np.linalg.solve(system, np.einsum("nij,nj->i", across, centres))
+        """The point [3] nearest to all training cameras' optical axes; see moving.focus()."""
+        cameras = (shot.camera for shot in self.training if shot.camera is not None)
+        return focus(list({camera.world_to_camera.tobytes(): camera for camera in cameras}.values()))

@@ -25,7 +25,8 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
-    from ..cameras.cameras_json import choose, load_cameras, resized
+    from ..cameras.cameras_json import choose, resized
+    from .sight import overview, sight
 
     if not (1 <= args.gaussians <= 100_000_000 and 1 <= args.repeat <= 10_000):
         raise FastGSError("--gaussians must be from 1 to 100000000 and --repeat from 1 to 10000.")
@@ -33,7 +34,7 @@ def run(args):
     size = image_size(args.size)
     model = formats.load(args.model) if args.model else synthetic(args.gaussians)
     if args.camera:
-        camera = resized(choose(load_cameras(args.camera), args.view, args.camera).camera, *size)
+        camera = resized(choose(sight(args.camera).views, args.view, args.camera).camera, *size)
     else:
         camera = overview(model, *size)
     result = measure(model, camera, args.backend, args.repeat)
@@ -69,26 +70,6 @@ def synthetic(count: int):
         motion=0.01 * draw((count, basis.terms, 3)), rotation_motion=0.1 * draw((count, 1, 4)), mu_tau=rng.uniform(0, 1, count),
         temporal=rng.uniform(0, 3, (count, 1)), basis=basis, rotation_basis=turn, temporal_kind=Radial(), appearance=SH(1),
         clip=Clip(60, 30))
-
-
-def overview(model, width: int, height: int):
-    """A camera outside the model that sees all of its centres at t = 0, looking along the axis that the model calls forward."""
-    import numpy as np
-
-    from ..cameras.camera import Camera
-    from .info import bounds
-
-    low, high = bounds(model)
-    if low is None:
-        raise FastGSError("the model has no Gaussians to look at.")
-    # rows: the camera's right, down and forward in the axes of the model
-    right_down_forward = {"RDF": np.eye(3), "RFU": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "RUB": np.diag([1, -1, -1])}
-    rotation = right_down_forward[model.axes].astype(np.float64)
-    centre, radius = (np.array(low) + high) / 2, max(float(np.linalg.norm(np.subtract(high, low))) / 2, 1e-6)
-    focal, distance = 1.2 * min(width, height), 2.6 * radius + model.raster.near
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ centre + [0, 0, distance]
-    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
 
 
 def measure(model, camera, backend: str, repeat: int) -> dict:

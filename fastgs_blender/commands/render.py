@@ -28,7 +28,8 @@ NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gra
 
 def add_arguments(parser):
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
-    parser.add_argument("--camera", required=True, metavar="CAMERAS.json", help="the cameras, as 3DGS trainers write them")
+    parser.add_argument("--camera", required=True, metavar="CAMERAS", help="a cameras.json, a camera path of another program, "
+                        "or a capture")
     parser.add_argument("--frames", metavar="A:B", help="frames to render (default: the whole clip)")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
     parser.add_argument("--format", default="png", choices=("png", "exr"), help="file format (default: png)")
@@ -44,19 +45,19 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
-    from ..cameras.cameras_json import load_cameras
     from ..model.gaussians import GaussianModel
     from ..rendering import images
     from ..util.backends import load_backend
     from ..util.frames import parse_frames
     from .kept_frames import KeptFrames
+    from .sight import sight
 
     use_threads(args.threads)
     passes = _passes(args)
     background = None if args.background is None else _colour(args.background)
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
-    views = load_cameras(args.camera)
+    views = sight(args.camera).views
     load_backend(args.backend)
     name = model_file(args.model)
     model = formats.open_source(name)

@@ -39,6 +39,9 @@ def load_path(file, picture: Picture | None = None) -> CameraPath:
         for module in FORMATS:
             if module is not colmap and module.recognises(values):
                 return module.load(path, values, picture)
+        if isinstance(values, dict) and str(values.get("format", "")).startswith("fast-gs capture"):
+            raise FastGSError(f"{path}: this describes the cameras and pictures of a capture, and no camera path; import it with Capture "
+                              "Cameras, or write its cameras with fastgs cameras.")
     labels = ", ".join(module.label for module in FORMATS)
     raise FastGSError(f"{path}: this is no camera path known here; there are {labels}.")
 

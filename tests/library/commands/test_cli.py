@@ -141,7 +141,7 @@ def test_info_fits_on_a_screen_and_shows_the_rest_when_told(run, model, tmp_path
     assert all(len(line) <= 80 or str(path) in line for line in long.splitlines())
 
 
-@pytest.mark.parametrize("command", [[], *([name] for name in ("info", "convert", "render", "train", "eval", "bench"))])
+@pytest.mark.parametrize("command", [[], *([name] for name in ("info", "convert", "annotate", "cameras", "render", "train", "eval", "bench"))])
 def test_help_has_80_columns_and_a_bare_command_shows_it(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     if command:
