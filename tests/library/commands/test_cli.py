@@ -14,6 +14,7 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender import cli
+from fastgs_blender.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -46,6 +47,7 @@ def test_help_and_version_import_nothing_heavy():
     program = """
 import sys
 from fastgs_blender import cli
+from fastgs_blender.commands import COMMANDS
 for argument in (["--help"], ["--version"], ["render", "--help"], ["bench", "--help"]):
     try:
         cli.main(argument)
@@ -141,7 +143,7 @@ def test_info_fits_on_a_screen_and_shows_the_rest_when_told(run, model, tmp_path
     assert all(len(line) <= 80 or str(path) in line for line in long.splitlines())
 
 
-@pytest.mark.parametrize("command", [[], *([name] for name in ("info", "convert", "annotate", "cameras", "render", "train", "eval", "bench"))])
+@pytest.mark.parametrize("command", [[], *([module.__name__.rpartition(".")[2]] for module in COMMANDS)])
 def test_help_has_80_columns_and_a_bare_command_shows_it(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     if command:
