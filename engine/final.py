@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, notices, objects, settings, snapshot, world
+from ..scene import camera, notices, objects, settings, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -41,6 +41,8 @@ def _render_layer(engine, depsgraph):
         notices.warn(engine, remark)
     settings_now = passes.settings(scene)
     neighbours = [_moment_at(engine, depsgraph, area, views, frames) for frames in (-1, 1)] if _has(wanted, "vector") else []
+    for text in unshown.all_of(scene, layer):
+        notices.warn(engine, text)
     status = Status(engine, f"{scene.name}, {layer.name}")
     status("Reading")
     instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)

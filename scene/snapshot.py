@@ -94,17 +94,21 @@ class Snapshot:
         return Instance(model, item.placement, t, item.settings, item.name, item.index, item.place)
 
 
-def take(depsgraph, visible=lambda obj: True) -> Snapshot:
+def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot:
     """The splats that the depsgraph's view layer shows on its frame and sub-frame.
 
     visible(obj) may leave out more: it is asked about each object that shows splats, and about each object that makes instances.
+    rendered      whether it is for a render, from which *Ray Visibility > Camera* leaves objects and what they instance out
     """
     scene = depsgraph.scene
     render = scene.render
     found, seen = [], set()
     for instance in depsgraph.object_instances:
         obj = instance.object
-        if not (instance.show_self and objects.is_splat(obj) and visible(instance.parent if instance.is_instance else obj)):
+        maker = instance.parent if instance.is_instance else obj
+        if not (instance.show_self and objects.is_splat(obj) and visible(maker)):
+            continue
+        if rendered and not (obj.visible_camera and maker.visible_camera):
             continue
         placement = np.array(instance.matrix_world, np.float64)
         # an object whose geometry nodes make several kinds of geometry comes once for each kind, at the same place

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES
+from ..scene import unshown
 from . import facts
-from .object_panels import draw_rows
+from .object_panels import draw_rows, draw_trouble
 
 
 class _Engine:
@@ -19,6 +20,18 @@ class _Engine:
         return context.engine in cls.COMPAT_ENGINES
 
 
+def draw_unshown(layout, context):
+    """What of the scene FAST-GS does not render, and the button that helps with meshes."""
+    scene, layer = context.scene, context.view_layer
+    meshes = unshown.meshes(scene, layer)
+    if meshes:
+        col = layout.box().column(align=True)
+        draw_trouble(col, context, meshes)
+        col.operator_menu_enum("fastgs.set_up_composite", "engine", icon='NODE_COMPOSITING')
+    for text in unshown.settings(scene, layer):
+        draw_trouble(layout.column(align=True), context, text, 'INFO')
+
+
 class FASTGS_PT_render(_Engine, bpy.types.Panel):
     bl_label = "4D Gaussians"
     bl_context = "render"
@@ -29,6 +42,7 @@ class FASTGS_PT_render(_Engine, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(context.scene.fastgs, "depth")
         draw_rows(layout, facts.scene_facts(context.scene))
+        draw_unshown(layout, context)
 
 
 class FASTGS_PT_film(_Engine, bpy.types.Panel):
@@ -58,4 +72,15 @@ class FASTGS_PT_passes(_Engine, bpy.types.Panel):
             layout.prop(layer, "pass_cryptomatte_depth", text="Cryptomatte Levels")
 
 
-CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes)
+class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
+    bl_label = "Ray Visibility"
+    bl_parent_id = "OBJECT_PT_visibility"
+    bl_context = "object"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(context.object, "visible_camera", text="Camera")
+
+
+CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes, FASTGS_PT_ray_visibility)

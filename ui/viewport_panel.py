@@ -8,6 +8,7 @@ from ..engine.viewport import spaces
 from ..scene import objects
 from . import facts
 from .object_panels import draw_rows, draw_trouble
+from .render_panels import draw_unshown
 
 
 class FASTGS_PT_viewport(bpy.types.Panel):
@@ -31,6 +32,8 @@ class FASTGS_PT_viewport(bpy.types.Panel):
         layout.prop(settings, "viewport_density")
         layout.prop(settings, "viewport_pixels")
         draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
+        if context.engine == 'FASTGS':
+            draw_unshown(layout, context)
         trouble = spaces.trouble()
         if trouble:
             draw_trouble(layout.column(align=True), context, trouble)

@@ -10,7 +10,7 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, objects, proxies, snapshot, world
+from ...scene import colour, objects, proxies, snapshot, unshown, world
 from .. import compiling
 from . import frusta, overlays, shaders
 from .atlas import Atlas
@@ -23,8 +23,6 @@ from .worker import Worker
 log = logging.getLogger(__name__)
 
 TICK = 1 / 60
-SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
-"""Types of objects that viewports show as surfaces."""
 
 atlas = Atlas()
 _worker = Worker()
@@ -99,7 +97,7 @@ def shows_over(space, scene) -> bool:
 
 
 def _draw(context, depsgraph, display, region, rendered, hidden=False):
-    shown = snapshot_of(context.space_data, depsgraph)
+    shown = snapshot_of(context.space_data, depsgraph, rendered)
     _forget_closed()
     view = _views.get((region.as_pointer(), rendered))
     if view is None:
@@ -141,17 +139,17 @@ def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
     return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)
 
 
-def snapshot_of(space, depsgraph) -> snapshot.Snapshot:
-    """The splats that a viewport shows, kept until something changes."""
+def snapshot_of(space, depsgraph, rendered: bool = False) -> snapshot.Snapshot:
+    """The splats that a viewport shows, kept until something changes; those that a render shows, if it is Rendered shading."""
     global _any_splats
     if _any_splats is None:
         _any_splats = any(objects.is_splat(obj) for obj in bpy.data.objects)
     if not _any_splats:  # spare scenes without splats the walk over all their instances
         return snapshot.Snapshot([], 0.0, 1.0)
-    key = _key(space, depsgraph)
+    key = *_key(space, depsgraph), rendered
     found = _snapshots.get(key)
     if found is None:
-        found = _snapshots[key] = snapshot.take(depsgraph, lambda obj: _visible(obj, space))
+        found = _snapshots[key] = snapshot.take(depsgraph, lambda obj: _visible(obj, space), rendered)
     return found
 
 
@@ -161,7 +159,7 @@ def has_surfaces(space, depsgraph) -> bool:
     found = _surfaces.get(key)
     if found is None:
         found = _surfaces[key] = any(
-            instance.object.type in SURFACES and not objects.is_splat(instance.object)
+            instance.object.type in unshown.SURFACES and not objects.is_splat(instance.object)
             and _visible(instance.parent if instance.is_instance else instance.object, space) for instance in depsgraph.object_instances)
     return found
 

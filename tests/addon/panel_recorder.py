@@ -38,3 +38,8 @@ class Layout:
         assert function in dir(getattr(bpy.ops, module)), name
         self._note("operator", name, icon)
         return SimpleNamespace()
+
+    def operator_menu_enum(self, name, prop, icon='NONE'):
+        module, function = name.split(".")
+        assert prop in getattr(getattr(bpy.ops, module), function).get_rna_type().properties, (name, prop)
+        self._note("operator", name, icon)

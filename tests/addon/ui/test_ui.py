@@ -90,6 +90,17 @@ def test_button_for_the_engine_only_where_another_is_used(panels, obj, scene):
     assert "wm.context_set_enum" in texts(drawn(panels["FASTGS_PT_object"], engine='CYCLES'), "operator")
 
 
+@pytest.mark.parametrize("panel", ["FASTGS_PT_render", "FASTGS_PT_viewport"])
+def test_meshes_that_are_not_rendered_are_told_beside_the_button(panels, obj, scene, panel):
+    assert "fastgs.set_up_composite" not in texts(drawn(panels[panel]), "operator")
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.context.object.name = "Chair"
+    record = drawn(panels[panel])
+    assert "Chair" in " ".join(texts(record)) and "fastgs.set_up_composite" in texts(record, "operator")
+    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    assert "Chair" not in " ".join(texts(drawn(panels[panel])))
+
+
 def test_polls(panels, obj, scene):
     def polls(name, **context):
         return panels[name].poll(SimpleNamespace(**(dict(object=obj, engine='CYCLES') | context)))

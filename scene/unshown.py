@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
+from __future__ import annotations
+
+from . import composite, objects
+
+SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
+"""Types of objects that are surfaces."""
+NAMED = 3
+"""Objects that a sentence names; of further ones it gives the number."""
+
+
+def objects_left_out(scene, view_layer) -> list:
+    """The objects with a surface that a final render would show and FAST-GS does not: neither splats, nor boxes that crop them."""
+    shown = [obj for obj in view_layer.objects if not obj.hide_render]
+    boxes = {box.object.name for obj in shown if objects.is_splat(obj) for box in obj.fastgs.crops if box.object is not None}
+    return [obj for obj in shown if obj.type in SURFACES and obj.display_type in ('SOLID', 'TEXTURED') and obj.visible_camera
+            and not objects.is_splat(obj) and obj.name not in boxes]
+
+
+def meshes(scene, view_layer) -> str | None:
+    """A sentence that names the meshes which are not rendered; None where there are none, or another scene renders them."""
+    if composite.is_set_up(scene):
+        return None
+    left = [obj.name for obj in objects_left_out(scene, view_layer)]
+    if not left:
+        return None
+    more = len(left) - NAMED
+    names = ", ".join(left[:NAMED]) + (f" and {more} more" if more > 0 else "")
+    return f"FAST-GS does not render meshes: {names}. Set Up Composite lets another engine render them."
+
+
+def settings(scene, view_layer) -> list[str]:
+    """Sentences about settings that are switched on and do nothing here."""
+    camera = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
+    holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and (obj.is_holdout or _held_out(obj, view_layer))]
+    told = (
+        (camera is not None and camera.dof.use_dof, "Depth of Field of the camera is not rendered yet."),
+        (scene.render.use_motion_blur, "Motion Blur is not rendered yet."),
+        (bool(holdouts), f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."),
+    )
+    return [text for true, text in told if true]
+
+
+def all_of(scene, view_layer) -> list[str]:
+    """Everything that is told: meshes, then settings."""
+    text = meshes(scene, view_layer)
+    return ([text] if text else []) + settings(scene, view_layer)
+
+
+def _held_out(obj, view_layer) -> bool:
+    """Whether a collection that holds an object out contains it."""
+    names = {collection.name for collection in obj.users_collection}
+    waiting = [view_layer.layer_collection]
+    while waiting:
+        layer = waiting.pop()
+        if layer.holdout and (layer.collection.name in names or any(child.name in names for child in layer.collection.children_recursive)):
+            return True
+        waiting += layer.children
+    return False
