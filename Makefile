@@ -13,7 +13,7 @@ help:
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
-	@echo "make extension     dist/*.zip to install in Blender, one for each platform, and a repository's index of them"
+	@echo "make extension     dist/*.zip to install in Blender, for each platform and Python, and a repository's index"
 	@echo "make clean         remove everything that make made"
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.

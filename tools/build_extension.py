@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the extension's zips, one for each platform: the code, and the wheels of what Blender's Python lacks.
+"""Build the extension's zips, one for each platform and Python: the code, and the wheels of what Blender's Python lacks.
 
-    python tools/build_extension.py [--platform linux-x64 ...] [--no-wheels] [--out dist]
+    python tools/build_extension.py [--platform linux-x64 ...] [--python 3.13 ...] [--no-wheels] [--website URL] [--out dist]
 
 Beside them an index is written, which makes the folder, put on any web server or disk, an extension repository for Blender.
 Works on a staged copy; the repository's manifest names no wheels, so that it is valid as it stands.  Building, validating and
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import json
 import re
 import shutil
 import subprocess
@@ -31,17 +32,22 @@ def main(argv=None) -> list[Path]:
     """Builds, validates and prints the zips, and indexes them; returns their paths.  Ends with 1 if one cannot be built."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--platform", action="append", choices=tuple(wheels.PYTHONS), help="default: all of them")
+    parser.add_argument("--python", action="append", choices=sorted({python for all_ in wheels.PYTHONS.values() for python in all_}),
+                        help="default: all that Blenders for the platform have")
+    parser.add_argument("--website", help="the address that Blender's Visit Website opens: where this build is published")
     parser.add_argument("--no-wheels", action="store_true", help="for a Blender whose Python has numba and safetensors already")
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     args = parser.parse_args(argv)
     if args.no_wheels:
-        return [build(None, [], args.out)]
+        return [build("", [], args.out, args.website)]
     built, missing = [], []
-    for name in dict.fromkeys(args.platform or wheels.PYTHONS):
-        try:
-            built.append(build(name, wheels.download(name, ROOT / "build" / "wheels" / name), args.out))
-        except wheels.Missing as reason:
-            missing.append(str(reason))
+    for platform in dict.fromkeys(args.platform or wheels.PYTHONS):
+        for python in (python for python in wheels.PYTHONS[platform] if python in (args.python or wheels.PYTHONS[platform])):
+            try:
+                bundled = wheels.download(platform, python, ROOT / "build" / "wheels" / f"{platform}-{python}")
+                built.append(build(platform, bundled, args.out, args.website, python))
+            except wheels.Missing as reason:
+                missing.append(str(reason))
     if built:
         index(built, args.out)
     if missing:
@@ -49,8 +55,8 @@ def main(argv=None) -> list[Path]:
     return built
 
 
-def build(name: str | None, bundled: list[Path], out: Path) -> Path:
-    """One validated zip in out, for a platform or (None) for any; ends the program where the wheels do not fit together."""
+def build(platform: str, bundled: list[Path], out: Path, website: str | None = None, python: str = "") -> Path:
+    """One validated zip in out, for a platform and a Python or ("") for any; ends the program where the wheels do not fit together."""
     out.mkdir(parents=True, exist_ok=True)
     if found := wheels.problems(bundled):
         sys.exit("\n".join(found))
@@ -58,14 +64,15 @@ def build(name: str | None, bundled: list[Path], out: Path) -> Path:
         stage = Path(temporary) / "extension"
         copy_content(stage)
         manifest = stage / "blender_manifest.toml"
-        if name:
+        if platform:
             (stage / "wheels").mkdir()
             for wheel in bundled:
                 shutil.copy(wheel, stage / "wheels")
             (stage / NOTICES).write_text(wheels.notices(bundled), "utf-8")
-            manifest.write_text(with_wheels(manifest.read_text("utf-8"), name, bundled), "utf-8")
+        manifest.write_text(completed(manifest.read_text("utf-8"), platform, bundled, website), "utf-8")
         facts = tomllib.loads(manifest.read_text("utf-8"))
-        target = out / f"{facts['id']}-{facts['version']}{f'-{name}' if name else ''}.zip"
+        name = "-".join(part for part in (facts["id"], facts["version"], platform, python and f"python{python}") if part)
+        target = out / f"{name}.zip"
         blender_ext("build", "--source-dir", str(stage), "--output-filepath", str(target))
     blender_ext("validate", str(target))
     print(f"{target}: {target.stat().st_size / 1e6:.1f} MB")
@@ -81,7 +88,7 @@ def index(built: list[Path], out: Path) -> Path:
             shutil.copy(path, folder)
         blender_ext("server-generate", "--repo-dir", folder)
         target = (Path(folder) / "index.json").replace(out / "index.json")
-    print(f"{target}: a repository of {len(built)} platforms")
+    print(f"{target}: a repository of {len(built)} zips")
     return target
 
 
@@ -115,11 +122,13 @@ def copy_pages(stage: Path):
         (stage / page).write_text(text.lstrip("\n"), "utf-8")
 
 
-def with_wheels(manifest: str, name: str, bundled: list[Path]) -> str:
-    """The manifest with the platform and its wheels, before the first table."""
+def completed(manifest: str, platform: str, bundled: list[Path], website: str | None = None) -> str:
+    """The manifest with the platform, its wheels and the website, before the first table."""
     lines = manifest.splitlines()
     table = next((i for i, line in enumerate(lines) if line.startswith("[")), len(lines))
-    added = [f'platforms = ["{name}"]', "wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in bundled), "]", ""]
+    added = [f"website = {json.dumps(website)}"] if website else []
+    if platform:
+        added += [f'platforms = ["{platform}"]', "wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in bundled), "]", ""]
     return "\n".join([*lines[:table], *added, *lines[table:], ""])
 
 

@@ -47,13 +47,19 @@ def roots(suites: list[str]) -> dict[str, str]:
     return folders
 
 
-def zips() -> dict[str, str]:
-    """The zip that users get, and a repository with one for a platform that numba does not know."""
-    bundled = wheels.download("linux-x64", ROOT / "build" / "wheels" / "linux-x64")
-    full = build_extension.build("linux-x64", bundled, OUTPUT / "zips")
-    light = build_extension.build("linux-x64", [w for w in bundled if w.name.startswith("safetensors")], OUTPUT / "zips" / "without-numba")
-    build_extension.index([light], light.parent)
-    return {"FASTGS_ZIP": str(full), "FASTGS_REPOSITORY_WITHOUT_NUMBA": str(light.parent)}
+def zips(python: str) -> dict[str, str]:
+    """The zip that users get for a Python, and a repository with one for a platform that numba does not know."""
+    bundled = wheels.download("linux-x64", python, ROOT / "build" / "wheels" / f"linux-x64-{python}")
+    full = build_extension.build("linux-x64", bundled, OUTPUT / "zips", python=python)
+    without = OUTPUT / "zips" / f"without-numba-{python}"
+    light = build_extension.build("linux-x64", [w for w in bundled if w.name.startswith("safetensors")], without, python=python)
+    build_extension.index([light], without)
+    return {"FASTGS_ZIP": str(full), "FASTGS_REPOSITORY_WITHOUT_NUMBA": str(without)}
+
+
+def python_of(folder: str) -> str:
+    """The Python, as 3.13, of the Blender in a root: Debian builds it for its own."""
+    return next(path.name.removeprefix("python") for path in Path(folder, "usr", "lib").glob("python3.*"))
 
 
 def main() -> int:
@@ -73,12 +79,12 @@ def main() -> int:
     turn = (OUTPUT / ".lock").open("w")
     fcntl.flock(turn, fcntl.LOCK_EX)  # another run would write into the same folders; the lock goes with this process
     try:
-        environment = {**os.environ, **zips()}
+        made = {python: zips(python) for python in {python_of(folder) for folder in found.values()}}
     except wheels.Missing as reason:
         print(f"No zip for the Blenders here: {reason}", file=sys.stderr)
         return int(not lenient)
-    print(f"{len(found)} Blenders and the zip were ready after {time.monotonic() - start:.0f} s.", flush=True)
-    tests = {suite: ring(suite, folder, environment) for suite, folder in found.items()}
+    print(f"{len(found)} Blenders and their zips were ready after {time.monotonic() - start:.0f} s.", flush=True)
+    tests = {suite: ring(suite, folder, {**os.environ, **made[python_of(folder)]}) for suite, folder in found.items()}
     for suite, process in tests.items():
         print(f"Blender of Debian {suite}:\n{process.communicate()[0]}", flush=True)
     print(f"make test-blender took {time.monotonic() - start:.0f} s; logs and pictures are in {OUTPUT.relative_to(ROOT)}.")

@@ -15,6 +15,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 MODEL = ROOT / "examples" / "playground.safetensors"
+VIEW = ROOT / "examples" / "cameras.json", "orbit04"
+"""How the example is looked at first: a camera of a file."""
 LARGEST = 6_000_000
 """Bytes."""
 GAUSSIANS, POINTS = 22_000, 9_000
@@ -28,7 +30,8 @@ def main():
     capture, run = work / "capture", work / "run"
     steps = [[ROOT / "benchmarks" / "make_capture.py", "--scene", "procedural", "--out", capture],
              ["-m", "fastgs_blender", "train", capture, "--out", run, "--max-gaussians", GAUSSIANS, "--set", f"points={POINTS}",
-              "--motion", "fourier+linear", "--resume"]]  # things spin and fly
+              "--motion", "fourier+linear", "--resume"],  # things spin and fly
+             ["-m", "fastgs_blender", "annotate", run / "model.safetensors", "--view", *VIEW]]
     for step in steps:
         subprocess.run([sys.executable, *map(str, step)], check=True, cwd=ROOT)
     made = run / "model.safetensors"

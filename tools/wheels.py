@@ -35,8 +35,8 @@ SHIPPED = {
 """What Blender brings along itself, in versions of its own: never a wheel of ours.  No Blender brings OpenEXR's Python module."""
 
 PYTHONS = {"linux-x64": ("3.11", "3.13", "3.14"), "windows-x64": ("3.11", "3.13"), "macos-arm64": ("3.11", "3.13")}
-"""Blender 4.2 to 5.0 and 5.1 to 5.2; Linux distributions build Blender for their own Python, of late 3.14.  The wheel of a Python
-that is not Blender's is ignored at installation, but a Python that no wheel is for is refused."""
+"""Blender 4.2 to 5.0 and 5.1 to 5.2; Linux distributions build Blender for their own Python, of late 3.14.  There is a zip for each:
+Blender refuses one whose wheels are for another Python, and takes from a repository the one that fits."""
 
 NUMPYS = {"3.11": ("1.24.3", "1.26.4"), "3.13": ("2.2.4", "2.5.5"), "3.14": ("2.4.6",)}
 """The oldest and newest numpy of the Blenders with a Python (1.24.3: 4.2 to 4.4; 1.26.4: 4.5 and 5.0)."""
@@ -52,20 +52,19 @@ class Missing(Exception):
     """Wheels cannot be had; the text is a sentence that says which and why."""
 
 
-def download(platform: str, folder: Path) -> list[Path]:
-    """The wheels for a platform, for all its Pythons, from the package index that pip uses; raises Missing."""
+def download(platform: str, python: str, folder: Path) -> list[Path]:
+    """The wheels for a platform and one of its Pythons, from the package index that pip uses; raises Missing."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for python in PYTHONS[platform]:
-        for package in PACKAGES:
-            command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
-                       "--only-binary=:all:", "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
-            wanted = f"{package}=={importlib.metadata.version(package)}"
-            command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
-            result = subprocess.run(command, capture_output=True, text=True, check=False)
-            if result.returncode:
-                errors = [line for line in result.stderr.splitlines() if line.startswith("ERROR")] or result.stderr.splitlines() or ["?"]
-                raise Missing(f"{platform} is left out: pip has no wheel of {wanted} for its Python {python} ({errors[-1]}).")
+    for package in PACKAGES:
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
+                   "--only-binary=:all:", "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
+        wanted = f"{package}=={importlib.metadata.version(package)}"
+        command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        if result.returncode:
+            errors = [line for line in result.stderr.splitlines() if line.startswith("ERROR")] or result.stderr.splitlines() or ["?"]
+            raise Missing(f"{platform} with Python {python} is left out: pip has no wheel of {wanted} for it ({errors[-1]}).")
     return sorted(folder.glob("*.whl"), key=lambda path: path.name.lower())
 
 

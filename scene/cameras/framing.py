@@ -33,10 +33,13 @@ def surroundings_of(obj: bpy.types.Object) -> Surroundings:
     return objects.load_model(objects.abspath(obj)).surroundings
 
 
-def middle_camera(viewpoints: tuple[Viewpoint, ...]) -> int:
-    """The number of the camera that stands nearest to the middle of all."""
+def middle_camera(viewpoints: tuple[Viewpoint, ...], up) -> int:
+    """The number of the camera that stands nearest to the middle of all, among those that stand neither high nor low (`up` [3])."""
     places = np.array([viewpoint.position for viewpoint in viewpoints])
-    return int(np.argmin(np.linalg.norm(places - places.mean(0), axis=1)))
+    heights = places @ np.asarray(up, np.float64)
+    low, high = np.percentile(heights, 25, method="lower"), np.percentile(heights, 75, method="higher")
+    away = np.linalg.norm(places - places.mean(0), axis=1)
+    return int(np.argmin(np.where((heights >= low) & (heights <= high), away, np.inf)))
 
 
 def show(context, splats: list[bpy.types.Object]) -> int:
@@ -79,8 +82,8 @@ def _known(splat) -> tuple[fg.Camera, float, bool]:
     around = surroundings_of(splat)
     if around.view is None and not around.cameras:
         return None
-    viewpoint = around.view or around.cameras[middle_camera(around.cameras)]
     world = space.world_matrix(splat, "")
+    viewpoint = around.view or around.cameras[middle_camera(around.cameras, world[2][:3])]
     try:
         camera = space.out_of(camera_of(viewpoint), world)
     except fg.FastGSError:  # it is stretched
@@ -105,8 +108,9 @@ def look_through(context, splat: bpy.types.Object, index: int | None = None) -> 
     if not viewpoints:
         raise fg.FastGSError(f"{objects.abspath(splat)}: the file does not say where cameras of its capture stood; import the capture's "
                              "cameras, or store them in the file with fastgs annotate.")
-    viewpoint = viewpoints[middle_camera(viewpoints) if index is None else min(index, len(viewpoints) - 1)]
-    camera = space.out_of(camera_of(viewpoint), space.world_matrix(splat, ""))
+    world = space.world_matrix(splat, "")
+    viewpoint = viewpoints[middle_camera(viewpoints, world[2][:3]) if index is None else min(index, len(viewpoints) - 1)]
+    camera = space.out_of(camera_of(viewpoint), world)
     obj = bpy.data.objects.new(viewpoint.name or "Capture Camera", bpy.data.cameras.new(viewpoint.name or "Capture Camera"))
     placing.set_optics(obj.data, camera)
     placing.set_pose(obj, camera)

@@ -54,9 +54,14 @@ def wheel(tmp_path):
 
 @pytest.fixture
 def numbas(wheel):
-    """One platform's wheels, so to speak."""
-    return [wheel("numba-0.68.1-cp311-cp311-win_amd64", ["llvmlite<0.51,>=0.50.0dev0", "numpy<2.6,>=1.22"]),
-            wheel("llvmlite-0.50.0-cp311-cp311-win_amd64", licence="LLVM's terms")]
+    """numbas(python="3.11"): the wheels of one platform and Python, so to speak."""
+    def make(python="3.11"):
+        tag = f"cp{python.replace('.', '')}"
+        return [wheel(f"numba-0.68.1-{tag}-{tag}-win_amd64", ["llvmlite<0.51,>=0.50.0dev0", "numpy<2.6,>=1.22"]),
+                wheel(f"llvmlite-0.50.0-{tag}-{tag}-win_amd64", licence="LLVM's terms"),
+                wheel("tqdm-4.70.1-py3-none-any"), wheel("safetensors-0.8.0-cp310-abi3-win_amd64")]
+
+    return make
 
 
 @pytest.fixture(scope="module")
@@ -110,17 +115,20 @@ def test_links_of_the_zips_pages_lead_into_the_zip(builder, tmp_path):
     assert "CONTRIBUTING.md" in readme  # a name, where the file is not there
 
 
-def test_wheels_are_named_in_the_staged_manifest_alone(builder, manifest):
+def test_wheels_and_website_are_named_in_the_staged_manifest_alone(builder, manifest, tmp_path):
     text = (ROOT / "blender_manifest.toml").read_text("utf-8")
-    staged = tomllib.loads(builder.with_wheels(text, "linux-x64", [Path("/x/numba-1-cp311-cp311-linux_x86_64.whl")]))
-    added = {"platforms": ["linux-x64"], "wheels": ["./wheels/numba-1-cp311-cp311-linux_x86_64.whl"]}
+    staged = tomllib.loads(builder.completed(text, "linux-x64", [Path("/x/numba-1-cp311-cp311-linux_x86_64.whl")], "https://a.example/b"))
+    added = {"platforms": ["linux-x64"], "wheels": ["./wheels/numba-1-cp311-cp311-linux_x86_64.whl"], "website": "https://a.example/b"}
     assert staged == manifest | added
+    (path,) = builder.main(["--no-wheels", "--website", "https://a.example/b", "--out", str(tmp_path)])
+    with zipfile.ZipFile(path) as file:
+        assert tomllib.loads(file.read("blender_manifest.toml").decode())["website"] == "https://a.example/b"
 
 
 def test_wheels_that_fit_together(wheels, wheel, numbas):
-    assert not wheels.problems(numbas)
+    assert not wheels.problems(numbas())
     assert wheels.problems([wheel("numpy-2.1.0-cp311-cp311-win_amd64")]) == ["numpy is Blender's own."]
-    assert wheels.problems(numbas[:1]) == ["numba-0.68.1-cp311-cp311-win_amd64.whl needs llvmlite<0.51,>=0.50.0dev0, which is not there."]
+    assert wheels.problems(numbas()[:1]) == ["numba-0.68.1-cp311-cp311-win_amd64.whl needs llvmlite<0.51,>=0.50.0dev0, which is not there."]
     assert not wheels.problems([wheel("x-1-py3-none-any", ["pytest; extra == 'test'", "requests>2"])])
     for requirement, python, numpy in ("numpy>=1.26", "3.11", "1.24.3"), ("numpy<2.5", "3.13", "2.5.5"):
         found = wheels.problems([wheel("x-1-cp310-abi3-win_amd64", [requirement])])
@@ -137,7 +145,7 @@ def test_what_the_tests_run_with_goes_with_every_blender(wheels, wheel):
 
 
 def test_licences_are_told(wheels, wheel, numbas):
-    text = wheels.notices([*numbas, wheel("numba-0.68.1-cp313-cp313-win_amd64")])
+    text = wheels.notices([*numbas(), wheel("numba-0.68.1-cp313-cp313-win_amd64")])
     assert text.count("| numba | 0.68.1 | BSD-2-Clause |") == 1
     assert "| llvmlite | 0.50.0 | BSD-2-Clause AND Apache-2.0 WITH LLVM-exception |" in text
     assert "## llvmlite: LICENSE\n\nLLVM's terms" in text
@@ -146,28 +154,32 @@ def test_licences_are_told(wheels, wheel, numbas):
 
 
 def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, capsys):
-    """Zips and Blender's index of them; a platform whose wheels are not to be had is told, and the others are built."""
-    def download(platform, folder):
-        if platform == "macos-arm64":
-            raise wheels.Missing("macos-arm64 is left out: no such wheel.")
-        return numbas
+    """A zip for each platform and Python, and Blender's index of them; one whose wheels are not to be had is told, the others are built."""
+    def download(platform, python, folder):
+        if platform == "macos-arm64" and python == "3.13":
+            raise wheels.Missing("macos-arm64 with Python 3.13 is left out: no such wheel.")
+        return numbas(python)
 
     monkeypatch.setattr(wheels, "download", download)
     out = tmp_path / "dist"
-    with pytest.raises(SystemExit, match="macos-arm64 is left out"):
-        builder.main(["--out", str(out)])
-    zips = {name: out / f"fastgs_blender-{fg.__version__}-{name}.zip" for name in ("linux-x64", "windows-x64")}
+    with pytest.raises(SystemExit, match="macos-arm64 with Python 3.13 is left out"):
+        builder.main(["--python", "3.11", "--python", "3.13", "--out", str(out)])
+    kinds = [("linux-x64", "3.11"), ("linux-x64", "3.13"), ("macos-arm64", "3.11"), ("windows-x64", "3.11"), ("windows-x64", "3.13")]
+    zips = {kind: out / f"fastgs_blender-{fg.__version__}-{kind[0]}-python{kind[1]}.zip" for kind in kinds}
     assert sorted(out.iterdir()) == sorted([*zips.values(), out / "index.json"])
-    with zipfile.ZipFile(zips["linux-x64"]) as file:
-        assert {"THIRD-PARTY.md", *(f"wheels/{path.name}" for path in numbas)} <= set(file.namelist())
-    found = {entry["platforms"][0]: entry for entry in json.loads((out / "index.json").read_text("utf-8"))["data"]}
-    assert found.keys() == zips.keys()
-    for name, path in zips.items():
-        entry = found[name]
+    for (_, python), path in zips.items():
+        with zipfile.ZipFile(path) as file:
+            names = {name.removeprefix("wheels/") for name in file.namelist() if name.startswith("wheels/") and name != "wheels/"}
+            assert "THIRD-PARTY.md" in file.namelist() and names == {wheel.name for wheel in numbas(python)}
+    entries = json.loads((out / "index.json").read_text("utf-8"))["data"]
+    found = {(*entry["platforms"], *entry["python_versions"]): entry for entry in entries}
+    assert found.keys() == zips.keys()  # Blender takes the one that fits its own platform and Python
+    for kind, path in zips.items():
+        entry = found[kind]
         assert entry["archive_url"] == f"./{path.name}"
         assert entry["archive_size"] == path.stat().st_size
         assert entry["archive_hash"] == f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
         assert entry["id"] == "fastgs_blender"
     printed = capsys.readouterr().out
-    assert f"{zips['windows-x64']}: " in printed
-    assert f"{numbas[0].name}: 0.0 MB, BSD-2-Clause" in printed
+    assert f"{zips['windows-x64', '3.11']}: " in printed
+    assert "numba-0.68.1-cp311-cp311-win_amd64.whl: 0.0 MB, BSD-2-Clause" in printed
