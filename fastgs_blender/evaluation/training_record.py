@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+from ..util.reading import parse_json
+
 KEY = "trained_on"
 """The entry of a model's provenance, JSON: {"views": [names], "scale": factor on the pictures' size}."""
 
@@ -30,7 +32,7 @@ def record(capture) -> dict[str, str]:
 def recorded(model) -> TrainingRecord | None:
     """The record in a model's provenance; None where there is none that can be understood."""
     try:
-        values = json.loads(model.provenance[KEY])
+        values = parse_json(model.provenance[KEY])
         views, scale = values["views"], float(values["scale"])
     except (KeyError, TypeError, ValueError):
         return None

@@ -12,6 +12,7 @@ from pathlib import Path
 from ..captures.layouts import fastgs
 from ..training.core.settings import PRESETS, Settings
 from ..util.errors import FastGSError
+from ..util.reading import read_json
 from . import causes
 from . import environment as pythons
 
@@ -78,10 +79,10 @@ def picture_size(capture: str) -> tuple[int, int, int]:
         return latest.width * latest.height, latest.views, latest.frames
     path = Path(capture)
     try:
-        values = json.loads((path / fastgs.FILE if path.is_dir() else path).read_text("utf-8"))
+        values = read_json(path / fastgs.FILE if path.is_dir() else path)
         sizes = [camera["width"] * camera["height"] for camera in values["cameras"]]
         return int(max(sizes)), len(sizes), int(values["frame_count"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (FastGSError, ValueError, KeyError, TypeError):
         return 0, 0, 0
 
 

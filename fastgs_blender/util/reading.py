@@ -83,7 +83,15 @@ def read_text(path, limit: int = LARGEST_JSON) -> str:
         return read_bytes(path, limit).decode("utf-8-sig")
 
 
+def parse_json(text: str | bytes):
+    """The JSON value of a text from outside; raises ValueError, also where it is nested deeper than Python can follow."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
 def read_json(path, limit: int = LARGEST_JSON, advice: str = "it is not JSON, or cut short; copy or export it again"):
     """The JSON value in a file; raises FastGSError."""
     with reading(path, advice):
-        return json.loads(read_bytes(path, limit).decode("utf-8-sig"))
+        return parse_json(read_bytes(path, limit).decode("utf-8-sig"))

@@ -18,6 +18,7 @@ from ...cameras.lens import Lens
 from ...captures.posing import with_cameras
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
+from ...util.reading import parse_json
 from .features import MOST_FEATURES, PEAK, pycolmap_module
 
 TRIES = 3
@@ -128,7 +129,7 @@ def keep(path, capture, cameras, lenses):
 def _read(path, capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
     """The cameras and lenses in a file, None if they are another capture's; raises FastGSError."""
     try:
-        values = json.loads(path.read_text("utf-8"))
+        values = parse_json(path.read_text("utf-8"))
         if values["capture"] != str(Path(capture.path).resolve()):
             return None
         lenses = {view: Lens(**{name: tuple(v) if isinstance(v, list) else v for name, v in entry.pop("lens").items()})

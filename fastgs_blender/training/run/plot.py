@@ -2,12 +2,11 @@
 """Draws loss and PSNR of a run over its steps, with Pillow."""
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from ...util.reading import read_text, reading
+from ...util.reading import parse_json, read_text, reading
 from .checkpoint import write_aside
 
 SIZE = (900, 420)
@@ -19,7 +18,7 @@ COLOURS = {"loss": (200, 70, 40), "PSNR": (40, 90, 180), "held-out PSNR": (30, 1
 def write_plot(path: Path, log: Path) -> None:
     """Write a PNG of the values in a log; raises FastGSError or OSError."""
     with reading(log):
-        rows = [json.loads(line) for line in read_text(log).splitlines() if line.endswith("}")]
+        rows = [parse_json(line) for line in read_text(log).splitlines() if line.endswith("}")]
     image = draw(series(rows, "smooth_loss"), {"PSNR": series(rows, "smooth_psnr"), "held-out PSNR": series(rows, "held_out_psnr")})
 
     def write(part):
@@ -31,9 +30,14 @@ def write_plot(path: Path, log: Path) -> None:
 
 def series(rows: list[dict], name: str) -> np.ndarray:
     """[M, 2] steps and finite values of one column."""
-    points = [(row["iteration"], row[name]) for row in rows if name in row and "iteration" in row]
-    found = np.array(points, np.float64).reshape(-1, 2)  # None, where there was no finite number, becomes NaN
+    points = [(row.get("iteration"), row.get(name)) for row in rows if isinstance(row, dict)]
+    found = np.array([point for point in points if all(map(_is_number, point))], np.float64).reshape(-1, 2)
     return found[np.isfinite(found).all(1)]
+
+
+def _is_number(value) -> bool:
+    """Whether a JSON value is a number that a float can hold; None stands in the log where there was no finite one."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]):

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...util.errors import FastGSError, printable
 from ...util.progress import progress
+from ...util.reading import parse_json
 from . import barrier, checkpoint
 from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
 from .plot import write_plot
@@ -206,6 +207,6 @@ def finite(values: dict) -> dict:
 
 def _iteration(line: str) -> int:
     try:
-        return int(json.loads(line)["iteration"])
+        return int(parse_json(line)["iteration"])
     except (ValueError, KeyError, TypeError, OverflowError):
         return -1
