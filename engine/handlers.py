@@ -4,6 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..scene import notices, objects, paths
+from ..scene.splats import moving, proxy_nodes
 from . import compiling
 
 
@@ -18,6 +19,11 @@ def _forget_models(*_):
 
 
 @persistent
+def _upgrade(*_):
+    proxy_nodes.upgrade()
+
+
+@persistent
 def _compile_for_splats(*_):
     if any(objects.is_splat(obj) for obj in bpy.data.objects):
         compiling.start_on_first_use()
@@ -27,6 +33,9 @@ HANDLERS = (
     (bpy.app.handlers.render_init, _begin_job),
     (bpy.app.handlers.load_pre, _forget_models),
     (bpy.app.handlers.load_post, _compile_for_splats),
+    (bpy.app.handlers.load_post, _upgrade),
+    (bpy.app.handlers.frame_change_post, moving.follow),
+    (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.save_pre, paths.before_save),
     (bpy.app.handlers.save_post, paths.after_save),
     (bpy.app.handlers.save_post_fail, paths.after_save),

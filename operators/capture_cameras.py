@@ -9,8 +9,10 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
+from mathutils import Matrix
 
 from ..fastgs_blender.util.errors import FastGSError, printable
+from ..scene import model_space
 from ..scene.cameras import clips, undistorted
 from ..scene.cameras import space as camera_space
 from ..scene.cameras.backgrounds import reel_of, show_behind
@@ -128,6 +130,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         collection.objects.link(world)
         if splat:
             world.parent = splat
+            world.matrix_parent_inverse = Matrix(model_space.model_matrix(splat).tolist())
         else:
             world.matrix_world = camera_space.world_matrix(None, capture.axes)
         made = []

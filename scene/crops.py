@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import Crop, cropped
-from . import objects
+from . import model_space, objects
 
 
 def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
@@ -20,7 +20,7 @@ def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     used = [item for item in obj.fastgs.crops if item.use and item.object is not None]
     if not used:
         return ()
-    world = np.array(_world(obj.original, depsgraph), np.float64)
+    world = model_space.placement(obj, _world(obj.original, depsgraph))
     made = []
     for item in used:
         box = np.array(_world(item.object.original, depsgraph), np.float64) @ extent(item.object)

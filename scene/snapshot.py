@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.instances import LIMIT, Instance, ObjectSettings
-from . import crops, objects
+from . import crops, model_space, objects
 from .time import Retime, clip_frame
 
 
@@ -100,8 +100,6 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot
     visible(obj) may leave out more: it is asked about each object that shows splats, and about each object that makes instances.
     rendered      whether it is for a render, from which *Ray Visibility > Camera* leaves objects and what they instance out
     """
-    scene = depsgraph.scene
-    render = scene.render
     found, seen = [], set()
     for instance in depsgraph.object_instances:
         obj = instance.object
@@ -110,7 +108,7 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot
             continue
         if rendered and not (obj.visible_camera and maker.visible_camera):
             continue
-        placement = np.array(instance.matrix_world, np.float64)
+        placement = model_space.placement(obj, instance.matrix_world)
         # an object whose geometry nodes make several kinds of geometry comes once for each kind, at the same place
         key = obj.original.as_pointer(), placement.tobytes()
         if key not in seen:
@@ -118,9 +116,14 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot
             place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
             found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings_of(obj, depsgraph),
                                       obj.pass_index, place))
-    # as Blender computes the time of its animation, time stretching included
+    return Snapshot(found, *clock(depsgraph.scene))
+
+
+def clock(scene) -> tuple[float, float]:
+    """(frame, frames per second) of a scene, as Blender computes the time of its animation, time stretching included."""
+    render = scene.render
     frame = (scene.frame_current + scene.frame_subframe) * render.frame_map_old / render.frame_map_new
-    return Snapshot(found, frame, render.fps / render.fps_base)
+    return frame, render.fps / render.fps_base
 
 
 def retime_of(obj) -> Retime:

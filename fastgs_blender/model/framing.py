@@ -12,10 +12,15 @@ FEW = 20
 """Of fewer positions none can be told to be a stray."""
 
 
-def without_backdrop(model: GaussianModel) -> GaussianModel:
-    """The model of the Gaussians that rest inside its backdrop; the model itself where it has none."""
+def inside_backdrop(model: GaussianModel) -> np.ndarray:
+    """Indices [M] of the Gaussians that rest inside a model's backdrop; all where it has none."""
     backdrop = model.surroundings.backdrop
-    return model if backdrop is None else model.take(np.flatnonzero(backdrop.distance(model.position) <= 1))
+    return np.arange(len(model)) if backdrop is None else np.flatnonzero(backdrop.distance(model.position) <= 1)
+
+
+def without_backdrop(model: GaussianModel) -> GaussianModel:
+    """The model of these Gaussians; the model itself where it has no backdrop."""
+    return model if model.surroundings.backdrop is None else model.take(inside_backdrop(model))
 
 
 def is_subject(position: np.ndarray) -> np.ndarray:

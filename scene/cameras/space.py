@@ -10,7 +10,7 @@ from mathutils import Matrix
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.util.errors import FastGSError
-from .. import objects
+from .. import model_space, objects
 
 ITEMS = (
     ('AUTO', "Splat Object", "The world of the active splat object's model, or of the scene's only one; upright where there is none", 0),
@@ -31,7 +31,7 @@ def splat_of(context, space: str) -> bpy.types.Object | None:
 
 def world_matrix(splat: bpy.types.Object | None, axes: str) -> Matrix:
     """From the file's world to Blender's."""
-    return splat.matrix_world.copy() if splat else objects.axes_matrix(axes)
+    return model_space.placement_matrix(splat) if splat else objects.axes_matrix(axes)
 
 
 def axes_of(splat: bpy.types.Object | None, axes: str) -> str:

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ... import fastgs_blender as fg
-from .. import objects, snapshot
+from .. import model_space, objects, snapshot
 from ..time import clip_frame
 
 ROWS = 512
@@ -26,7 +26,7 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
         raise fg.FastGSError("the Gaussians of a sequence cannot be followed from frame to frame; turn it into one model with "
                              "fastgs convert.")
     fps = scene.render.fps / scene.render.fps_base
-    retime, world = snapshot.retime_of(obj), np.array(obj.matrix_world)
+    retime, world = snapshot.retime_of(obj), model_space.placement(obj)
 
     def seen(at, subset):
         shown = clip_frame(at, fps, retime, model.clip)

@@ -7,7 +7,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...fastgs_blender.util.errors import FastGSError
-from .. import objects
+from .. import model_space, objects
 from .subjects import capture_cameras
 
 
@@ -28,7 +28,7 @@ def targets(context) -> list[bpy.types.Object]:
 
 
 def _lie_alike(a, b) -> bool:
-    return a == b or np.allclose(a.matrix_world, b.matrix_world, rtol=1e-5, atol=1e-5)
+    return a == b or np.allclose(model_space.placement(a), model_space.placement(b), rtol=1e-5, atol=1e-5)
 
 
 def _parents(obj):

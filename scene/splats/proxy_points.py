@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chooses the few points that stand for a model in Solid view and in other render engines.
+"""Chooses the few Gaussians that stand for a model in other render engines, and says how they look at a time.
 
 Plain arrays, no Blender.  Everything is drawn without chance, so that the same file gives the same proxy.
 """
@@ -9,66 +9,146 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.framing import is_subject, without_backdrop
+from ...fastgs_blender.model.framing import inside_backdrop, is_subject, without_backdrop
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
+from ...fastgs_blender.util import rotations
 from ..colour import srgb_to_linear
 
 LIMIT = 20_000
 """The most points of a proxy."""
 
 MOMENTS = 9
-"""At so many times of the clip the model is looked at for its extent."""
+"""At so many times of the clip the model is looked at."""
 
 PROBES = 50_000
 CANDIDATES = 200_000
 CELLS = 64
 TURNS = 3
+EDGE = 1.5
+"""An opaque Gaussian is shown up to so many standard deviations; the area of others is less by their opacity."""
+MOST_LARGER = 2.5
+BRIEF = 0.5
+"""Gaussians that are seen for less than this share of the clip are chosen for each moment anew."""
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """M points in the model's space, float32.
+    """M Gaussians that stand for a model; positions are in the model's space.
 
-    position  [M, 3]
-    colour    [M, 3]  linear Rec.709, 0 or more
-    radius    [M]     about half the distance to the next point
-    t         the model time that most of them are taken from
+    index     [M]     which Gaussians they are
+    position  [M, 3]  at the time t, float32
+    colour    [M, 3]  linear Rec.709 at the time t, 0 or more, float32
+    radius    [M]     of balls as large as they are, float32
+    larger    how much larger than the Gaussians the balls are, because few stand for many
+    t         the model time at which most is to be seen
+    box       [2, 3]  lower and upper corner of what is seen in the whole clip, strays left out
     """
 
+    index: np.ndarray
     position: np.ndarray
     colour: np.ndarray
     radius: np.ndarray
+    larger: float
     t: float
+    box: np.ndarray
 
 
-def choose(model: Source, limit: int = LIMIT) -> Points:
-    """At most `limit` points of the model: important ones (opaque, large), from everywhere.
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """How M chosen Gaussians look at a time, in the model's space, float32.
 
-    They show the time at which most is to be seen.  Up to six of them are the outermost Gaussians of the whole clip, so that
-    the points' bounding box holds the motion.  The backdrop, and lone Gaussians far outside (floaters), are left out of both.
+    position  [M, 3]
+    axes      [M, 3, 3]  columns: the half axes of the ellipsoids; 0 for those that are not seen
+    colour    [M, 3]     linear Rec.709, 0 or more
     """
-    frames = model.clip.frame_count
+
+    position: np.ndarray
+    axes: np.ndarray
+    colour: np.ndarray
+
+
+def choose(source: Source, limit: int = LIMIT) -> Points:
+    """At most `limit` Gaussians of a model: important ones (opaque, large, long seen), from everywhere and from all of the clip.
+
+    The backdrop, and lone Gaussians far outside (floaters), are left out, of the box too.  Of a sequence they are those of the
+    frame on which most is to be seen.
+    """
+    frames = source.clip.frame_count
     times = sorted({round(x) / frames for x in np.linspace(0, frames - 1, MOMENTS)})
-    moments = [_sample(model, t, PROBES) for t in times]
+    moments = [_sample(source, t, PROBES) for t in times]
     box = _robust_box([s.position for s, _ in moments])
     if limit < 1 or box is None:
-        return Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32), times[0])
-    moments = [(_within(s, box), share) for s, share in moments]
-    best = int(np.argmax([s.opacity.sum() * share for s, share in moments]))
-    s = _within(_sample(model, times[best], CANDIDATES)[0], box)
-    corners = min(6, limit // 10)
-    order, spacing = _fair_order(s, box, limit - corners)
-    parts = [_take(s, order)]
-    parts += _outermost([s for s, _ in moments], box, parts[0])[:corners]
-    size = 1.5 * np.concatenate([np.sqrt(_area(p)) for p in parts])
+        box = np.zeros((2, 3)) if box is None else np.array(box)
+        return Points(np.zeros(0, np.int32), *(np.zeros((0, 3), np.float32) for _ in range(2)), np.zeros(0, np.float32), 1.0, times[0], box)
+    best = int(np.argmax([s.opacity[_inside(s.position, box)].sum() * share for s, share in moments]))
+    moment = times[best]
+    model, at = source.moment(moment, hold=True)
+    if model is not source:  # other frames have other Gaussians
+        times, best = [at], 0
+    every = _every(model)
+    candidates = model.take(every)
+    peak, seen = _visibility(candidates, times, best)
+    weight, peak_opacity, brief = seen.mean(0), seen.max(0), (seen > 0).mean(0) < BRIEF
+    s = _at_their_time(candidates, times, peak)
+    usable = np.flatnonzero(_inside(s.position, box) & np.isfinite(np.concatenate([s.position, s.scale, s.features], 1)).all(1) & (weight > 0))
+    importance = weight * _area(s.scale)
+    kind = np.where(brief, 1 + peak, 0)
+    order = usable[_fair_order(s.position[usable], kind[usable], importance[usable], box, limit)]
+    larger = float(min(np.sqrt(importance[usable].sum() / max(importance[order].sum(), 1e-30)), MOST_LARGER))
+    edge = EDGE * larger * np.sqrt(peak_opacity[order])
+    chosen = candidates.take(order)
+    shown = slice_model(chosen, times[best], cull=False)
+    fine = np.flatnonzero(np.isfinite(np.concatenate([shown.position, shown.features], 1)).all(1))
+    shown, order, edge = _take(shown, fine), order[fine], edge[fine]
     return Points(
-        position=np.concatenate([p.position for p in parts]).astype(np.float32),
-        colour=np.concatenate([_colour(p, model.moment(times[best], hold=True)[0]) for p in parts]).astype(np.float32),
-        radius=np.clip(size, 0.5 * spacing, max(spacing, np.median(size))).astype(np.float32),
-        t=times[best],
+        index=every[order].astype(np.int32),
+        position=shown.position.astype(np.float32),
+        colour=_colour(shown, model).astype(np.float32),
+        radius=(edge * np.sqrt(_area(shown.scale))).astype(np.float32),
+        larger=larger,
+        t=moment,
+        box=np.array(box),
     )
+
+
+def show(chosen: GaussianModel, t: float, larger: float = 1.0) -> Shown:
+    """How chosen Gaussians, a model of their own, look at the time t: ellipsoids, `larger` as in Points."""
+    s = slice_model(chosen, t, cull=False)
+    finite = np.isfinite(np.concatenate([s.position, s.scale, s.features], 1)).all(1)
+    seen = finite & (s.opacity >= chosen.raster.alpha_cut)
+    with np.errstate(over="ignore", invalid="ignore"):
+        axes = rotations.to_matrices(s.rotation) * (EDGE * larger * np.sqrt(s.opacity)[:, None] * s.scale)[:, None, :]
+    return Shown(
+        position=np.where(finite[:, None], s.position, 0).astype(np.float32),
+        axes=np.where(seen[:, None, None], axes, 0).astype(np.float32),
+        colour=_colour(s, chosen).astype(np.float32))
+
+
+def _every(model) -> np.ndarray:
+    """The Gaussians that are candidates: all that are no backdrop, or every n-th of them."""
+    inside = inside_backdrop(model)
+    return inside[np.linspace(0, len(inside) - 1, CANDIDATES).astype(int)] if len(inside) > CANDIDATES else inside
+
+
+def _visibility(candidates, times, best):
+    """(the moment [C] at which each is seen best, the opacity with which each is seen [T, C])."""
+    opacity = sigmoid(candidates.opacity)
+    seen = np.stack([opacity * candidates.temporal_kind.factor(t, candidates.mu_tau, candidates.temporal) for t in times])
+    seen = np.where(np.isfinite(seen) & (seen >= candidates.raster.alpha_cut), seen, 0)
+    return np.where(seen[best] >= 0.9 * seen.max(0), best, seen.argmax(0)), seen
+
+
+def _at_their_time(candidates, times, peak) -> Slice:
+    """Each candidate at the moment at which it is seen best."""
+    parts, places = [], []
+    for moment in np.unique(peak):
+        here = np.flatnonzero(peak == moment)
+        parts.append(slice_model(candidates.take(here), times[moment], cull=False))
+        places.append(here)
+    order = np.argsort(np.concatenate(places), kind="stable")
+    return Slice(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in vars(parts[0])})
 
 
 def _sample(source: Source, t: float, limit: int) -> tuple[Slice, float]:
@@ -87,14 +167,10 @@ def _take(s: Slice, index) -> Slice:
     return Slice(**{name: value[index] for name, value in vars(s).items()})
 
 
-def _area(s: Slice) -> np.ndarray:
+def _area(scale: np.ndarray) -> np.ndarray:
     """What a Gaussian covers at most: the product of its two larger standard deviations [M]."""
-    ordered = np.sort(s.scale, axis=1)
+    ordered = np.sort(scale, axis=1)
     return ordered[:, 1] * ordered[:, 2]
-
-
-def _within(s: Slice, box) -> Slice:
-    return _take(s, np.flatnonzero(_inside(s.position, box)))
 
 
 def _inside(position: np.ndarray, box) -> np.ndarray:
@@ -107,40 +183,26 @@ def _robust_box(clouds: list[np.ndarray]):
     return (np.min([p.min(0) for p in found], axis=0), np.max([p.max(0) for p in found], axis=0)) if found else None
 
 
-def _outermost(slices: list[Slice], box, chosen: Slice) -> list[Slice]:
-    """For each face of the box that no chosen Gaussian touches, one that does."""
-    found = []
-    for axis in range(3):
-        for face in (box[0][axis], box[1][axis]):
-            if not (chosen.position[:, axis] == face).any():
-                touching = ((s, np.flatnonzero(s.position[:, axis] == face)[:1]) for s in slices)
-                found.append(_take(*next(pair for pair in touching if len(pair[1]))))
-    return found
+def _fair_order(position, kind, importance, box, limit: int) -> np.ndarray:
+    """Indices of at most `limit` of M candidates.
 
-
-def _fair_order(s: Slice, box, limit: int) -> tuple[np.ndarray, float]:
-    """Indices of at most `limit` Gaussians, and the distance between neighbours.
-
-    Each cell of a grid gives its most important one first, then each its second, and so on.  The grid is the finest of which
-    every filled cell has its turn, so that no place is left out for being less important than others.
+    Each cell of a grid gives its most important one first, then each its second, and so on; each kind [M] has cells of its own.  The
+    grid is the finest of which every filled cell has its turn, so that no place is left out for being less important than others.
     """
     finest = max((box[1] - box[0]).max(), 1e-6) / CELLS
-    place = ((s.position - box[0]) / finest).astype(np.int64)
+    place = ((position - box[0]) / finest).astype(np.int64)
     for halvings in range(CELLS.bit_length()):
-        key = (place >> halvings) @ [1, CELLS + 1, (CELLS + 1) ** 2]
+        key = (place >> halvings) @ [1, CELLS + 1, (CELLS + 1) ** 2] + kind * (CELLS + 1) ** 3
         if len(np.unique(key)) * TURNS <= limit:
             break
-    cell = finest * 2**halvings
-    importance = s.opacity * _area(s)
     by_cell = np.lexsort((-importance, key))
     sorted_key = key[by_cell]
     first = np.flatnonzero(np.diff(sorted_key, prepend=-1))
     rank = np.arange(len(key)) - np.repeat(first, np.diff(first, append=len(key)))
-    order = by_cell[np.lexsort((-importance[by_cell], rank))][:limit]
-    return order, cell * float(np.sqrt(len(first) / max(len(order), 1)))
+    return by_cell[np.lexsort((-importance[by_cell], rank))][:limit]
 
 
 def _colour(s: Slice, model: GaussianModel) -> np.ndarray:
     """Linear colour [M, 3] from no particular side: of SH the constant term, of features the base without the decoder's rest."""
-    rgb = np.clip(model.appearance.plain_colours(s.features), 0, 100)
+    rgb = np.clip(np.nan_to_num(model.appearance.plain_colours(s.features)), 0, 100)
     return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...fastgs_blender.formats import fingerprint
 from ...fastgs_blender.formats.sequences import title
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.util.errors import FastGSError, printable
-from .. import objects
+from .. import model_space, objects
 from . import proxy
 
 
@@ -24,7 +25,7 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     """A new object that shows the file, selected and active, at the world's origin; its clip starts with the scene.
 
     limit     the most points of its proxy
-    orient    turn it from the file's axes to Blender's
+    orient    turn its model from the file's axes to Blender's; the object itself stays unrotated
     relative  keep the path relative to the .blend, where that is possible
 
     Raises FastGSError for a file that cannot be read, before anything is made.
@@ -32,13 +33,12 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     path = bpy.path.abspath(path)
     model = objects.load_model(path)
     name = bpy.path.display_name_from_filepath(title(Path(path)))
-    obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit))
+    turn = np.array(objects.axes_matrix(model.axes), np.float64) if orient else np.eye(4)
+    obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit, turn))
     proxy.show_in_all_engines(obj)
     obj.fastgs.filepath = _relative(path) if relative else path
     obj.fastgs.start_frame = context.scene.frame_start
     write_facts(obj, model, path)
-    if orient:
-        obj.matrix_world = objects.axes_matrix(model.axes)
     _place(context, obj)
     return obj
 
@@ -73,10 +73,11 @@ def refresh(obj: bpy.types.Object) -> None:
         return
     write_facts(obj, model, path)
     if obj.type == 'MESH' and obj.data.is_editable:
+        turn, limit = model_space.model_matrix(obj), proxy.limit_of(obj.data)
         if obj.data.users > 1:  # the others may show another file
-            obj.data = proxy.new_mesh(obj.data.name, model)
+            obj.data = proxy.new_mesh(obj.data.name, model, limit, turn)
         else:
-            proxy.fill(obj.data, model)
+            proxy.fill(obj.data, model, limit, turn)
     obj.update_tag()
 
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .. import model_space
 
 
 def world_of(scene: bpy.types.Scene, capture: str) -> str:
@@ -18,4 +22,4 @@ def align(scene: bpy.types.Scene, obj: bpy.types.Object, world: str) -> None:
     """Give a model's object the transform of its cameras' world; without one, the file's axes are turned upright."""
     found = scene.objects.get(world) if world else None
     if found is not None:
-        obj.matrix_world = found.matrix_world
+        obj.matrix_world = found.matrix_world @ Matrix(np.linalg.inv(model_space.model_matrix(obj)).tolist())

@@ -46,18 +46,20 @@ def test_every_kind_of_file(scene, fg, module, models, model_file, name):
     assert (obj.fastgs.filepath, obj.fastgs.gaussian_count) == (path, 30)
     assert (obj.fastgs.frame_count, obj.fastgs.fps) == (read.clip.frame_count, pytest.approx(read.clip.fps))
     assert obj.fastgs.start_frame == scene.frame_start
-    assert np.allclose(obj.matrix_world, module("scene.objects").axes_matrix(read.axes), atol=1e-6)
+    assert np.array_equal(obj.matrix_world, np.eye(4))
+    assert np.array_equal(module("scene.model_space").placement(obj), module("scene.objects").axes_matrix(read.axes))
     assert 0 < len(obj.data.vertices) <= 30 + 6
     assert settings_of(scene) == before
 
 
-def test_axes_of_every_convention_end_upright(make_model, model_file, fg):
+def test_axes_of_every_convention_end_upright(make_model, model_file, module):
+    placement = module("scene.model_space").placement
     up = {"RDF": (0, -1, 0), "RFU": (0, 0, 1), "RUB": (0, 1, 0)}
     for axes, direction in up.items():
         bpy.ops.import_scene.fastgs(filepath=model_file(make_model(axes=axes), f"{axes}.safetensors"))
-        assert np.allclose(np.array(bpy.context.object.matrix_world)[:3, :3] @ direction, (0, 0, 1), atol=1e-6)
+        assert np.allclose(placement(bpy.context.object)[:3, :3] @ direction, (0, 0, 1), atol=1e-6)
         bpy.ops.import_scene.fastgs(filepath=model_file(make_model(axes=axes), f"{axes}.safetensors"), orientation='KEEP')
-        assert np.allclose(bpy.context.object.matrix_world, np.eye(4))
+        assert np.array_equal(placement(bpy.context.object), np.eye(4))
 
 
 def test_a_broken_file_leaves_nothing(make_model, model_file, tmp_path):
@@ -86,7 +88,7 @@ def test_several_files_and_one_of_them_broken(make_model, model_file, tmp_path):
     files = [{"name": name} for name in names]
     bpy.ops.import_scene.fastgs(directory=str(tmp_path), files=files)
     assert {obj.name for obj in bpy.context.selected_objects} == {"a", "b", "c"}
-    assert len(bpy.data.node_groups) == len(bpy.data.materials) == 1
+    assert len(bpy.data.node_groups) == 1 and len(bpy.data.materials) == 27
 
     (tmp_path / "b.ply").write_bytes(b"ply\nnonsense")
     with pytest.raises(RuntimeError, match=r"b\.ply"):

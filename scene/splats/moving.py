@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Moves proxies with time: other engines' final renders, and viewports that do not draw the splats themselves, show the frame's points.
+
+What is written is the mesh that Blender has evaluated for one depsgraph, after the evaluation and before anything is drawn from it: a
+final render's own, so that nothing of the open file is touched while it renders, and sub-frames are those of the render.
+"""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ...fastgs_blender.rendering.crops import kept_by
+from ...fastgs_blender.util.errors import FastGSError
+from .. import model_space, objects, snapshot
+from ..colour import rec709_to_working
+from ..time import clip_frame
+from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, OFFSET
+from .proxy_points import Shown, choose, show
+
+MOVED = "fastgs_moved"
+"""Custom property of an evaluated mesh that was written here."""
+
+
+class _Chosen:
+    """The Gaussians of one proxy as a model of their own, sorted.
+
+    Frames of a sequence that have another number of Gaussians than its first one get a choice of their own, no more than the points.
+    """
+
+    def __init__(self, model, mesh, usual: int):
+        self.model, self.key = model, _read(mesh, GAUSSIAN, "value", np.int32)
+        self.index = np.unique(self.key[self.key >= 0])
+        taken = self.index
+        if len(model) != usual:
+            taken = np.sort(choose(model, len(self.index)).index)
+            self.index = self.index[:len(taken)]
+        self.part = model.take(taken) if len(taken) and taken[-1] < len(model) else None
+
+    def of(self, model, mesh) -> bool:
+        return self.model is model and np.array_equal(self.key, _read(mesh, GAUSSIAN, "value", np.int32))
+
+
+_chosen: dict[int, _Chosen] = {}
+
+
+@persistent
+def follow(scene, depsgraph=None) -> None:
+    """Handler, after each evaluation: put the points of all proxies where their Gaussians are."""
+    splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
+    for uid in _chosen.keys() - {obj.data.session_uid for obj in splats if obj.data is not None}:
+        del _chosen[uid]
+    for obj in splats if depsgraph is not None else ():
+        evaluated = obj.evaluated_get(depsgraph)
+        if evaluated.is_evaluated and evaluated.type == 'MESH' and _shows_points(evaluated.data):
+            _move(evaluated, depsgraph)
+
+
+def _shows_points(mesh) -> bool:
+    """Whether a mesh is a proxy's, evaluated with its octahedra, and has not been written yet."""
+    return mesh is not None and OFFSET in mesh.attributes and GAUSSIAN in mesh.attributes and MOVED not in mesh
+
+
+def _move(obj, depsgraph):
+    try:
+        source = objects.load_model(objects.abspath(obj))
+        retime = snapshot.retime_of(obj)
+        at = clip_frame(*snapshot.clock(depsgraph.scene), retime, source.clip)
+        model, t = source.moment(source.clip.t_of_frame(at or 0.0), retime.hold)
+    except FastGSError:  # the panel, and FAST-GS itself, say why; the points stay where they were made
+        return
+    stored = obj.original.data
+    if stored.is_editmode or GAUSSIAN not in stored.attributes:
+        return
+    chosen = _chosen.get(stored.session_uid)
+    if chosen is None or not chosen.of(model, stored):
+        chosen = _chosen[stored.session_uid] = _Chosen(model, stored, len(source))
+    if chosen.part is not None:
+        shown = show(chosen.part, t, stored.get(LARGER, 1.0))
+        seen = np.full(len(chosen.index), at is not None)
+        crops = snapshot.settings_of(obj, depsgraph).crops
+        if crops:
+            seen &= kept_by(crops, shown.position.astype(np.float64))
+        _write(obj, chosen.index, shown, seen)
+
+
+def _write(obj, index, shown: Shown, seen):
+    """Every vertex of an octahedron goes where its Gaussian's ellipsoid has it; vertices that belong to none stay."""
+    mesh, turn = obj.data, model_space.model_matrix(obj)
+    number = _read(mesh, GAUSSIAN, "value", np.int32)
+    row = np.minimum(np.searchsorted(index, number), len(index) - 1)
+    ours = index[row] == number
+    row = row[ours]
+    at = _read(mesh, "position", "vector", np.float32).reshape(-1, 3)
+    offset = _read(mesh, OFFSET, "vector", np.float32).reshape(-1, 3)[ours]
+    place = shown.position[row] + np.einsum("mij,mj->mi", shown.axes[row], offset * seen[row, None])
+    at[ours] = model_space.mapped(place, turn)
+    mesh.vertices.foreach_set("co", at.ravel())
+    colour = _read(mesh, COLOUR, "color", np.float32).reshape(-1, 4)
+    colour[ours, :3] = (shown.colour @ rec709_to_working().T)[row]
+    mesh.attributes[COLOUR].data.foreach_set("color", colour.ravel())
+    mesh[MOVED] = True
+
+
+def _read(mesh, name, member, kind):
+    attribute = mesh.attributes[name]
+    values = np.empty(len(attribute.data) * {"value": 1, "vector": 3, "color": 4}[member], kind)
+    attribute.data.foreach_get(member, values)
+    return values

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Geometry Nodes group that makes proxies' points visible to every engine, and the materials that colour them.
+
+Engines with shaders read the colour from an attribute.  Workbench draws each material in one colour, so the points are spread over the
+materials of a palette.
+"""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Color
+
+from .. import proxies
+
+NAME = proxies.GROUP
+"""Of the node group, the modifier and the materials."""
+COLOUR = "Color"
+RADIUS = "radius"
+GAUSSIAN = "Gaussian"
+"""Attribute: which Gaussian of the model a point stands for; -1: the corners of the box."""
+SHADE = "Shade"
+"""Attribute: the palette's material."""
+OFFSET = "Offset"
+"""Attribute of what is evaluated: where a vertex of an octahedron lies, in radii from its middle."""
+LARGER = "fastgs_larger"
+"""Custom property of the mesh: how much larger than their Gaussians points are, because few stand for many."""
+LEVELS = 3
+"""Of each channel in the palette."""
+VERSION = 2
+VERSION_KEY = "fastgs_version"
+
+
+def give_modifier(obj: bpy.types.Object) -> None:
+    """Give the object the modifier with the group."""
+    modifier = obj.modifiers.new(NAME, 'NODES')
+    modifier.node_group = group()
+    modifier.show_expanded = False
+
+
+def modifier_of(obj):
+    """The object's modifier with the group, or None."""
+    return next((m for m in obj.modifiers if m.type == 'NODES' and m.node_group is not None and m.node_group.name.startswith(NAME)), None)
+
+
+def _own(collection, name: str, kind: str | None = None):
+    """The datablock of our name in this .blend, or None; never one linked from a library, which may go away."""
+    return next((x for x in collection if x.name == name and x.library is None and kind in (None, x.bl_idname)), None)
+
+
+def group() -> bpy.types.NodeTree:
+    """The group of this .blend; made where it is missing, and made anew where an older version of the extension made it."""
+    found = _own(bpy.data.node_groups, NAME, 'GeometryNodeTree')
+    if found is None:
+        found = bpy.data.node_groups.new(NAME, 'GeometryNodeTree')
+        found.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
+        found.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
+    if found.get(VERSION_KEY) != VERSION:
+        found.nodes.clear()
+        _build(found)
+        found[VERSION_KEY] = VERSION
+    return found
+
+
+def upgrade() -> None:
+    """Make the group of a .blend anew where an older version of the extension made it."""
+    if _own(bpy.data.node_groups, NAME, 'GeometryNodeTree') is not None:
+        group()
+
+
+def _build(tree):
+    node = {}
+    for x, (key, kind) in enumerate((
+            ("in", 'NodeGroupInput'), ("radius", 'GeometryNodeInputNamedAttribute'), ("drawn", 'FunctionNodeCompare'),
+            ("ball", 'GeometryNodeMeshUVSphere'), ("position", 'GeometryNodeInputPosition'), ("store", 'GeometryNodeStoreNamedAttribute'),
+            ("smooth", 'GeometryNodeSetShadeSmooth'), ("balls", 'GeometryNodeJoinGeometry'), ("shade", 'GeometryNodeInputNamedAttribute'),
+            ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'), ("join", 'GeometryNodeJoinGeometry'),
+            # what depends on the time is evaluated on each frame, so that moving.py finds it as it was made
+            ("time", 'GeometryNodeInputSceneTime'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
+            ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
+            ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
+        node[key] = tree.nodes.new(kind)
+        node[key].location = 200 * x, 0
+    node["hide"].name, node["hide"].label = proxies.SWITCH, proxies.SWITCH
+    node["edges"].mode, node["edges"].domain = 'ONLY_FACE', 'FACE'
+    node["both"].operation = 'AND'
+    node["switch"].input_type = 'GEOMETRY'
+    node["radius"].data_type, node["shade"].data_type = 'FLOAT', 'INT'
+    node["radius"].inputs["Name"].default_value = RADIUS
+    node["shade"].inputs["Name"].default_value = SHADE
+    node["drawn"].data_type, node["drawn"].operation = 'FLOAT', 'GREATER_THAN'
+    node["store"].data_type, node["store"].domain = 'FLOAT_VECTOR', 'POINT'
+    node["store"].inputs["Name"].default_value = OFFSET
+    for name, value in (("Segments", 4), ("Rings", 2), ("Radius", 1.0)):
+        node["ball"].inputs[name].default_value = value
+
+    def link(source, output, target, socket, kind=None):
+        tree.links.new(_socket(node[source].outputs, output), _socket(node[target].inputs, socket, kind))
+
+    for wire in (
+            ("ball", "Mesh", "store", "Geometry"), ("position", 0, "store", "Value", 'VECTOR'), ("radius", "Attribute", "drawn", "A", 'VALUE'),
+            ("in", 0, "instance", "Points"), ("drawn", "Result", "instance", "Selection"), ("store", "Geometry", "smooth", "Geometry"),
+            ("balls", 0, "instance", "Instance"), ("shade", "Attribute", "instance", "Instance Index"),
+            ("radius", "Attribute", "instance", "Scale"), ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
+            ("in", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("edges", 0, "switch", "True"),
+            ("hide", 0, "both", 0), ("viewport", 0, "both", 1), ("both", 0, "switch", "Switch"), ("switch", 0, "out", 0),
+            # the points themselves come along: only they know which colour attribute is the active one
+            ("in", 0, "join", 0), ("join", 0, "switch", "False")):
+        link(*wire)
+    node["instance"].inputs["Pick Instance"].default_value = True
+    for number, material in enumerate(_palette()):
+        paint, single = tree.nodes.new('GeometryNodeSetMaterial'), tree.nodes.new('GeometryNodeGeometryToInstance')
+        paint.location, single.location = (1200, -80 * number - 200), (1400, -80 * number - 200)
+        paint.inputs["Material"].default_value = material
+        tree.links.new(node["smooth"].outputs[0], paint.inputs["Geometry"])
+        tree.links.new(paint.outputs[0], single.inputs[0])
+        tree.links.new(single.outputs[0], node["balls"].inputs[0])
+
+
+def _socket(sockets, key, kind=None):
+    """The socket of this number, or of this name or identifier and type: nodes with a data type may have one of a name for every type."""
+    if isinstance(key, int):
+        return sockets[key]
+    named = [s for s in sockets if key in (s.name, s.identifier)]
+    return next((s for s in named if s.type == kind), named[0])
+
+
+def _palette() -> list[bpy.types.Material]:
+    levels = np.linspace(0, 1, LEVELS)
+    return [_material(number, [levels[number // LEVELS**power % LEVELS] for power in (2, 1, 0)]) for number in range(LEVELS**3)]
+
+
+def _material(number: int, srgb) -> bpy.types.Material:
+    name = f".{NAME} {number:02}"  # Blender's menus do not list what begins with a dot
+    material = _own(bpy.data.materials, name)
+    if material is not None:
+        return material
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:  # Blender 5.0 and later make one by themselves
+        material.use_nodes = True
+    material.diffuse_color = (*Color(srgb).from_srgb_to_scene_linear(), 1)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    colour, out = nodes.new('ShaderNodeAttribute'), nodes.new('ShaderNodeOutputMaterial')
+    colour.attribute_name = COLOUR
+    out.location = 200, 0
+    links.new(colour.outputs["Color"], out.inputs["Surface"])  # a colour as a surface is one that shines
+    return material
