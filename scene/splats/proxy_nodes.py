@@ -107,7 +107,7 @@ def _build(tree):
             ("in", 0, "join", 0), ("join", 0, "switch", "False")):
         link(*wire)
     node["instance"].inputs["Pick Instance"].default_value = True
-    for number, material in enumerate(_palette()):
+    for number, material in reversed(list(enumerate(_palette()))):  # the last link comes first
         paint, single = tree.nodes.new('GeometryNodeSetMaterial'), tree.nodes.new('GeometryNodeGeometryToInstance')
         paint.location, single.location = (1200, -80 * number - 200), (1400, -80 * number - 200)
         paint.inputs["Material"].default_value = material

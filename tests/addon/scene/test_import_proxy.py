@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import by_hand
 import numpy as np
 import pytest
 
@@ -153,3 +154,20 @@ def test_solid_view_has_faces_with_the_colour(make_model, model_file):
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert len(evaluated.polygons) == 8 * 100
     assert evaluated.color_attributes.active_color.name == "Color"
+
+
+def test_workbench_draws_each_point_in_its_colour(make_model, model_file):
+    """Workbench knows materials alone: each octahedron has the palette's one that is next to its colour, above or below."""
+    rng = np.random.default_rng(5)
+    features = rng.random((200, 3))
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(200, opacity=np.full(200, 4.0), features=features)))
+    obj = bpy.context.object
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    mesh = evaluated.data
+    gaussian = mesh.attributes["Gaussian"].data
+    error = []
+    for face in mesh.polygons:
+        colour = np.array(mesh.materials[face.material_index].diffuse_color[:3])
+        error.append(by_hand.srgb(colour) - features[gaussian[face.vertices[0]].value])
+    assert len(error) == 8 * 200
+    assert np.abs(error).max() < 0.5 + 1e-3 and np.abs(np.mean(error, axis=0)).max() < 0.03
