@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES
-from ..scene import unshown
+from ..scene import objects, unshown
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
@@ -83,4 +83,23 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
         layout.prop(context.object, "visible_camera", text="Camera")
 
 
-CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes, FASTGS_PT_ray_visibility)
+class FASTGS_PT_other_engine(bpy.types.Panel):
+    """What another engine renders of splats."""
+
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "render"
+    bl_label = "4D Gaussians"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine != 'FASTGS' and any(objects.is_splat(obj) for obj in context.scene.objects)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.label(text="Splats are solid points here; FAST-GS renders them soft, in full", icon='ERROR')
+        props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
+        props.data_path, props.value = "scene.render.engine", 'FASTGS'
+
+
+CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes, FASTGS_PT_ray_visibility, FASTGS_PT_other_engine)

@@ -85,7 +85,7 @@ def _move(obj, depsgraph):
 
 
 def _write(obj, index, shown: Shown, seen):
-    """Every vertex of an octahedron goes where its Gaussian's ellipsoid has it; vertices that belong to none stay."""
+    """Every vertex of an octahedron goes where its Gaussian's ellipsoid has it; octahedra without a Gaussian become a point."""
     mesh, turn = obj.data, model_space.model_matrix(obj)
     number = _read(mesh, GAUSSIAN, "value", np.int32)
     row = np.minimum(np.searchsorted(index, number), len(index) - 1)
@@ -95,6 +95,7 @@ def _write(obj, index, shown: Shown, seen):
     offset = _read(mesh, OFFSET, "vector", np.float32).reshape(-1, 3)[ours]
     place = shown.position[row] + np.einsum("mij,mj->mi", shown.axes[row], offset * seen[row, None])
     at[ours] = model_space.mapped(place, turn)
+    at[~ours & (number >= 0)] = model_space.mapped(shown.position[:1], turn)
     mesh.vertices.foreach_set("co", at.ravel())
     colour = _read(mesh, COLOUR, "color", np.float32).reshape(-1, 4)
     colour[ours, :3] = (shown.colour @ rec709_to_working().T)[row]

@@ -82,7 +82,7 @@ def _corners(box: np.ndarray) -> np.ndarray:
 
 
 def _shades(colour: np.ndarray) -> np.ndarray:
-    """Number [M] int32 of the palette's material for each linear colour [M, 3].  Rounding errors are spread: neighbours make up for them."""
+    """Number [M] of the palette's material for each linear colour [M, 3].  Rounding errors are spread: neighbours make up for them."""
     spread = (np.arange(len(colour))[:, None] * np.array([0.8191725, 0.6710436, 0.5497005])) % 1  # Roberts' R3 sequence
     level = np.clip(np.floor(linear_to_srgb(np.clip(colour, 0, 1)) * (LEVELS - 1) + spread), 0, LEVELS - 1).astype(np.int32)
     return level @ np.array([LEVELS * LEVELS, LEVELS, 1], np.int32)

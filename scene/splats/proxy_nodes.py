@@ -97,8 +97,9 @@ def _build(tree):
         tree.links.new(_socket(node[source].outputs, output), _socket(node[target].inputs, socket, kind))
 
     for wire in (
-            ("ball", "Mesh", "store", "Geometry"), ("position", 0, "store", "Value", 'VECTOR'), ("radius", "Attribute", "drawn", "A", 'VALUE'),
-            ("in", 0, "instance", "Points"), ("drawn", "Result", "instance", "Selection"), ("store", "Geometry", "smooth", "Geometry"),
+            ("ball", "Mesh", "store", "Geometry"), ("position", 0, "store", "Value", 'VECTOR'),
+            ("radius", "Attribute", "drawn", "A", 'VALUE'), ("in", 0, "instance", "Points"), ("drawn", "Result", "instance", "Selection"),
+            ("store", "Geometry", "smooth", "Geometry"),
             ("balls", 0, "instance", "Instance"), ("shade", "Attribute", "instance", "Instance Index"),
             ("radius", "Attribute", "instance", "Scale"), ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
             ("in", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("edges", 0, "switch", "True"),
