@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Defines what the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
+import math
+
 import bpy
 from bpy.props import (
     BoolProperty,
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
 )
 
+from ..fastgs_blender.rendering.instances import RANGES
 from ..fastgs_blender.rendering.passes import PASSES
 from . import updates
 from .training.options import FASTGS_PG_training
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
 _OWN = {'LIBRARY_OVERRIDABLE'}
+_SHOWN = {"override": _OWN, "update": updates.shown}
 
 OUTSIDE = (
     ('HIDE', "Hide", "Show nothing", 0),
@@ -47,6 +52,12 @@ class FASTGS_PG_crop(bpy.types.PropertyGroup):
     use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=updates.viewports)
 
 
+def _look(name, description, default, low, high, *, soft_min=None, soft_max=None, **options):
+    """A look of an object: its limits are those of the library's ObjectSettings."""
+    soft = {"soft_min": low if soft_min is None else soft_min, "soft_max": high if soft_max is None else soft_max}
+    return FloatProperty(name=name, description=description, default=default, min=low, max=high, **soft, **options, **_SHOWN)
+
+
 class FASTGS_PG_object(bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
@@ -70,25 +81,42 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         override=_OWN, update=updates.viewports)
 
     start_frame: FloatProperty(
-        name="Start Frame", description="Scene frame on which the clip begins", default=1.0, override=_OWN)
+        name="Start Frame", description="Scene frame on which the clip begins", default=1.0, **_SHOWN)
     speed: FloatProperty(
         name="Speed", description="Playback speed; negative plays from the last frame backwards",
-        default=1.0, soft_min=-4.0, soft_max=4.0, override=_OWN)
+        default=1.0, soft_min=-4.0, soft_max=4.0, **_SHOWN)
     offset: FloatProperty(
-        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0, override=_OWN)
+        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0, **_SHOWN)
     before: EnumProperty(
-        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', override=_OWN)
+        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', **_SHOWN)
     after: EnumProperty(
-        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', override=_OWN)
+        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', **_SHOWN)
     subframes: EnumProperty(
         name="Sub-Frames", description="What a sequence of files shows between two of its frames",
         items=(
             ('INTERPOLATE', "Interpolate", "What lies between the two; the nearer one where their Gaussians do not match", 0),
             ('HOLD', "Hold", "The nearer frame", 1),
-        ), default='INTERPOLATE', override=_OWN)
+        ), default='INTERPOLATE', **_SHOWN)
     crops: CollectionProperty(
         type=FASTGS_PG_crop, name="Crop Boxes", description="Boxes outside or inside which nothing of the model is shown",
         override=_OWN | {'USE_INSERTION'})
+
+    exposure: _look("Exposure", "Brightness, in stops", 0.0, *RANGES["exposure"], soft_min=-10.0, soft_max=10.0)
+    gamma: _look("Gamma", "Brightness of the middle tones; black and white stay", 1.0, *RANGES["gamma"], soft_min=0.2, soft_max=5.0)
+    contrast: _look("Contrast", "Spread of the tones around middle grey", 1.0, *RANGES["contrast"], soft_max=3.0)
+    saturation: _look("Saturation", "Strength of the colours; 0 is black and white", 1.0, *RANGES["saturation"], soft_max=3.0)
+    hue: _look("Hue", "Turns the colours around the wheel", 0.0, *RANGES["hue"], soft_min=-math.pi, soft_max=math.pi, subtype='ANGLE')
+    tint: FloatVectorProperty(
+        name="Tint", description="Colour by which those of the Gaussians are multiplied", subtype='COLOR', size=3, default=(1.0, 1.0, 1.0),
+        min=RANGES["tint"][0], max=RANGES["tint"][1], soft_max=1.0, **_SHOWN)
+    opacity: _look("Opacity", "Factor on the opacity of every Gaussian", 1.0, *RANGES["opacity"], soft_max=1.0)
+    opacity_cut: _look("Opacity Cut", "Gaussians of less opacity are not shown, by what the file says without fading in and out", 0.0,
+                       *RANGES["opacity_cut"])
+    splat_scale: _look("Splat Scale", "Factor on the size of every Gaussian", 1.0, *RANGES["splat_scale"], soft_max=3.0)
+    min_size: _look("Minimum Size", "Gaussians are made at least this large, by their longest axis; their shape stays", 0.0,
+                    *RANGES["min_size"], soft_max=1.0, unit='LENGTH', precision=4)
+    max_size: _look("Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0.0,
+                    *RANGES["max_size"], soft_max=1.0, unit='LENGTH', precision=4)
 
 
 class FASTGS_PG_scene(bpy.types.PropertyGroup):

@@ -18,6 +18,12 @@ def viewports(group, context):
         listener()
 
 
+def shown(group, context):
+    """Of a property on Object.fastgs: what shows the object is evaluated again, also where a script has set the property."""
+    group.id_data.update_tag()
+    viewports(group, context)
+
+
 def passes(group, context):
     """Of a property on ViewLayer.fastgs: the compositor's sockets follow the passes that are switched on."""
     # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one

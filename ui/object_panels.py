@@ -87,6 +87,18 @@ def draw_time(layout, context):
         layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
 
 
+def draw_look(layout, context):
+    """Draw how the model's colours, opacity and sizes are changed."""
+    settings = context.object.fastgs
+    layout.use_property_split = True
+    for names in (("exposure", "gamma", "contrast"), ("saturation", "hue", "tint"), ("opacity", "opacity_cut"),
+                  ("splat_scale", "min_size", "max_size")):
+        col = layout.column(align=True)
+        for name in names:
+            col.prop(settings, name)
+    layout.operator("fastgs.reset_look", icon='LOOP_BACK')
+
+
 def draw_crop(layout, context):
     """Draw the boxes that crop the model."""
     layout.use_property_decorate = False
@@ -141,6 +153,15 @@ class FASTGS_PT_object_time(_Moving, _Properties, bpy.types.Panel):
         draw_time(self.layout, context)
 
 
+class FASTGS_PT_object_look(_Properties, bpy.types.Panel):
+    bl_label = "Look"
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_look(self.layout, context)
+
+
 class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
     bl_label = "Crop"
     bl_parent_id = "FASTGS_PT_object"
@@ -176,6 +197,15 @@ class FASTGS_PT_sidebar_time(_Moving, _Sidebar, bpy.types.Panel):
         draw_time(self.layout, context)
 
 
+class FASTGS_PT_sidebar_look(_Sidebar, bpy.types.Panel):
+    bl_label = "Look"
+    bl_parent_id = "FASTGS_PT_sidebar"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_look(self.layout, context)
+
+
 class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
     bl_label = "Crop"
     bl_parent_id = "FASTGS_PT_sidebar"
@@ -184,5 +214,5 @@ class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
         draw_crop(self.layout, context)
 
 
-CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_crop, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time,
-           FASTGS_PT_sidebar_crop)
+CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_sidebar,
+           FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look, FASTGS_PT_sidebar_crop)

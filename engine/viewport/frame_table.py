@@ -13,6 +13,7 @@ import numpy as np
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.motion import Basis
 from ...fastgs_blender.rendering.instances import ViewedInstance
+from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
 from .atlas import Atlas
 from .textures import WIDTH
 
@@ -52,6 +53,7 @@ class InstanceTexel(IntEnum):
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
     RASTER     near, alpha_max, alpha_cut, blur
     FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw
+    LOOK       five texels of the instance's looks, see rendering/looks.py
     """
 
     TO_CAMERA = 0
@@ -63,10 +65,11 @@ class InstanceTexel(IntEnum):
     GROUP = 8
     RASTER = 9
     FIRST = 10
+    LOOK = 11
 
 
-HEAD = len(InstanceTexel) + 2
-"""Texels of an instance's row before the weights of its bases; TO_CAMERA takes three."""
+HEAD = InstanceTexel.LOOK + LOOK_NUMBERS // 4
+"""Texels of an instance's row before the weights of its bases."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,7 @@ def _instance_row(instance, atlas, first, group, far):
         (turn_first, len(turn_weights), group, first // WIDTH),
         (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
         (first % WIDTH, far, 0, 0),
+        *instance.look.reshape(-1, 4),
     ]
     assert len(head) == HEAD
     return [*head, *move_weights, *((w[0], 0, 0, 0) for w in turn_weights)]

@@ -9,6 +9,7 @@ import numpy as np
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
+from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
 from .frame_table import Depths
 
 HIDDEN = len(Features().w1)
@@ -29,6 +30,7 @@ class ResolveTexel(IntEnum):
     WORKING     three rows from linear Rec.709 to the target's primaries
     FRAME       where colours are as they are: left, bottom, right, top, 0..1
     DEPTHS      of the window, see Depths
+    LOOK        five texels of the decoder's instance, see rendering/looks.py
     """
 
     KIND = 0
@@ -43,6 +45,7 @@ class ResolveTexel(IntEnum):
     WORKING = W2 + HIDDEN
     FRAME = WORKING + 3
     DEPTHS = FRAME + 1
+    LOOK = DEPTHS + 1
 
 
 def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstance | None, working: np.ndarray, background, border,
@@ -56,7 +59,7 @@ def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstan
     raw        whether the colours are to be summed, and stay as they are
     For the rest see Picture.resolve().
     """
-    values = np.zeros((1, ResolveTexel.DEPTHS + 1, 4), np.float32)
+    values = np.zeros((1, ResolveTexel.LOOK + LOOK_NUMBERS // 4, 4), np.float32)
     row, at = values[0], ResolveTexel
     appearance = decoder and decoder.model.appearance
     activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
@@ -70,6 +73,7 @@ def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstan
         row[at.TO_MODEL:at.TO_MODEL + 3] = decoder.camera_to_model[:3]
         row[at.W1:at.W2] = appearance.w1.reshape(-1, 4)
         row[at.W2:at.WORKING, :3] = appearance.w2.T
+        row[at.LOOK:] = decoder.look.reshape(-1, 4)
     row[at.WORKING:at.WORKING + 3, :3] = working
     row[at.FRAME] = frame
     if depths:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-SRGB_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 12.92, 0.055, 2.4
-"""Of the sRGB curve: linear up to the cut, a power beyond it.  Shaders take them from here."""
+SRGB_CUT, SRGB_LINEAR_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 0.0031308, 12.92, 0.055, 2.4
+"""Of the sRGB curve: linear up to the cut (of sRGB, of linear values), a power beyond it.  Kernels and shaders take them from here."""
 
 
 def srgb_to_linear(srgb: np.ndarray) -> np.ndarray:
@@ -24,7 +24,7 @@ def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """The inverse of srgb_to_linear."""
     x = np.asarray(linear)
     a = np.abs(x)
-    srgb = np.where(a <= 0.0031308, a * SRGB_SLOPE, (1 + SRGB_OFFSET) * a ** (1 / SRGB_GAMMA) - SRGB_OFFSET)
+    srgb = np.where(a <= SRGB_LINEAR_CUT, a * SRGB_SLOPE, (1 + SRGB_OFFSET) * a ** (1 / SRGB_GAMMA) - SRGB_OFFSET)
     return np.copysign(srgb, x).astype(x.dtype, copy=False)
 
 

@@ -8,6 +8,7 @@ from ..cameras.camera import Camera
 from ..model.slicing import sigmoid
 from .crops import kept_by
 from .instances import ViewedInstance
+from .looks import Look, size_factor
 
 
 def order_in_numpy(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, ranks=None) -> np.ndarray:
@@ -39,8 +40,9 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
     """Depths [V] float32 and indices [V] of an instance's Gaussians that can be seen, and are wanted ([N] bool or True)."""
     model, raster = instance.model, instance.model.raster
     with np.errstate(all="ignore"):
-        sigma = sigmoid(model.opacity) * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
-        kept = (sigma >= raster.alpha_cut) & instance.in_ball(model.position) & wanted
+        sigma = sigmoid(model.opacity) * instance.look[Look.OPACITY] * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
+        kept = 1 + np.exp(-model.opacity.astype(np.float64)) <= instance.look[Look.FAINTEST]
+        kept &= (sigma >= raster.alpha_cut) & instance.in_ball(model.position) & wanted
         at = np.flatnonzero(kept)
         moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
         to_camera = instance.model_to_camera
@@ -49,7 +51,8 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         z = p[:, 2]
         per_depth = np.ones_like(z) if camera.orthographic else 1 / z
         centre = p[:, :2] * (camera.fx, camera.fy) * per_depth[:, None] + (camera.cx, camera.cy)
-        size = np.exp(model.scale[at].max(1).astype(np.float64)) * per_depth * scale_bound(to_camera[:3, :3])
+        size = np.exp(model.scale[at].max(1).astype(np.float64))
+        size *= size_factor(size, instance.look) * per_depth * scale_bound(to_camera[:3, :3])
         reach = 2 * np.log(sigma[at] / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
         seen = (z > instance.near) & (z <= instance.far) & kept_by(instance.settings.crops, position)

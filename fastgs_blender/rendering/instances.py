@@ -13,10 +13,16 @@ from ..model.gaussians import GaussianModel
 from ..model.surroundings import WITHIN
 from ..util.errors import FastGSError
 from .crops import Crop
+from .looks import look_numbers
 
 LIMIT = 1e30
 """Largest coordinate, depth or colour that is drawn: float32 sums of such numbers stay finite.  What lies beyond is left out."""
 
+RANGES = {
+    "exposure": (-32, 32), "gamma": (0.01, 100), "contrast": (0, 100), "saturation": (0, 100), "hue": (-1e3, 1e3), "tint": (0, 1e4),
+    "opacity": (0, 100), "opacity_cut": (0, 1), "splat_scale": (0, 1e4), "min_size": (0, 1e9), "max_size": (0, 1e9),
+}
+"""What numbers the looks of ObjectSettings take; the properties in Blender have the same limits."""
 BACKDROPS = ("INSIDE", "SHOWN", "HIDDEN")
 
 
@@ -25,14 +31,38 @@ class ObjectSettings:
     """How an object shows its model.  It goes whole from the object to the kernels and to the viewport; equal settings look equal.
 
     crops     boxes that cut the model, see crops.py
+    exposure, gamma, contrast, saturation, hue, tint
+              of the colours, scene linear: stops; powers; a factor on what is not grey; radians; factors on red, green and blue
+    opacity, opacity_cut
+              a factor on the opacity; Gaussians of less opacity than the cut, before that factor, are left out
+    splat_scale, min_size, max_size
+              a factor on each Gaussian's size, and limits of its largest standard deviation, in the model's units; max_size 0: none
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     """
 
     crops: tuple[Crop, ...] = ()
     backdrop: str = "INSIDE"
+    exposure: float = 0.0
+    gamma: float = 1.0
+    contrast: float = 1.0
+    saturation: float = 1.0
+    hue: float = 0.0
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    opacity: float = 1.0
+    opacity_cut: float = 0.0
+    splat_scale: float = 1.0
+    min_size: float = 0.0
+    max_size: float = 0.0
 
     def __post_init__(self):
         object.__setattr__(self, "crops", tuple(self.crops))
+        object.__setattr__(self, "tint", tuple(float(value) for value in self.tint))
+        for name, (low, high) in RANGES.items():
+            for value in self.tint if name == "tint" else (getattr(self, name),):
+                if not low <= value <= high:
+                    raise FastGSError(f"the setting {name} of an object must lie between {low:g} and {high:g}, not {value!r}.")
+        if len(self.tint) != 3:
+            raise FastGSError("the setting tint of an object must be three numbers, of red, green and blue.")
         if self.backdrop not in BACKDROPS:
             raise FastGSError(f"how a backdrop is shown must be one of {', '.join(BACKDROPS)}, not {self.backdrop!r}.")
 
@@ -124,6 +154,11 @@ class ViewedInstance(Instance):
     def far(self) -> float:
         """Depth up to which Gaussians are drawn."""
         return min(self.camera.far, LIMIT)
+
+    @cached_property
+    def look(self) -> np.ndarray:
+        """The looks of its settings as the numbers that renderers take, see looks.look_numbers()."""
+        return look_numbers(self.settings, self.model.colour_space)
 
     @property
     def in_range(self) -> bool:

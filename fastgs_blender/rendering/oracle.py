@@ -6,7 +6,7 @@ a picture of a model is.  The kernels are tested against it.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -19,6 +19,7 @@ from .crops import kept_by
 from .culling import order_in_numpy
 from .instances import LIMIT, ViewedInstance
 from .layout import DEPTH_FROM, PROBES, Buffers, Layout
+from .looks import Look, graded, size_factor
 from .quantities import Shown
 
 T_STOP = 1e-4
@@ -46,27 +47,32 @@ class Splats:
 def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
     appearance = momentary(instance.model.appearance)
-    if not isinstance(appearance, SH):
+    if isinstance(appearance, Features):
         return s.features
+    if not isinstance(appearance, SH):
+        return graded(s.features, instance.look)
     if camera.orthographic:
         direction = np.broadcast_to(instance.camera_to_model[:3, 2], s.position.shape)
     else:
         direction = s.position - instance.camera_to_model[:3, 3]
     direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
     basis = sh_basis(direction, appearance.degree)
-    return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3)))
+    return graded(np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3))), instance.look)
 
 
 def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     """One instance at its time, projected (EWA splatting as 3DGS does it; rasterisers.md 3.1)."""
     model, raster = instance.model, instance.model.raster
-    s = slice_model(model, instance.t)
+    s = slice_model(model, instance.t, cull=instance.settings.opacity <= 1)
+    s = replace(s, opacity=s.opacity * instance.look[Look.OPACITY],
+                scale=s.scale * size_factor(s.scale.max(1, initial=0), instance.look)[:, None])
     linear, origin = instance.model_to_camera[:3, :3], instance.model_to_camera[:3, 3]
     view = s.position @ linear.T + origin
     z = view[:, 2]
     factor = linear @ rotations.to_matrices(s.rotation) * s.scale[:, None, :]
     seen = instance.in_ball(model.position[s.index]) & kept_by(instance.settings.crops, s.position)
     seen &= (z > instance.near) & (z <= instance.far)
+    seen &= 1 + np.exp(-model.opacity[s.index].astype(np.float64)) <= instance.look[Look.FAINTEST]
     seen &= np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))
     s = Slice(**{name: value[seen] for name, value in vars(s).items()})
     view, z, factor = view[seen], z[seen], factor[seen]
@@ -187,7 +193,7 @@ def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedIn
     covered = weight[..., None] > 0
     surface = np.divide(features, weight[..., None], out=np.zeros_like(features), where=covered)
     with np.errstate(over="ignore", invalid="ignore"):
-        colour = decode(surface, centre, rays, appearance) * weight[..., None]
+        colour = graded(decode(surface, centre, rays, appearance), instance.look) * weight[..., None]
     return np.where(np.abs(colour) <= LIMIT, colour, 0)
 
 

@@ -36,7 +36,9 @@ HARMONICS = defines(
     **{f"SH_C{degree}_{number}": value for degree, values in ((2, appearance.SH_C2), (3, appearance.SH_C3), (4, appearance.SH_C4))
        for number, value in enumerate(values)})
 COVERING = defines(**texels("COVERING", CoveringTexel), COVERING_MARKS=MARKS)
+GRADE = defines(
+    SRGB_CUT=colour.SRGB_CUT, SRGB_LINEAR_CUT=colour.SRGB_LINEAR_CUT, SRGB_SLOPE=colour.SRGB_SLOPE, SRGB_OFFSET=colour.SRGB_OFFSET,
+    SRGB_GAMMA=colour.SRGB_GAMMA)
 RESOLVE = defines(
     **texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN,
-    **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)},
-    SRGB_CUT=colour.SRGB_CUT, SRGB_SLOPE=colour.SRGB_SLOPE, SRGB_OFFSET=colour.SRGB_OFFSET, SRGB_GAMMA=colour.SRGB_GAMMA)
+    **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)})

@@ -2,7 +2,7 @@
 """The shaders that turn blended splats into scene-linear colour."""
 from __future__ import annotations
 
-from . import constants
+from . import constants, grade
 
 VERTEX = """
 void main()
@@ -12,16 +12,8 @@ void main()
 }
 """
 
-FRAGMENT = constants.RESOLVE + """
+FRAGMENT = constants.RESOLVE + grade.GRADE + """
 vec4 row(int j) { return texelFetch(t_resolve, ivec2(j, 0), 0); }
-
-/* colour.srgb_to_linear */
-float to_linear(float x)
-{
-  float a = abs(x);
-  float y = a <= SRGB_CUT ? a / SRGB_SLOPE : pow((a + SRGB_OFFSET) / (1.0 + SRGB_OFFSET), SRGB_GAMMA);
-  return x < 0.0 ? -y : y;
-}
 
 #ifdef FEATURES
 /* appearance.decode of un-premultiplied features, for the ray through a pixel */
@@ -73,6 +65,7 @@ void main()
 #ifdef FEATURES
     rgb = decoded(rgb, texelFetch(t_second, pixel, 0).rgb / weight, texelFetch(t_third, pixel, 0).rgb / weight,
                   vec2(pixel) + vec2(0.5), int(kind.y + 0.5));
+    rgb = graded(rgb, row(RESOLVE_LOOK + 1), row(RESOLVE_LOOK + 2), row(RESOLVE_LOOK + 3), row(RESOLVE_LOOK + 4));
 #endif
     vec4 frame = row(RESOLVE_FRAME);
     if (v_uv.x < frame.x || v_uv.y < frame.y || v_uv.x >= frame.z || v_uv.y >= frame.w) { rgb *= size.w; }

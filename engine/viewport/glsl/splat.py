@@ -2,7 +2,7 @@
 """The shaders that slice, project and blend splats: one instance of a rectangle for each Gaussian."""
 from __future__ import annotations
 
-from . import constants
+from . import constants, grade
 
 FETCH = """
 int whole(float x) { return int(floor(x + 0.5)); }
@@ -136,7 +136,7 @@ vec3 harmonics(int at, int degree, vec3 d) {
 }
 """
 
-VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + FETCH + SLICE + HARMONICS + """
+VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + grade.GRADE + FETCH + SLICE + HARMONICS + """
 void main()
 {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0); /* not drawn */
@@ -178,7 +178,10 @@ void main()
     temporal = geometry_texel(at);
     at += 1;
   }
-  float sigma = temporal_factor(kind, time.x, scale_time.w, temporal) / (1.0 + exp(-fixed_part.w));
+  vec4 look = instance_texel(o, INSTANCE_LOOK), grading = instance_texel(o, INSTANCE_LOOK + 1); /* looks.py */
+  float faintness = 1.0 + exp(-fixed_part.w);
+  if (faintness > look.y) { return; }
+  float sigma = temporal_factor(kind, time.x, scale_time.w, temporal) / faintness * look.x;
   if (!(sigma >= raster.z)) { return; }
   int turns = whole(bases.w);
   int used = whole(bases.y);
@@ -206,6 +209,8 @@ void main()
   vec3 u_row = fx * per_depth * (row0.xyz + shear_x * row2.xyz);
   vec3 v_row = fy * per_depth * (row1.xyz + shear_y * row2.xyz);
   vec3 sd = exp(scale_time.xyz);
+  float largest = max(sd.x, max(sd.y, sd.z));
+  if (grading.y > 0.5 && largest > 0.0) { sd *= clamp(largest * look.z, look.w, grading.x) / largest; }
   float w2 = q.x, qx = q.y, qy = q.z, qz = q.w;
   vec3 axis0 = sd.x * vec3(1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + w2 * qz), 2.0 * (qx * qz - w2 * qy));
   vec3 axis1 = sd.y * vec3(2.0 * (qx * qy - w2 * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz + w2 * qx));
@@ -255,6 +260,8 @@ void main()
   else {
     v_first = colour_texel(at).xyz;
   }
+  v_first = graded(v_first, grading, instance_texel(o, INSTANCE_LOOK + 2), instance_texel(o, INSTANCE_LOOK + 3),
+                   instance_texel(o, INSTANCE_LOOK + 4));
 #endif
 }
 """

@@ -15,6 +15,7 @@ from ...rendering.instances import LIMIT
 from . import raster
 from .crop import in_ball, is_kept
 from .jit import inline, kernel
+from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .spherical import sh_colour
 
 RGB, SH, FEATURES = range(3)
@@ -158,10 +159,11 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
 
 
 @kernel
-def project(first, last, boxes, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
+def project(first, last, boxes, look, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
     boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays; ViewedInstance.ball
+    look       [LOOK_NUMBERS] float64, see rendering/looks.py
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
@@ -180,12 +182,15 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
     blur, alpha_max, alpha_cut, antialiased, orthographic = constants
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
-    log2_cut = math.log2(alpha_cut)
+    log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
     out = first
     for n in range(first, last):
         if not in_ball(position, n, ball):
             continue
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
+        faintness = 1.0 + _exp(-opacity[n])
+        if faintness > look[FAINTEST]:
+            continue
+        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * opaqueness
         if not (sigma >= alpha_cut):
             continue
         delta = t - np.float64(mu_tau[n])
@@ -206,6 +211,8 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
         u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
         u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
         u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
+        if sized:
+            per_depth *= size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look)
         size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
         s00, s01, s11, sharp, det = _covariance(u, v, blur)
@@ -224,11 +231,16 @@ def project(first, last, boxes, arrays, times, view, lens, constants, channel_pl
         if appearance == SH:
             dx, dy, dz, _ = _direction(px, py, pz, eye, orthographic)
             sh_colour(features, n, degree, dx, dy, dz, terms, colour)
+        elif graded:
+            for c in range(3):
+                colour[c] = features[n, c]
+        if graded:
+            grade(colour, look)
         good = True
         for c in range(raster.CHANNEL, attributes.shape[1]):
             attributes[out, c] = float32(0.0)
         for c in range(9 if appearance == FEATURES else 3):
-            value = colour[c] if appearance == SH else np.float64(features[n, c])
+            value = colour[c] if appearance == SH or graded else np.float64(features[n, c])
             if c >= 6:
                 value *= delta
             good = good and abs(value) <= LIMIT

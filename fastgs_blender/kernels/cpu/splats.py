@@ -11,6 +11,7 @@ from ...model.appearance import RGB, SH, Changing, Features, features_at, moment
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
+from ...rendering.looks import Look
 from ...rendering.quantities import Shown
 from ...util.threads import ranges, run
 from . import project, raster
@@ -59,7 +60,9 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
     runs, done = [], 0
     for instance in instances:
         cut = (*crop_arrays(instance.settings.crops), instance.ball)
-        count, inputs = len(instance.model), (cut, *_inputs(instance, camera, layout))
+        look = instance.look.copy()
+        look[Look.GRADED] *= not isinstance(instance.model.appearance, Features)  # a decoder's colours are changed when it has made them
+        count, inputs = len(instance.model), (cut, look, *_inputs(instance, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
         pieces = ranges(count, CHUNK)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))

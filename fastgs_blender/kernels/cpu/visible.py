@@ -11,16 +11,18 @@ from ...rendering.culling import scale_bound, spread
 from ...util.threads import ranges, run
 from .crop import in_ball, is_kept
 from .jit import kernel
+from .look import FAINTEST, OPACITY, SIZED, size_factor
 from .project import _exp, _moved3, _temporal_factor
 from .sort import order_by
 from .splats import CHUNK, plain, weights_at
 
 
 @kernel
-def visible(first, last, offset, arrays, times, view, lens, constants, boxes, rank, depth, index):
+def visible(first, last, offset, look, arrays, times, view, lens, constants, boxes, rank, depth, index):
     """Cull the Gaussians first..last by temporal opacity, depth, window and rank; write what is left from row `first` on.
 
     offset     added to the indices that are written
+    look       [LOOK_NUMBERS] float64, see rendering/looks.py
     arrays     position, scale, opacity, motion, mu_tau, temporal of the model
     times      (t, temporal code, (terms, weights, centred) of the motion)
     view       [4, 3] float64: rows 0-2 model to camera, row 3 its translation
@@ -45,7 +47,10 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
             continue
         if not in_ball(position, n, ball):
             continue
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / (1.0 + _exp(-opacity[n]))
+        faintness = 1.0 + _exp(-opacity[n])
+        if faintness > look[FAINTEST]:
+            continue
+        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * look[OPACITY]
         if not (sigma >= cut):
             continue
         px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
@@ -59,7 +64,10 @@ def visible(first, last, offset, arrays, times, view, lens, constants, boxes, ra
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         per_depth = 1.0 if orthographic else 1.0 / z
         mx, my = fx * x * per_depth + cx, fy * y * per_depth + cy
-        size = _exp(max(scale[n, 0], scale[n, 1], scale[n, 2])) * per_depth
+        size = _exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
+        if look[SIZED] != 0.0:
+            size *= size_factor(size, look)
+        size *= per_depth
         reach = math.sqrt(2.0 * math.log(sigma / cut))
         radius_x = reach * math.sqrt(size * size * spread_x * spread_x + blur)
         radius_y = reach * math.sqrt(size * size * spread_y * spread_y + blur)
@@ -94,7 +102,7 @@ def _visible(instance, camera, offset, rank):
                                     camera.height, spread_x, spread_y))
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
     arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
-    common = (offset, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
+    common = (offset, instance.look, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
               (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)),
               (*crop_arrays(instance.settings.crops), instance.ball), rank, depth, index)
     pieces = ranges(len(model), CHUNK)

@@ -66,7 +66,7 @@ def drawn(module, gpu_scene):
     instance = module("fastgs_blender.rendering.instances").Instance
 
     def draw(parts, camera, depth=None, keep=lambda indices: indices, **look):
-        parts = [instance(model, placement, t).viewed(camera) for model, placement, t in parts]
+        parts = [instance(*part).viewed(camera) for part in parts]
         textures, shown = atlas.Atlas(), picture.Picture()
         textures.hold([part.model for part in parts])
 
@@ -116,6 +116,18 @@ def test_every_basis_of_time(module, fg, moving, camera, drawn, basis, t):
     model = moving(fg.SH(1), basis, rotation="smooth keys" if basis == "keys" else "paper", temporal=fg.Window())
     agree(module, [(model, np.eye(4), t)], camera(), drawn) if t == 0.37 else agree(
         module, [(moving(fg.RGB(), basis, temporal=fg.Always()), np.eye(4), t)], camera(), drawn)
+
+
+@pytest.mark.parametrize("kind", ["rgb", "sh2", "sigmoid"])
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+def test_looks(module, fg, moving, camera, drawn, kind, space):
+    """Colour, opacity and size of objects: what the viewport draws is what F12 shows, and not what the file says."""
+    settings = module("fastgs_blender.rendering.instances").ObjectSettings
+    look = settings(exposure=0.5, gamma=1.2, contrast=1.2, saturation=0.5, hue=2.0, tint=(1.0, 0.7, 0.4), opacity=0.6, opacity_cut=0.2,
+                    splat_scale=1.5, min_size=0.1, max_size=0.25)
+    model = moving({"rgb": fg.RGB(), "sh2": fg.SH(2), "sigmoid": decoder(fg, "sigmoid")}[kind], "paper", colour_space=space)
+    _, want = agree(module, [(model, np.eye(4), 0.4, look)], camera(), drawn)
+    assert psnr(want, expected(module, [(model, np.eye(4), 0.4)], camera())) < 30
 
 
 def test_antialiased_models_with_constants_of_their_own(module, fg, moving, camera, drawn):
