@@ -22,7 +22,7 @@ from ..util.errors import FastGSError
 from .gaussians import Clip, GaussianModel
 from .slicing import sigmoid
 
-MEMORY = 512 * 2**20
+MEMORY = 384 * 2**20
 """Bytes of models that all sequences together keep in memory; the moment that is shown is kept however large it is."""
 AHEAD = 3
 """Moments that are read before they are asked for."""
