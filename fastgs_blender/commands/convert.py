@@ -24,12 +24,17 @@ def add_arguments(parser):
     parser.add_argument("input", metavar="IN", help="the model, or the sequence, to read")
     parser.add_argument("output", metavar="OUT", help="the file to write")
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
+    parser.add_argument("--compress", metavar="FINENESS", nargs="?", type=float, const=1.0,
+                        help="write .safetensors compressed; FINENESS 1 is usual, 2 keeps numbers twice as finely")
+    parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
+                        help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
 
 
 def run(args):
     from .. import formats
     from ..model.from_frames import one_model
+    from ..model.pruning import pruned
     from ..model.sequence import Sequence
     from ..model.slicing import freeze
     from ..util.frames import parse_frames
@@ -44,9 +49,11 @@ def run(args):
             source = one_model(source)
     for target, frame in zip(targets, frames or [None], strict=True):
         result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
+        if args.prune is not None:
+            result = pruned(result, args.prune)
         _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
         with _collected(losses, str(target), args.output):
-            formats.save(result, target)
+            formats.save(result, target, args.compress)
         if not (args.json or args.quiet):
             size = human_bytes(target.stat().st_size)
             say(f"{target}: {len(result)} Gaussians, {size}")

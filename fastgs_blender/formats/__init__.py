@@ -112,9 +112,10 @@ def load(path: str | os.PathLike) -> GaussianModel:
     return model
 
 
-def save(model: GaussianModel, path: str | os.PathLike) -> None:
+def save(model: GaussianModel, path: str | os.PathLike, compress: float | None = None) -> None:
     """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .splatv.
 
+    compress  write the compressed variant of .safetensors; 1 is usual, 2 keeps numbers twice as finely
     One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
     Raises FastGSError.
     """
@@ -123,6 +124,10 @@ def save(model: GaussianModel, path: str | os.PathLike) -> None:
         if not isinstance(model, GaussianModel):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
         writer = _writer(model, path)
+        if compress is not None:
+            if not isinstance(writer, Native):
+                raise FastGSError("only .safetensors files have a compressed variant; choose such a name, or a packed format such as .spz.")
+            writer = Native(float(compress))
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
             with replacing(writer.files(fitted, path)) as targets:

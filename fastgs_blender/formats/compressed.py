@@ -11,14 +11,12 @@ The metadata's JSON says, beside what an uncompressed file says,
 """
 from __future__ import annotations
 
-import json
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 
 import numpy as np
 
-from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import TensorFile
@@ -33,14 +31,14 @@ LEVEL = 19
 MOST = 1 << 31
 
 
-def packed(model: GaussianModel, fineness: float) -> tuple[dict[str, np.ndarray], dict, GaussianModel]:
-    """Arrays of bytes by name, the entry of the header, and the model in the order in which it is packed."""
+def packed(model: GaussianModel, fineness: float) -> tuple[dict[str, np.ndarray], dict]:
+    """Arrays of bytes by name, and the entry of the header."""
     import zstandard
 
     model = model.take(morton_order(model.position))
     tensors, counts, listed, steps = {}, [], [], []
     for i, start in enumerate(range(0, len(model), SEGMENT)):
-        columns, own, _ = quantised(model.take(slice(start, start + SEGMENT)), fineness)
+        columns, own = quantised(model.take(slice(start, start + SEGMENT)), fineness)
         data, blocks = b"", []
         for name, codes in columns.items():
             for k, column in enumerate(_flat(codes).T):
@@ -52,7 +50,7 @@ def packed(model: GaussianModel, fineness: float) -> tuple[dict[str, np.ndarray]
         counts.append(len(columns["weight"]))
         listed.append(blocks)
         steps.append({key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in asdict(own).items()})
-    return tensors, {"count": counts, "steps": steps, "blocks": listed}, model
+    return tensors, {"count": counts, "steps": steps, "blocks": listed}
 
 
 def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: range | None = None) -> GaussianModel:
@@ -88,7 +86,7 @@ def _segment(data: bytes, count: int, steps: Steps, blocks, kinds: GaussianModel
         raise FastGSError("a segment of it lists other columns than its model has; copy the file again.")
     listed = iter(blocks)
     for name, shape in shapes.items():
-        codes = np.empty((shape[0], int(np.prod(shape[1:], dtype=int))), np.int64)
+        codes = np.empty((shape[0], int(np.prod(shape[1:], dtype=int))), np.int32)
         for k in range(codes.shape[1]):
             block = next(listed)
             good = isinstance(block, list) and len(block) == 4 and block[0] == f"{name}/{k}" and all(type(v) is int for v in block[1:])
@@ -140,8 +138,8 @@ def _numbers(part: bytes, count: int, width: int) -> np.ndarray:
         raise FastGSError("a column of a segment is cut short; copy the file again.")
     values = np.zeros((count, 4), np.uint8)
     values[:, :width] = np.frombuffer(raw, np.uint8).reshape(width, count).T
-    zigzag = values.reshape(-1).view("<u4").astype(np.int64)
-    return (zigzag >> 1) ^ -(zigzag & 1)
+    zigzag = values.reshape(-1).view("<u4")
+    return ((zigzag >> 1) ^ (0 - (zigzag & 1))).view(np.int32)
 
 
 def _steps(values, kinds: GaussianModel) -> Steps:
@@ -158,25 +156,3 @@ def _steps(values, kinds: GaussianModel) -> Steps:
     if not isinstance(base, dict) or not all(type(base.get(name)) is int and abs(base[name]) <= 64 for name in names):
         raise FastGSError("its header does not say how finely its arrays are kept; copy the file again.")
     return Steps({name: base[name] for name in names}, **found)
-
-
-def losses(model: GaussianModel, again: GaussianModel) -> list[str]:
-    """What packing has changed, one clause: the greatest and the typical differences."""
-    def worst(a, b):
-        return float(np.abs(a - b).max(initial=0))
-
-    size = np.exp(model.scale.astype(np.float64)).max(1)
-    moved = np.linalg.norm(model.position - again.position, axis=1) / np.maximum(size, 1e-30)
-    return [f"its numbers are quantised: positions by {np.median(moved) if len(moved) else 0:.2g} of a Gaussian's size (median), opacities by "
-            f"{worst(1 / (1 + np.exp(-model.opacity)), 1 / (1 + np.exp(-again.opacity))):.2g}, colours by "
-            f"{worst(model.features, again.features):.2g} at most"]
-
-
-def header(text: dict) -> str:
-    """The header's JSON."""
-    return json.dumps(text, allow_nan=False, separators=(",", ":"))
-
-
-def decoder_names(model: GaussianModel) -> tuple[str, ...]:
-    """The arrays that all Gaussians share."""
-    return ("w1", "w2") if isinstance(model.appearance, Features) else ()

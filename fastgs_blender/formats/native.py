@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
-from .base import Format, generator
+from . import compressed
+from .base import LIMIT, Format, generator
 from .description import describe, read_json, understand, whole_number
 
 VERSION = 1
@@ -21,8 +22,18 @@ DECODER = ("w1", "w2")
 REQUIRED = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space")
 
 
+COMPRESSED = 2
+"""The version of a compressed file."""
+
+
+@dataclass(frozen=True)
 class Native(Format):
-    """The format FAST-GS safetensors; it holds every model whole."""
+    """The format FAST-GS safetensors; it holds every model whole.
+
+    fineness  write the compressed variant (compressed.py), whose steps are divided by this; None: every number as it is
+    """
+
+    fineness: float | None = None
 
     name = "FAST-GS safetensors"
     extensions = reads = (".safetensors",)
@@ -34,9 +45,12 @@ class Native(Format):
         with open_tensors(path) as file:
             if KEY not in file.metadata:
                 raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
-            kinds = _kinds(file.metadata[KEY])
+            kinds, about = _kinds(file.metadata[KEY])
             look = kinds["appearance"]
             empty = GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, look.width)), **kinds)
+            if about is not None:
+                model = compressed.unpacked(file, about, empty)
+                return replace(model, appearance=_with_decoder(file, look))
             position = file.entries.get("position")
             shapes = empty.shapes(position.shape[0] if position and position.shape else 1)
             if isinstance(look, Features):
@@ -49,26 +63,49 @@ class Native(Format):
             kinds["appearance"] = replace(look, **{key: arrays.pop(f"decoder.{key}") for key in DECODER})
         return replace(empty, appearance=kinds["appearance"], **arrays)
 
+    def fit(self, model):
+        if self.fineness is None:
+            return model, []
+        if not 0.01 <= self.fineness <= 100:
+            raise FastGSError(f"the fineness of a compressed file is from 0.01 to 100 (1 is usual), not {self.fineness!r}.")
+        flat = [array.reshape(len(model), -1) for array in model.arrays.values()] if len(model) else []
+        bad = ~np.logical_and.reduce([(np.abs(array) < LIMIT).all(1) for array in flat]) if flat else np.zeros(0, bool)
+        lost = [f"{bad.sum()} Gaussians whose numbers are not finite"] if bad.any() else []
+        return model.take(~bad), [*lost, f"its numbers are quantised (fineness {self.fineness:g}), and its Gaussians come in another order"]
+
     def write(self, model, targets):
-        tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
+        about = {"version": VERSION, "generator": generator(), "model": describe(model)}
+        if self.fineness is None:
+            tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
+        else:
+            tensors, about["compressed"] = compressed.packed(model, self.fineness)
+            about["version"] = COMPRESSED
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
-        about = {"version": VERSION, "generator": generator(), "model": describe(model)}
         write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
 
 
-def _kinds(text: str) -> dict:
-    """The model's kinds from the JSON in the metadata."""
+def _with_decoder(file: TensorFile, look):
+    """The appearance with the decoder's weights that the file has."""
+    if not isinstance(look, Features):
+        return look
+    for key in DECODER:
+        _check(file, f"decoder.{key}", getattr(look, key).shape)
+    return replace(look, **{key: file.read(f"decoder.{key}") for key in DECODER})
+
+
+def _kinds(text: str) -> tuple[dict, dict | None]:
+    """The model's kinds from the JSON in the metadata, and how it is compressed; None: it is not."""
     about = read_json(text)
     version = whole_number(about.get("version") if isinstance(about, dict) else None, "the version of its format")
-    if version > VERSION:
-        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {VERSION}); "
+    if version > COMPRESSED:
+        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {COMPRESSED}); "
                           "update FAST-GS for Blender.")
     values = about.get("model")
     missing = [key for key in REQUIRED if not isinstance(values, dict) or key not in values]
     if missing:
         raise FastGSError(f"its header says nothing about {', '.join(missing)}; the file is damaged.")
-    return understand(values)
+    return understand(values), about.get("compressed", {}) if version == COMPRESSED else None
 
 
 def _check(file: TensorFile, name: str, shape: tuple[int, ...]) -> None:

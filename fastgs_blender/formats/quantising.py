@@ -65,8 +65,8 @@ class Steps:
         return np.clip(self.base[name] - weight, *BOUNDS[name])
 
 
-def quantised(model: GaussianModel, fineness: float = 1.0) -> tuple[dict[str, np.ndarray], Steps, GaussianModel]:
-    """Whole numbers by column [N, ...], their steps, and the model in the order of the columns, for its kinds.
+def quantised(model: GaussianModel, fineness: float = 1.0) -> tuple[dict[str, np.ndarray], Steps]:
+    """Whole numbers by column [N, ...] of a model of finite numbers, and their steps.
 
     fineness  2 halves every step.
     """
@@ -102,12 +102,12 @@ def quantised(model: GaussianModel, fineness: float = 1.0) -> tuple[dict[str, np
     for k, logarithm in enumerate(model.temporal_kind.logarithms):
         column = model.temporal[:, k]
         columns[f"temporal.{k}"] = _rounded(column, steps.of("temporal", weight)) if logarithm else column.view("<i4").astype(np.int64)
-    return columns, steps, model
+    return columns, steps
 
 
 def restored(columns: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
     """The arrays of a model, float32, of columns of whole numbers; kinds: a model of its kinds."""
-    weight, life, grain = (columns[name].astype(np.int64) for name in ("weight", "life", "grain"))
+    weight, life, grain = (columns[name].astype(np.int32) for name in ("weight", "life", "grain"))
     life = np.clip(life, 0, LIVES - 1)
     fine = turning(columns, steps)
     rotation = _scaled(columns["rotation"], fine[:, None])
@@ -142,7 +142,8 @@ def turning(columns: dict[str, np.ndarray], steps: Steps) -> np.ndarray:
 
 def _scaled(codes: np.ndarray, exponent: np.ndarray) -> np.ndarray:
     """codes x 2^exponent as float32."""
-    return np.ldexp(codes.astype(np.float32), np.clip(exponent, -120, 120).astype(np.int32))
+    powers = ((np.clip(exponent, -120, 120) + 127).astype(np.int32) << 23).view(np.float32)  # the bits of 2^exponent
+    return codes.astype(np.float32) * powers
 
 
 def _exponent(values) -> np.ndarray | int:
@@ -157,9 +158,9 @@ def _rounded(values: np.ndarray, exponent: np.ndarray) -> np.ndarray:
 
 def _importance(model: GaussianModel, life: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The size [N] that a position's step is measured in, and the weight [N]."""
-    distance = np.linalg.norm(model.position - np.median(model.position, axis=0), axis=1)
-    typical = max(float(np.median(distance)), 1e-9)
-    distance = np.maximum(distance, 0.5 * typical)
+    eyes = [camera.position for camera in model.surroundings.cameras] or [np.median(model.position, axis=0)]
+    distance = np.min([np.linalg.norm(model.position - np.asarray(eye), axis=1) for eye in eyes], axis=0)
+    distance = np.maximum(distance, 0.5 * max(float(np.median(distance)), 1e-9))
     extent = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)
     pixels = np.sqrt(np.maximum(extent[:, 1] * extent[:, 2], 1e-30)) * FOCAL / distance
     pixels = np.clip(np.sqrt(pixels**2 + PIXEL**2), PIXEL, 1e4)
