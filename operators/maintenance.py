@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: compile and clear the renderer's kernels, copy diagnostics."""
+"""Operators of the preferences: compile and clear the renderer's kernels, open the guide, copy diagnostics."""
 from __future__ import annotations
+
+from pathlib import Path
 
 import bpy
 
 from ..engine import compiling, diagnostics
 from ..fastgs_blender.kernels.cpu import cache
+
+GUIDE = Path(__file__).resolve().parents[1] / "docs" / "guide.md"
 
 
 class FASTGS_OT_compile_kernels(bpy.types.Operator):
@@ -58,4 +62,19 @@ class FASTGS_OT_copy_diagnostics(bpy.types.Operator):
         return {'FINISHED'}
 
 
-CLASSES = (FASTGS_OT_compile_kernels, FASTGS_OT_clear_kernels, FASTGS_OT_copy_diagnostics)
+class FASTGS_OT_open_guide(bpy.types.Operator):
+    """Open the user guide that comes with the extension"""
+
+    bl_idname = "fastgs.open_guide"
+    bl_label = "User Guide"
+
+    def execute(self, context):
+        try:
+            bpy.ops.wm.path_open(filepath=str(GUIDE))
+        except RuntimeError as error:  # nothing on this machine opens such files
+            self.report({'ERROR'}, f"{GUIDE} could not be opened ({str(error).strip()}); open it yourself")
+            return {'CANCELLED'}
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_compile_kernels, FASTGS_OT_clear_kernels, FASTGS_OT_copy_diagnostics, FASTGS_OT_open_guide)

@@ -46,8 +46,8 @@ class FASTGS_PG_crop(bpy.types.PropertyGroup):
     mode: EnumProperty(
         name="Mode", description="What happens to the Gaussians whose centres are in the box",
         items=(
-            ('KEEP', "Keep", "Only what is in this or another box to keep is shown", 0),
-            ('REMOVE', "Remove", "What is in the box is not shown", 1),
+            ('KEEP', "Keep", "Only what is in this or another box to keep is shown", 'SELECT_INTERSECT', 0),
+            ('REMOVE', "Remove", "What is in the box is not shown", 'SELECT_SUBTRACT', 1),
         ), default='KEEP', override=_OWN, update=updates.viewports)
     use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=updates.viewports)
 

@@ -107,7 +107,7 @@ def draw_crop(layout, context):
         row = layout.row(align=True)
         row.prop(item, "use", text="")
         row.prop(item, "object", text="")
-        row.prop(item, "mode", text="")
+        row.prop(item, "mode", text="", icon_only=True)  # with its words, names of boxes are cut
         row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
     layout.operator("fastgs.add_crop_box", icon='ADD')
     if boxes:

@@ -6,6 +6,7 @@ import bpy
 
 from ..engine import compiling
 from ..fastgs_blender.kernels.cpu import cache
+from ..fastgs_blender.util.threads import available
 from ..scene import settings
 from ..scene.training import installation
 from .object_panels import draw_rows
@@ -47,17 +48,18 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.prop(self, "threads")
-        layout.prop(self, "log_level")
 
-        col = layout.column(heading="Renderer")
-        draw_rows(col, [("Compiled", kernel_state())])
+        col = headed(layout, "Rendering")
+        col.prop(self, "threads")
+        if not self.threads:
+            draw_rows(col, [("", f"all: {available()} on this machine")])
+        draw_rows(col, [("Renderer", kernel_state())])
         col.prop(self, "cache_folder")
         row = col.row()
         row.operator("fastgs.compile_kernels", icon='PLAY')
         row.operator("fastgs.clear_kernels", icon='TRASH')
 
-        col = layout.column(heading="Training")
+        col = headed(layout, "Training")
         col.prop(self, "training_choice", text="Python")
         if self.training_choice == 'CHOSEN':
             col.prop(self, "training_python")
@@ -69,8 +71,19 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
         row.operator("fastgs.make_training_python", icon='IMPORT')
 
-        layout.separator()
-        layout.operator("fastgs.copy_diagnostics", icon='COPYDOWN')
+        col = headed(layout, "Help")
+        col.prop(self, "log_level", text="Console Shows")
+        row = col.row()
+        row.operator("fastgs.open_guide", icon='HELP')
+        row.operator("fastgs.copy_diagnostics", icon='COPYDOWN')
+
+
+def headed(layout, heading: str):
+    """A column under a heading.  (Blender draws column(heading=) beside a check box alone.)"""
+    col = layout.column()
+    col.label(text=heading)
+    layout.separator()
+    return col
 
 
 def kernel_state() -> str:
@@ -79,7 +92,7 @@ def kernel_state() -> str:
         return "numba is missing: rendering is done by NumPy, slowly"
     if compiling.is_running():
         return "being compiled now"
-    return f"yes, {cache.size() / 1e6:.1f} MB" if cache.is_filled() else "not yet; the first use does it"
+    return f"compiled, {cache.size() / 1e6:.1f} MB" if cache.is_filled() else "not compiled yet; the first use does it"
 
 
 CLASSES = (FASTGS_AP_preferences,)

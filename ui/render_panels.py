@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES
-from ..scene import objects, unshown
+from ..fastgs_blender.util.threads import available
+from ..scene import objects, settings, unshown
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
@@ -32,6 +33,18 @@ def draw_unshown(layout, context):
         draw_trouble(layout.column(align=True), context, text, 'INFO')
 
 
+def draw_threads(layout, render):
+    """Blender's own setting, which no panel of its own shows under our engine, and what it means."""
+    col = layout.column()
+    col.prop(render, "threads_mode")
+    if render.threads_mode == 'FIXED':
+        col.prop(render, "threads")
+    elif settings.threads:
+        draw_rows(col, [("Threads", f"{settings.threads}, as the preferences say")])
+    else:
+        draw_rows(col, [("Threads", f"all: {available()} on this machine")])
+
+
 class FASTGS_PT_render(_Engine, bpy.types.Panel):
     bl_label = "4D Gaussians"
     bl_context = "render"
@@ -41,6 +54,7 @@ class FASTGS_PT_render(_Engine, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(context.scene.fastgs, "depth")
+        draw_threads(layout, context.scene.render)
         draw_rows(layout, facts.scene_facts(context.scene))
         draw_unshown(layout, context)
 

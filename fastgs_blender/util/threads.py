@@ -21,9 +21,14 @@ def set_threads(count: int):
 
 
 def thread_count() -> int:
-    """Threads in use: set_threads(), else $FASTGS_THREADS or $NUMBA_NUM_THREADS, else the processors of this process."""
-    wanted = _chosen or os.environ.get("FASTGS_THREADS") or os.environ.get("NUMBA_NUM_THREADS") or 0
-    if str(wanted).isdigit() and int(wanted) > 0:
+    """Threads in use: set_threads(), else available()."""
+    return _chosen or available()
+
+
+def available() -> int:
+    """Threads where nobody chose a number: $FASTGS_THREADS or $NUMBA_NUM_THREADS, else the processors of this process."""
+    wanted = os.environ.get("FASTGS_THREADS") or os.environ.get("NUMBA_NUM_THREADS") or "0"
+    if wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -29,9 +29,12 @@ class Layout:
     def label(self, text="", icon='NONE'):
         self._note("label", text, icon)
 
-    def prop(self, data, name, text=None, icon='NONE'):
+    def prop(self, data, name, text=None, icon='NONE', icon_only=False):
         assert name in data.bl_rna.properties, name
         self._note("prop", name, icon)
+
+    def separator(self):
+        """Space that says nothing."""
 
     def operator(self, name, text="", icon='NONE'):
         module, function = name.split(".")

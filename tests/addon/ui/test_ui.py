@@ -79,6 +79,34 @@ def test_crop_boxes_are_listed(panels, obj):
     assert texts(record, "operator") == ["fastgs.remove_crop_box", "fastgs.add_crop_box", "fastgs.apply_crop"]
 
 
+def test_threads_say_what_they_mean(panels, module, scene, monkeypatch):
+    settings, available = module("scene.settings"), module("fastgs_blender.util.threads").available()
+    everything = f"all: {available} on this machine"
+    for mode, chosen, wanted in (('AUTO', 0, everything), ('AUTO', 3, "3, as the preferences say"), ('FIXED', 3, None)):
+        scene.render.threads_mode = mode
+        monkeypatch.setattr(settings, "threads", chosen)
+        record = drawn(panels["FASTGS_PT_render"])
+        assert ("threads" in texts(record, "prop")) is (wanted is None)
+        assert wanted is None or wanted in texts(record)
+
+
+def test_preferences_have_headings_and_say_what_zero_threads_are(module):
+    layout, preferences = Layout(), module("scene.settings").preferences()
+    kind, before = module("ui.preferences").FASTGS_AP_preferences, preferences.threads
+    names = list(kind.__annotations__)
+    try:
+        for threads in (0, 2):
+            preferences.threads, layout = threads, Layout()
+            shown = SimpleNamespace(layout=layout, bl_rna=preferences.bl_rna, **{name: getattr(preferences, name) for name in names})
+            kind.draw(shown, bpy.context)
+            labels = texts(layout.record)
+            assert [text for text in labels if text in ("Rendering", "Training", "Help")] == ["Rendering", "Training", "Help"]
+            assert any("on this machine" in text for text in labels) is (threads == 0)
+    finally:
+        preferences.threads = before
+    assert module("operators.maintenance").GUIDE.is_file()
+
+
 def test_viewports_that_cannot_show_splats_say_so(panels, obj, module, monkeypatch):
     assert not texts(drawn(panels["FASTGS_PT_viewport"]))[2:]
     monkeypatch.setattr(module("engine.viewport.spaces"), "trouble", lambda: "the models do not fit into the GPU's textures: too bad.")
