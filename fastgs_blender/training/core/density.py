@@ -203,8 +203,8 @@ class MCMC(Strategy):
     def shake(self, backend, iteration, arrays, rates):
         if self.settings.noise and iteration <= self.last:
             # the authors' factor, where the extent is 1
-            reach = self.settings.noise * 5e5 * rates["position"] / self.extent**2
-            backend.shake(arrays, reach, (self.settings.seed, NOISE, iteration))
+            strength = self.settings.noise * 5e5 * rates["position"] / self.extent**2
+            backend.shake(arrays, strength, (self.settings.seed, NOISE, iteration))
 
 
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}

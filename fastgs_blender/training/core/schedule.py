@@ -18,10 +18,14 @@ def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
     return np.random.default_rng([seed, purpose, *step])
 
 
-def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dict:
-    """The rate of every array at a step: a number, or a row of the array's columns.  Lengths scale with the extent."""
+def learning_rates(settings, iteration: int, extent: float, reach: float, basis: Basis) -> dict:
+    """The rate of every array at a step: a number, or a row of the array's columns.
+
+    Lengths scale with the extent; positions begin with steps in proportion to the reach, how far away is what the cameras film.
+    """
     done = min(iteration / max(settings.iterations, 1), 1.0)
-    decay = (settings.position_rate_end / settings.position_rate) ** done if settings.position_rate > 0 else 0.0
+    first, last = settings.position_rate * reach, settings.position_rate_end * extent
+    position = first * (last / first) ** done if first > 0 else 0.0
     motion = settings.motion_rate * extent * settings.motion_decay**done
     features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
     if settings.appearance != "features":
@@ -33,7 +37,7 @@ def learning_rates(settings, iteration: int, extent: float, basis: Basis) -> dic
     if not settings.decoder_place:
         decoder[PLACE] = 0
     return {
-        "position": settings.position_rate * extent * decay, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
+        "position": position, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
         "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
         "rotation_motion": settings.turn_rate, "mu_tau": settings.centre_rate, "temporal": settings.duration_rate,
         "w1": decoder, "w2": settings.decoder_rate,

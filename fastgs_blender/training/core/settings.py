@@ -53,8 +53,9 @@ class Settings:
       foreground_weight  see masks
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
-    Learning rates (position and motion in extents), as STG's
-      position_rate, position_rate_end   exponential decay from one to the other
+    Learning rates (position and motion in extents)
+      position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
+                                         cameras film, which is the extent for a rig around its subject
       motion_rate     of frequency 1; divided by k for frequency k
       motion_decay    end of the motion's rate, as a fraction of its beginning
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate

@@ -26,6 +26,11 @@ def is_duration(value) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= 1e12
 
 
+def is_length(value) -> bool:
+    """Whether a JSON value is a length in the scene."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e30
+
+
 def checked_clip(values) -> Clip:
     """The clip of [frame_count, fps, start_frame]; raises FastGSError where these are no such numbers."""
     numbers = isinstance(values, list) and len(values) == 3 and all(
@@ -44,6 +49,8 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
     iteration = about.get("iteration")
     if not is_count(iteration) or iteration > iterations:
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
+    if not is_length(about.get("reach", 1.0)):  # older checkpoints state none
+        raise FastGSError(f"it does not say how far away the scene is; {ADVICE}")
     expected = _expected(arrays, template)
     odd = sorted(arrays.keys() ^ expected.keys())
     if odd:

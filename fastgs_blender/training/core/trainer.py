@@ -36,11 +36,12 @@ class Trainer:
     group           the processes that share the views
     decoder         a model whose decoder is used as it is; None: the decoder is trained
     sizes           [N] of the points that the model was made from (Points.size): those that have one are held (hold.py)
+    reach           how far away is what the cameras film (initial.model.reach_of); None: the capture's extent
     backend         the name of the backend that all arrays live on (util/backends.py)
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
-                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, backend: str = "cpu"):
+                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, reach: float | None = None, backend: str = "cpu"):
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
@@ -48,6 +49,7 @@ class Trainer:
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
+        self.reach = reach or capture.extent
         self.shots = capture.training
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
@@ -89,7 +91,7 @@ class Trainer:
             gradients, seen, values = self._join(gradients, seen, values, statistics)
         rows = backend.rows(seen)
         penalty = self._penalise(gradients, rows)
-        rates = schedule.learning_rates(s, i, self.extent, self.template.basis)
+        rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis)
         rates |= dict.fromkeys(self.fixed, 0.0)
         self.optimiser.step(gradients, rows, rates)
         self.iteration += 1
@@ -156,7 +158,8 @@ class Trainer:
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
-                        "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around}
+                        "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
+                        "reach": self.reach}
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""
@@ -168,7 +171,7 @@ class Trainer:
         def part(name):
             return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
 
-        self.iteration = about["iteration"]
+        self.iteration, self.reach = about["iteration"], float(about.get("reach", self.extent))
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
 

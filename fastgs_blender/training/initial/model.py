@@ -10,7 +10,27 @@ from ...model.gaussians import Clip, GaussianModel
 from ...model.points import Points
 from ...model.temporal import Radial
 from ..core.model import empty_model
+from .geometry import project, visible
 from .neighbours import neighbour_distance
+
+ENOUGH = 100
+"""Points in pictures from which a distance is taken."""
+
+
+def reach_of(points: Points, capture) -> float:
+    """How far away what the cameras film is: the median depth of the starting points in the pictures, at least the capture's extent.
+
+    Cameras around a subject stand as far from it as from each other.  A rig that looks forward films what is several times farther
+    away than its cameras are apart, and there a step as long as the cameras' spread allows is a small part of a pixel.  Points of
+    the backdrop, which have a size, do not count.
+    """
+    xyz = np.asarray(points.xyz, np.float64)
+    if points.size is not None:
+        xyz = xyz[~np.isfinite(points.size)]
+    cameras = {shot.camera.world_to_camera.tobytes(): shot.camera for shot in capture.training}
+    depths = [project(camera, xyz)[1][visible(camera, xyz)] for camera in cameras.values()]
+    depths = np.concatenate(depths) if depths else np.empty(0)
+    return max(capture.extent, float(np.median(depths)) if len(depths) >= ENOUGH else 0.0)
 
 
 def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: float) -> GaussianModel:

@@ -180,7 +180,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
         return trainer
     from ...captures.capture import Points
     from ..initial.backdrop import with_backdrop
-    from ..initial.model import model_from_points
+    from ..initial.model import model_from_points, reach_of
     from ..initial.points import initial_points, thinned
 
     points = group.first_does(
@@ -189,7 +189,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
     arrays = {} if points is None else {name: np.asarray(array) for name, array in vars(points).items() if array is not None}
     points = Points(**group.share_arrays(arrays))
     model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
-    return kind(capture, store, settings, model, group, decoder, points.size)
+    return kind(capture, store, settings, model, group, decoder, points.size, reach_of(points, capture))
 
 
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:

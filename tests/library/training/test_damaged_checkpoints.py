@@ -104,7 +104,8 @@ DAMAGES = {
     "steps after the end": about_changed(iteration=41), "negative steps": about_changed(iteration=-1),
     "no steps": about_changed(iteration=None),
     "no capture": about_changed(capture=None), "no settings": about_changed(settings=None), "no clip": about_changed(clip=[]),
-    "a clip of no frames": about_changed(clip=[0, 24.0, 1]), "no axes": about_changed(axes=None), "no time": about_changed(elapsed="x"),
+    "a clip of no frames": about_changed(clip=[0, 24.0, 1]), "no axes": about_changed(axes=None),
+    "no reach": about_changed(reach="far"), "a reach of 0": about_changed(reach=0), "no time": about_changed(elapsed="x"),
 }
 
 
@@ -170,7 +171,7 @@ def test_mutations_of_the_small_files(tmp_path, monkeypatch):
             Reporter(folder, 100, 60, quiet=True).close()
             write_plot(folder / "plot.png", folder / "log.jsonl")
         finally:
-            session._release(str(folder.resolve()))
+            session.release(str(folder.resolve()))
 
     mutations.campaign("run", read, {"run": files}, tmp_path / "damaged", fixed=[f"segments/000/{SEGMENT_MODEL}"])
     assert not (tmp_path / REPORT).exists()

@@ -14,7 +14,7 @@ from fastgs_blender.captures.pixels.store import Pixels
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.model import model_from_points, reach_of
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.training.run.files import CHECKPOINT
@@ -134,10 +134,25 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
 
 def test_rates_fall_and_divide_by_the_frequency():
     chosen = options.settings()
-    first, last = (schedule.learning_rates(chosen, i, 2.0, fg.Fourier(2, linear=True)) for i in (0, chosen.iterations))
+    first, last = (schedule.learning_rates(chosen, i, 2.0, 2.0, fg.Fourier(2, linear=True)) for i in (0, chosen.iterations))
     assert first["position"] == pytest.approx(2 * chosen.position_rate) and last["position"] == pytest.approx(2 * chosen.position_rate_end)
+    far = [schedule.learning_rates(chosen, i, 2.0, 12.0, fg.Fourier(2, linear=True))["position"] for i in (0, chosen.iterations)]
+    assert far == pytest.approx([12 * chosen.position_rate, 2 * chosen.position_rate_end]), "far things begin with longer steps"
     np.testing.assert_allclose(first["motion"] / first["motion"][0], np.repeat([1, 1, 0.5, 0.5, 1], 3))
     assert last["motion"][0] == pytest.approx(chosen.motion_decay * first["motion"][0])
+
+
+@pytest.mark.parametrize(("distance", "reach"), [(9.0, 9.0), (0.5, 2.2)])
+def test_the_reach_is_how_far_away_the_scene_is(distance, reach, rng):
+    """Two cameras 4 apart look along +z at a wall; the backdrop behind it does not count."""
+    poses = [np.eye(4), np.eye(4)]
+    for pose, x in zip(poses, (-2.0, 2.0), strict=True):
+        pose[0, 3] = -x
+    shots = [SimpleNamespace(camera=fg.Camera(60, 40, 20.0, 20.0, 30.0, 20.0, pose)) for pose in poses]
+    wall = np.concatenate([rng.uniform(-3, 3, (500, 2)), np.full((500, 1), distance)], 1)
+    behind = wall * (1, 1, 0) + (0, 0, 500)
+    points = Points(np.concatenate([wall, behind]), np.zeros((1000, 3)), size=np.repeat([np.nan, 30.0], 500))
+    assert reach_of(points, SimpleNamespace(training=shots, extent=2.2)) == pytest.approx(reach)
 
 
 class Rows:
