@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures bench extension clean
+.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension clean
 
 PY := .venv/bin/python
 LTS := .venv313/bin/python
@@ -61,6 +61,10 @@ test-blender: .venv/ready
 # The screenshots that the last test-blender took.
 docs-pictures: .venv/ready
 	@$(PY) tools/docs_pictures.py
+
+# docs/api.md, from the docstrings.
+api-docs: .venv/ready
+	@$(PY) tools/api_docs.py
 
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py

@@ -1,13 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""FAST-GS: dynamic scenes as 4D Gaussians.  The library: models, files, rendering.  It knows nothing of Blender.
+"""FAST-GS: dynamic scenes as 4D Gaussians.  This is the library, which knows nothing of Blender.
 
     import fastgs_blender as fg
-    model = fg.load("capture.safetensors")
-    camera = fg.Camera(1280, 720, fx=900, fy=900, cx=640, cy=360, world_to_camera=matrix)
-    image = fg.render(model, camera, t=0.25)["rgb"]
+
+    model = fg.load("examples/playground.safetensors")            # files
+    camera = fg.load_cameras("examples/cameras.json")[4].camera   # cameras
+    image = fg.render(model, camera, t=0.25)["rgb"]               # pictures
+    capture = fg.open_capture("my-capture")                       # films of several cameras
+    trained = fg.train("my-capture", "run", preset="draft")       # a model of these
+    measures = fg.evaluate(trained, capture)["average"]           # how close it is
+    baked, report = fg.bake(positions, triangles)                 # a model of an animated mesh, without training
+
+What goes wrong raises FastGSError, whose message is one sentence; what is lost on the way is told by a LossWarning.
 """
 from .cameras.camera import Camera
-from .cameras.cameras_json import load_cameras
+from .cameras.cameras_json import View, load_cameras, save_cameras
+from .cameras.moving import dolly, orbit, through
+from .captures import Capture, open_capture
+from .evaluation.evaluate import evaluate
 from .formats import load, open_source, save
 from .model.appearance import RGB, SH, Changing, Features
 from .model.gaussians import Clip, GaussianModel, Raster
@@ -17,12 +27,14 @@ from .model.slicing import Slice, freeze, slice_model
 from .model.temporal import Always, Radial, Window, WindowedRadial
 from .rendering.api import render
 from .surfaces.bake import BakeReport, bake
+from .training.run.launch import train
 from .util.errors import FastGSError, LossWarning
 from .util.version import VERSION
 
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Always", "BakeReport", "Camera", "Changing", "Clip", "Cosine", "FastGSError", "Features", "Fourier", "GaussianModel",
-    "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "Window", "WindowedRadial", "bake",
-    "freeze", "load", "load_cameras", "open_source", "render", "save", "slice_model",
+    "RGB", "SH", "Always", "BakeReport", "Camera", "Capture", "Changing", "Clip", "Cosine", "FastGSError", "Features", "Fourier",
+    "GaussianModel", "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "View", "Window",
+    "WindowedRadial", "bake", "dolly", "evaluate", "freeze", "load", "load_cameras", "open_capture", "open_source", "orbit", "render",
+    "save", "save_cameras", "slice_model", "through", "train",
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..util.arguments import numbers, real, shown, whole
 from ..util.errors import FastGSError
 
 LARGEST_SIDE = 65_536
@@ -24,6 +25,9 @@ class Camera:
     near, far       nothing nearer or farther than this is drawn, along z (a model's own near plane holds as well)
     window          (x, y, width, height) of the part of the image to render; None: all of it.
                     A part has exactly the pixels that the whole image has there.
+
+    Example:
+        camera = fg.Camera(640, 360, fx=500, fy=500, cx=320, cy=180, world_to_camera=np.eye(4))
     """
 
     width: int
@@ -39,20 +43,23 @@ class Camera:
     far: float = np.inf
 
     def __post_init__(self):
-        matrix = np.array(self.world_to_camera, np.float64)
+        set_ = object.__setattr__
+        for name in ("width", "height"):
+            set_(self, name, whole(getattr(self, name), f"a camera's {name} in pixels", 1, 1 << 31))
+        for name in ("fx", "fy", "cx", "cy", "near"):
+            real(getattr(self, name), f"a camera's {name}")
+        matrix = numbers(self.world_to_camera, "a camera's world_to_camera", "(4, 4)").copy()
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise FastGSError("a camera's world_to_camera must be a 4 x 4 matrix of finite numbers.")
-        if not all(np.isfinite(v) for v in (self.fx, self.fy, self.cx, self.cy, self.near)) or self.fx == 0 or self.fy == 0:
-            raise FastGSError("a camera's focal lengths, principal point and near plane must be finite, the focal lengths not 0.")
+        if self.fx == 0 or self.fy == 0:
+            raise FastGSError("a camera's focal lengths must not be 0.")
         if not self.far > self.near:
             raise FastGSError(f"a camera's far plane must lie beyond its near plane at {self.near:g}, not at {self.far:g}.")
-        if int(self.width) < 1 or int(self.height) < 1:
-            raise FastGSError(f"a camera's image must be at least 1 x 1 pixel, not {self.width} x {self.height}.")
-        set_ = object.__setattr__
-        set_(self, "width", int(self.width))
-        set_(self, "height", int(self.height))
         set_(self, "world_to_camera", matrix)
-        x, y, w, h = (int(v) for v in (self.window or (0, 0, self.width, self.height)))
+        window = (0, 0, self.width, self.height) if self.window is None else self.window
+        if np.shape(window) != (4,):
+            raise FastGSError(f"a camera's window must be (x, y, width, height) in pixels, not {shown(window)}.")
+        x, y, w, h = (whole(v, "a number of a camera's window", -1 << 31, 1 << 31) for v in window)
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > self.width or y + h > self.height:
             raise FastGSError(f"the window {self.window} does not lie within the image of {self.width} x {self.height} pixels.")
         set_(self, "window", (x, y, w, h))

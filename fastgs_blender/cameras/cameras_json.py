@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..util.arguments import file_path
 from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from ..util.reading import read_json, reading
@@ -24,7 +25,11 @@ LARGEST_FILE = 256 * 2**20
 
 @dataclass(frozen=True)
 class View:
-    """One entry of the file: its name (img_name, else its number) and its camera."""
+    """One entry of the file: its name (img_name, else its number) and its camera.
+
+    Example:
+        names = [view.name for view in fg.load_cameras("examples/cameras.json")]
+    """
 
     name: str
     camera: Camera
@@ -36,7 +41,7 @@ def load_cameras(path: str | Path) -> list[View]:
     Example:
         camera = fg.load_cameras("examples/cameras.json")[4].camera
     """
-    path = Path(path)
+    path = file_path(path)
     entries = read_json(path, LARGEST_FILE, "it is not JSON, or cut short; give a cameras.json as 3DGS trainers write it")
     with reading(path):
         return _views(path, entries)

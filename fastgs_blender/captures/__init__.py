@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
+from ..util.arguments import file_path
 from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
@@ -60,6 +60,9 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
     Raises FastGSError where the folder is no capture, or its description cannot be read; pixels.checks.check() looks at its pictures.
+
+    Example:
+        capture = fg.open_capture("my-capture", scale=0.5, frames=slice(0, 2))
     """
     path = _existing(path)
     options = Options(scale, frames, None if held_out is None else tuple(held_out))
@@ -68,7 +71,7 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
 
 
 def _existing(path) -> Path:
-    path = Path(os.fsdecode(path))
+    path = file_path(path, "the name of a capture")
     try:
         if not path.exists():
             raise FastGSError(f"{path}: there is no such capture; check the name and the folder.")

@@ -70,6 +70,9 @@ class Capture:
     mask_means  meaning of the mask files: "foreground" (white: the subject) or "valid" (black: to be ignored)
     notes       remarks on how it was read
     faults      problems found while the description was read, a clause each; pixels.checks.problems() lists all
+
+    Example:
+        views = fg.open_capture("my-capture").views
     """
 
     path: Path

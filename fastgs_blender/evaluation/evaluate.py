@@ -10,9 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..captures.capture import Capture
+from ..captures.pixels.store import FrameStore
+from ..model.gaussians import GaussianModel
 from ..rendering import colour
 from ..rendering.api import render
 from ..rendering.images import write_png
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.threads import thread_count
 from . import metrics
@@ -26,10 +30,11 @@ MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_norma
 """What is measured of each frame, and averaged; None where a measure does not apply."""
 
 
-def evaluate(model, capture, store, *, views=None, frames=None, out=None, images: int = 10, backend: str = "auto", lpips: bool = True,
+def evaluate(model, capture, store=None, *, views=None, frames=None, out=None, images: int = 10, backend: str = "auto", lpips: bool = True,
              progress: Callable | None = None) -> dict:
     """Measure a model against the pictures of a capture.
 
+    store      gives the pictures (captures.pixels.store.FrameStore); None: they are decoded into the cache on disk first
     views      names of the cameras to use; None: those that the model was not trained on, as its file says, else the capture's choice
     frames     their numbers from 0, beyond the model's clip too; None: all that the clip covers
     out        folder for side-by-side pictures of `images` frames of each view, and a film of each view; None: no pictures
@@ -40,9 +45,14 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
     (of PSNR, over the frames where it is finite); "held_out": whether no picture was trained on, None if the model does not say; "seen"
     and "unseen", the means of pictures that were and were not, where there are both; "fps" of rendering alone, on "device"; "notes".
     Raises FastGSError where there is nothing to measure.  Never more than two frames are in memory.
+
+    Example:
+        average = fg.evaluate(fg.load("run/model.safetensors"), fg.open_capture("my-capture", scale=0.5))["average"]
     """
+    _check(model, capture)
     known = recorded(model)
     shots = chosen(capture, views, frames, known)
+    store = _filled(FrameStore(capture, 0), shots) if store is None else store
     clock, notes = _clock(model, capture, beyond=frames is not None)
     covered = [shot for shot in shots if clock(shot) is not None]
     if not covered:
@@ -109,6 +119,17 @@ def evaluate(model, capture, store, *, views=None, frames=None, out=None, images
         "views": {view: _means([row for row in rows if row["view"] == view]) for view in dict.fromkeys(row["view"] for row in rows)},
         "rows": rows, "notes": notes, "files": [str(file) for file in files],
     }
+
+
+def _check(model, capture) -> None:
+    if not isinstance(model, GaussianModel) or not isinstance(capture, Capture):
+        raise FastGSError("evaluate() needs a model, as fg.load(path) reads it, and a capture, as fg.open_capture(path) does, not "
+                          f"{shown(model)} and {shown(capture)}.")
+
+
+def _filled(store: FrameStore, shots: list) -> FrameStore:
+    store.fill(shots=shots)
+    return store
 
 
 def make_folder(folder: Path):

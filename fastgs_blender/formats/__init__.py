@@ -16,6 +16,7 @@ import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Source
+from ..util.arguments import file_path
 from ..util.errors import FastGSError, LossWarning, printable
 from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
@@ -69,8 +70,11 @@ def open_source(path: str | os.PathLike) -> Source:
 
     A sequence is a folder or a zip file of numbered model files, a pattern of their names such as frame_####.ply (sequences.py), or a
     file of a format that is one.  Raises FastGSError.
+
+    Example:
+        model, t = fg.open_source("examples/playground.safetensors").moment(0.25)
     """
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     with _reading(path):
         known = _identify(path)
         source = known.open(path, load)
@@ -81,7 +85,7 @@ def open_source(path: str | os.PathLike) -> Source:
 
 def fingerprint(path: str | os.PathLike) -> str:
     """SHA-256 of a file's content; of a sequence, of its files' names and sizes.  Raises FastGSError."""
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     with reading(path):
         if stands_for_many(path):
             listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
@@ -92,7 +96,7 @@ def fingerprint(path: str | os.PathLike) -> str:
 
 def identify(path: str | os.PathLike) -> Format:
     """The format of a file, by its content.  Raises FastGSError where it is none of ours."""
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     with _reading(path):
         return _identify(path)
 
@@ -102,8 +106,11 @@ def load(path: str | os.PathLike) -> GaussianModel:
 
     The arrays are read into memory of their own: whatever becomes of the file afterwards, the model stays.  Gaussians that cannot
     be computed with are left out, with a LossWarning.  Raises FastGSError.
+
+    Example:
+        model = fg.load("examples/playground.safetensors")
     """
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
         model = usable(known.load(path), path)
@@ -118,8 +125,11 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | None =
     compress  write the compressed variant of .safetensors; 1 is usual, 2 keeps numbers twice as finely
     One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
     Raises FastGSError.
+
+    Example:
+        fg.save(model, "copy.ply")
     """
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     try:
         if not isinstance(model, GaussianModel):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
@@ -140,7 +150,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | None =
 
 def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:
     """All files that save() would write: path, and a decoder beside it where the format keeps one there."""
-    path = Path(os.fsdecode(path))
+    path = file_path(path)
     try:
         return _writer(model, path).files(model, path)
     except FastGSError as error:

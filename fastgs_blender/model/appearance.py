@@ -52,7 +52,11 @@ class Appearance:
 
 @dataclass(frozen=True)
 class RGB(Appearance):
-    """Columns: r, g, b as they are (STG lite)."""
+    """Columns: r, g, b as they are (STG lite).
+
+    Example:
+        look = fg.RGB()
+    """
 
     name: ClassVar[str] = "rgb"
     width: ClassVar[int] = 3
@@ -63,6 +67,9 @@ class SH(Appearance):
     """Real spherical harmonics: max(0, 0.5 + sum_b Y_b(direction) c_b).
 
     Columns: B = (degree + 1)^2 coefficients, each r, g, b; so features.reshape(N, B, 3)[:, 0] is INRIA's f_dc.
+
+    Example:
+        look = fg.SH(3)
     """
 
     name: ClassVar[str] = "sh"
@@ -91,6 +98,9 @@ class Features(Appearance):
 
     Per pixel, from the blended features f and the ray (camera centre, unit direction; both in the model's space):
     rgb = activation(base + w2 @ relu(w1 @ [direction, time, ray])), w1 [6, 12], w2 [3, 6], no biases.
+
+    Example:
+        look = fg.Features(w1=np.zeros((6, 12)), w2=np.zeros((3, 6)))
     """
 
     name: ClassVar[str] = "features"
@@ -134,6 +144,9 @@ class Changing(Appearance):
     """Plain colour or spherical harmonics whose columns change in time: f(t) = f_0 + sum_k w_k(t) f_k.
 
     Columns: those of `look` for f_0, then for each coefficient f_k of `basis`.  At one time it is `look`: momentary(), features_at().
+
+    Example:
+        look = fg.Changing(fg.SH(1), fg.Fourier(2))
     """
 
     name: ClassVar[str] = "changing"

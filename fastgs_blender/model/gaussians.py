@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..util.arguments import in_words, numbers
 from ..util.errors import FastGSError
 from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
@@ -28,6 +29,9 @@ class Raster:
     alpha_cut    a splat's alpha below this is not drawn
     near         Gaussians whose centre is not beyond this distance along the view axis are not drawn, in model units
     antialiased  opacity is scaled by sqrt(det before / det after blur) (Mip-Splatting)
+
+    Example:
+        raster = fg.Raster(near=0.01)
     """
 
     blur: float = 0.3
@@ -41,7 +45,7 @@ class Raster:
         good = (all(isinstance(v, Real) and np.isfinite(v) for v in numbers) and isinstance(self.antialiased, (bool, np.bool_))
                 and self.blur >= 0 and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
         if not good:
-            raise FastGSError(f"the rasteriser constants are out of range: {self}.")
+            raise FastGSError(f"the rasteriser constants are out of range: {in_words(self)}.")
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,9 @@ class Clip:
     fps          frames per second of the capture
     start_frame  what the capture called its first frame
     free         whether it has no frame rate of its own, see sequence.FreeClip
+
+    Example:
+        clip = fg.Clip(frame_count=50, fps=25.0)
     """
 
     free: ClassVar[bool] = False
@@ -61,7 +68,7 @@ class Clip:
     def __post_init__(self):
         whole = all(isinstance(v, Integral) for v in (self.frame_count, self.start_frame)) and abs(self.start_frame) <= 1_000_000_000
         if not (whole and 1 <= self.frame_count <= 10_000_000 and isinstance(self.fps, Real) and np.isfinite(self.fps) and self.fps > 0):
-            raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {self}.")
+            raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {in_words(self)}.")
 
     @property
     def duration(self) -> float:
@@ -89,6 +96,9 @@ class GaussianModel:
     surroundings     backdrop, cameras of the capture, a good view
 
     Optional arrays may be left out when their width is 0 (mu_tau: zeros).  Raises FastGSError where shapes disagree.
+
+    Example:
+        one = fg.GaussianModel(position=[[0, 0, 4]], rotation=[[1, 0, 0, 0]], scale=[[-1, -1, -1]], opacity=[2.0], features=[[1, 0, 0]])
     """
 
     position: np.ndarray
@@ -120,7 +130,7 @@ class GaussianModel:
                 value = np.zeros(shape, np.float32)
             if np.shape(value) != shape:
                 raise FastGSError(f"the model's {name} must have the shape {shape}, not {np.shape(value)}.")
-            setattr(self, name, np.ascontiguousarray(value, np.float32))
+            setattr(self, name, np.ascontiguousarray(numbers(value, f"the model's {name}", str(shape), np.float32)))
         if self.axes not in AXES:
             raise FastGSError(f"the model's axes must be one of {', '.join(AXES)}, not {self.axes!r}.")
         if self.colour_space not in ("srgb", "linear"):

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..util.arguments import numbers
 from ..util.errors import FastGSError
 from .basis import MAX_TERMS, Basis
 
@@ -20,6 +21,9 @@ class Keyframes(Basis):
 
     interpolation 'linear', or 'catmull-rom': cubic Hermite whose tangents are the chords between the neighbours
     (one-sided at both ends), so that uneven times are handled and straight motion stays straight.
+
+    Example:
+        basis = fg.Keyframes((0.0, 0.5, 1.0), "catmull-rom")
     """
 
     name: ClassVar[str] = "keyframes"
@@ -27,7 +31,7 @@ class Keyframes(Basis):
     interpolation: str = "linear"
 
     def __post_init__(self):
-        object.__setattr__(self, "times", tuple(float(t) for t in self.times))
+        object.__setattr__(self, "times", tuple(numbers(self.times, "keyframe times", "(number of keyframes,)").ravel().tolist()))
         if self.interpolation not in ("linear", "catmull-rom"):
             raise FastGSError(f"keyframes are interpolated linear or catmull-rom, not {self.interpolation!r}.")
         if not 0 < len(self.times) <= MAX_TERMS or not np.isfinite(self.times).all() or not (np.diff(self.times) >= LEAST_GAP).all():

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..util.arguments import in_words
 from ..util.errors import FastGSError
 from .basis import MAX_TERMS, Basis, Family
 from .keyframes import Keyframes
@@ -43,7 +44,11 @@ def _one_length(spans) -> float:
 
 @dataclass(frozen=True)
 class Static(Basis):
-    """No change in time."""
+    """No change in time.
+
+    Example:
+        basis = fg.Static()
+    """
 
     name: ClassVar[str] = "static"
     terms: ClassVar[int] = 0
@@ -69,6 +74,9 @@ class Fourier(Basis):
 
     The phase is p = scale * t + offset; the paper has scale 1, offset 0, order 5.  `linear` adds a term t at the end,
     which frees the motion from returning to where it began.
+
+    Example:
+        basis = fg.Fourier(5, linear=True)
     """
 
     name: ClassVar[str] = "fourier"
@@ -159,7 +167,11 @@ def _onto(first: float, last: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Cosine(Basis):
-    """Half-period cosines cos(pi k p), k = 1..order, p = scale * t + offset.  Nothing forces the motion to return."""
+    """Half-period cosines cos(pi k p), k = 1..order, p = scale * t + offset.  Nothing forces the motion to return.
+
+    Example:
+        basis = fg.Cosine(10)
+    """
 
     name: ClassVar[str] = "cosine"
     competes: ClassVar[bool] = True
@@ -223,7 +235,11 @@ class Cosine(Basis):
 
 @dataclass(frozen=True)
 class Polynomial(Basis):
-    """Powers 1..degree of t - mu_tau: STG's motion (degree 3) and the paper's rotation (eq. 7, degree 1)."""
+    """Powers 1..degree of t - mu_tau: STG's motion (degree 3) and the paper's rotation (eq. 7, degree 1).
+
+    Example:
+        basis = fg.Polynomial(3)
+    """
 
     name: ClassVar[str] = "polynomial"
     centred: ClassVar[bool] = True
@@ -291,5 +307,5 @@ def basis_from_dict(values: dict) -> Basis:
             if isinstance(value, float) and not np.isfinite(value):
                 raise ValueError
     except (TypeError, ValueError) as error:
-        raise FastGSError(f"the parameters of the basis of time {name!r} do not fit it: {values}.") from error
+        raise FastGSError(f"the parameters of the basis of time {name!r} do not fit it: {in_words(values)}.") from error
     return basis

@@ -110,6 +110,9 @@ class Sequence:
     read    read(i) -> the model of frame at[i], which does not change in time; safe to call from any thread
     state   state(i) -> a value that changes when that model's file does
     about   for error messages: what the frames come from
+
+    Example:
+        source = fg.open_source("still_####.ply")
     """
 
     def __init__(self, clip: Clip, at: np.ndarray, read: Callable[[int], GaussianModel], state: Callable[[int], object] = lambda i: None,

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..util import rotations
+from ..util.arguments import real, shown
+from ..util.errors import FastGSError
 from .appearance import Features, features_at, momentary
 from .gaussians import GaussianModel
 from .motion import Static
@@ -24,6 +26,9 @@ class Slice:
     opacity   [M]     sigma(t), 0..1
     features  [M, F]  the model's, time features multiplied by t - mu_tau
     velocity  [M, 3]  d mu / d t, exact; times fps / frame_count = units per second
+
+    Example:
+        places = fg.slice_model(model, 0.25).position
     """
 
     index: np.ndarray
@@ -45,7 +50,13 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
 
     With cull, Gaussians whose sigma(t) lies under the model's alpha cut are left out first, so that neither
     their motion nor their colour is read: they cannot touch a pixel.  Paper, eq. 3-4 (position), 6 (opacity), 7 (rotation).
+
+    Example:
+        now = fg.slice_model(model, t=0.25)
     """
+    if not isinstance(model, GaussianModel):
+        raise FastGSError(f"a model is wanted, as fg.load(path) reads it, not {shown(model)}.")
+    t = real(t, "the time of a model")
     sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
     index = np.flatnonzero(sigma >= model.raster.alpha_cut) if cull else np.arange(len(model))
     mu_tau = model.mu_tau[index].astype(np.float64)
@@ -69,6 +80,9 @@ def freeze(model: GaussianModel, t: float) -> GaussianModel:
     """A static model that looks as the given one does at time t (a frame for tools that know no time).
 
     Opacities that vanish at t are left out.  The appearance stays; time features are evaluated at t and folded in.
+
+    Example:
+        fg.save(fg.freeze(model, t=0.25), "still.ply")
     """
     s = slice_model(model, t)
     features, mu_tau = s.features, None

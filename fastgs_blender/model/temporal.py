@@ -17,7 +17,11 @@ from ..util.errors import FastGSError
 
 @dataclass(frozen=True)
 class Always:
-    """Opacity does not change (P = 0)."""
+    """Opacity does not change (P = 0).
+
+    Example:
+        kind = fg.Always()
+    """
 
     name: ClassVar[str] = "always"
     code: ClassVar[int] = 0
@@ -35,7 +39,11 @@ class Always:
 
 @dataclass(frozen=True)
 class Radial:
-    """The paper's (eq. 6): exp(-s_tau (t - mu_tau)^2).  Column 0: ln s_tau."""
+    """The paper's (eq. 6): exp(-s_tau (t - mu_tau)^2).  Column 0: ln s_tau.
+
+    Example:
+        kind = fg.Radial()
+    """
 
     name: ClassVar[str] = "radial"
     code: ClassVar[int] = 1
@@ -58,6 +66,9 @@ class Window:
     """1 from begin to end, and a soft flank on either side: exp(-(d / width)^2), d the distance from the window.
 
     Columns: begin, end, ln width before, ln width after.
+
+    Example:
+        kind = fg.Window()
     """
 
     name: ClassVar[str] = "window"
@@ -82,6 +93,9 @@ class WindowedRadial:
     """Radial, times a window with flanks of one softness: a Gaussian of one segment of a long capture (joining.py).
 
     Columns: ln s_tau, begin, end, ln width of the flanks; see Radial and Window.
+
+    Example:
+        kind = fg.WindowedRadial()
     """
 
     name: ClassVar[str] = "radial-window"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Sequence, Source
+from ..util.arguments import real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
@@ -47,7 +50,15 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", 
     settings  PassSettings: the mist's distances, and the frames before and after for vectors
 
     Returns float32 arrays, the top row first, of the camera's window.  Same inputs, same bytes, for any number of threads.
+
+    Example:
+        image = fg.render(model, camera, t=0.25, passes=["rgb", "depth"])["rgb"]
     """
+    if not isinstance(camera, Camera):
+        raise FastGSError(f"render() needs a Camera to look through, such as fg.load_cameras(path)[0].camera, not {shown(camera)}.")
+    if isinstance(passes, str) or not isinstance(passes, Iterable):
+        raise FastGSError(f"the passes are a list of names, such as [\"rgb\"], not {shown(passes)}.")
+    passes = tuple(passes)
     unknown = [p for p in passes if p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
@@ -91,6 +102,8 @@ def _blended(backend, instances, camera, needs, progress, settings) -> Blended:
 def _instances(model, camera, t) -> list[ViewedInstance]:
     """What render() was given, as instances before the camera; those that cannot be computed with, or are empty, are left out."""
     alone = isinstance(model, (GaussianModel, Sequence))
+    if not alone and (isinstance(model, (str, Path)) or not isinstance(model, Iterable)):
+        raise FastGSError(f"render() needs a model, as fg.load(path) reads it, or a list of them with their places, not {shown(model)}.")
     found = [_instance((model, np.eye(4), t))] if alone else [_instance(each) for each in model]
     viewed = [instance.viewed(camera) for instance in found if len(instance.model)]
     for instance in viewed:
@@ -107,7 +120,9 @@ def _instance(given) -> Instance:
     """The Instance of (model, placement [4, 4], t), perhaps with boxes or ObjectSettings as a fourth member."""
     if isinstance(given, Instance):
         return given
+    if not isinstance(given, (tuple, list)) or not 3 <= len(given) <= 4 or not isinstance(given[0], (GaussianModel, Sequence)):
+        raise FastGSError("each model of a list for render() is given as (model, placement [4, 4], t).")
     source, placement, t, *rest = given
-    model, t = source.moment(t)
+    model, t = source.moment(real(t, "the time of a model"))
     settings = rest[0] if rest else ObjectSettings()
     return Instance(model, placement, t, settings if isinstance(settings, ObjectSettings) else ObjectSettings(settings))

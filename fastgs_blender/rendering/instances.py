@@ -11,6 +11,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..model.surroundings import WITHIN
+from ..util.arguments import numbers, real
 from ..util.errors import FastGSError
 from .crops import Crop
 from .looks import look_numbers
@@ -91,13 +92,11 @@ class Instance:
     place: Hashable = None
 
     def __post_init__(self):
-        placement = np.array(self.placement, np.float64)
+        placement = numbers(self.placement, "a model's placement", "(4, 4)").copy()
         if placement.shape != (4, 4) or not np.isfinite(placement).all():
             raise FastGSError("a model's placement must be a 4 x 4 matrix of finite numbers.")
-        if not np.isfinite(self.t):
-            raise FastGSError(f"the time of a model must be a finite number, not {self.t!r}.")
         object.__setattr__(self, "placement", placement)
-        object.__setattr__(self, "t", float(self.t))
+        object.__setattr__(self, "t", real(self.t, "the time of a model"))
 
     def viewed(self, camera: Camera) -> ViewedInstance:
         """The instance before a camera."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
+from ..util.arguments import numbers, real, whole
 from ..util.errors import FastGSError
 from .colours import Colours, Painted
 from .sampling import SurfaceSamples
@@ -44,6 +45,9 @@ class BakeReport:
     turn_residual                mean error of the rotations, in degrees
     worst_triangle, worst_frame  where and when the distance is largest; frames count as the clip's do, from its start_frame
     worst_place                  that triangle in words
+
+    Example:
+        print(fg.bake(positions, triangles, count=100)[1])
     """
 
     gaussians: int
@@ -142,11 +146,14 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
 
     The model is in Blender's axes (RFU), coloured in sRGB.  Raises FastGSError for input that describes no surface; warns
     (UserWarning) where the tolerance is not reached.
+
+    Example:
+        baked, report = fg.bake(positions, triangles, colours=(0.8, 0.3, 0.1), count=1000)
     """
     progress = progress or (lambda fraction: None)
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
     for name, value in (("tolerance", tolerance), ("tolerance of the 99th percentile", tail_tolerance)):
-        if not value > 0:
+        if not real(value, f"the {name}") > 0:
             raise FastGSError(f"the {name} must be positive, not {value}.")
     given = samples is not None
     samples = samples if given else _spread(surface, count)
@@ -189,14 +196,12 @@ def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 1
 
 
 def _spread(surface, count):
-    if not 1 <= count <= 50_000_000:
-        raise FastGSError(f"the number of Gaussians must lie between 1 and 50 million, not {count:,}.")
-    return surface.spread(count)
+    return surface.spread(whole(count, "the number of Gaussians", 1, 50_000_000))
 
 
 def _checked(positions, triangles, frames=None, frame_count=None, part=None, patch=None):
     """The surface, its frame numbers [S] and the clip's length; FastGSError where they do not fit together."""
-    positions, triangles = np.asarray(positions, np.float32), np.asarray(triangles)
+    positions, triangles = numbers(positions, "positions", "(times, vertices, 3)", np.float32), np.asarray(triangles)
     if positions.ndim != 3 or positions.shape[2] != 3 or not len(positions):
         raise FastGSError(f"positions must have the shape (times, vertices, 3), not {positions.shape}.")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
@@ -207,11 +212,12 @@ def _checked(positions, triangles, frames=None, frame_count=None, part=None, pat
         raise FastGSError(f"the triangles refer to vertices outside 0..{positions.shape[1] - 1}.")
     if not np.isfinite(positions).all():
         raise FastGSError("some vertex positions are not finite numbers.")
-    frames = np.arange(len(positions), dtype=np.float64) if frames is None else np.asarray(frames, np.float64)
+    frames = np.arange(len(positions), dtype=np.float64) if frames is None else numbers(frames, "frames", "(times,)")
     if frames.shape != (len(positions),) or not np.isfinite(frames).all() or not (np.diff(frames) > 0).all():
         raise FastGSError("frames must be increasing numbers, one for each time at which positions are given.")
     if frame_count is None:
         frame_count = max(int(np.floor(frames[-1])), 0) + 1
+    frame_count = whole(frame_count, "the number of frames of the clip", 1, 10_000_000)
     surface = MovingSurface(positions, triangles.astype(np.int64), _numbers("part", part, triangles), _numbers("patch", patch, triangles))
     if not surface.areas.any():
         raise FastGSError("the faces have no area in any frame: there is no surface to bake.")

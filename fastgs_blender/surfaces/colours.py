@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..util.arguments import numbers, shown
 from ..util.errors import FastGSError
 from .borders import Edges
 from .sampling import SurfaceSamples, lengths, triangle_normals
@@ -15,6 +16,7 @@ from .tangents import plane
 Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """A function of triangles [n] and barycentric weights [n, 3]: colours [n, C], sRGB 0..1 with opacity as an optional fourth."""
 
+WANTED = "(3,) or (4,) for all, (triangles, 3 or 4), or (triangles, 3 corners, 3 or 4)"
 CONTRAST = 0.12
 """Two places whose colours differ by more than this in a channel lie on two sides of an edge of colour."""
 AROUND = 0.5
@@ -61,7 +63,7 @@ def paint(colours, corners: np.ndarray, edges: Edges, samples: SurfaceSamples, f
         function = colours
         values, across, distance = _footprints(colours, corners[samples.triangle], samples)
     else:
-        values = np.asarray(colours, np.float64)
+        values = numbers(colours, "colours", WANTED)
         if values.ndim == 3 and values.shape[:2] == (count, 3):
             function = lambda triangle, weights, corner=values: np.einsum("nkc,nk->nc", corner[triangle], weights)  # noqa: E731
         elif values.ndim == 2 and len(values) == count and not for_samples:
@@ -71,7 +73,8 @@ def paint(colours, corners: np.ndarray, edges: Edges, samples: SurfaceSamples, f
         if function:
             values = function(samples.triangle, samples.weights)
     if values.ndim != 2 or len(values) != sampled or values.shape[1] not in (3, 4) or not np.isfinite(values).all():
-        raise FastGSError("colours must be finite: one r, g, b (and opacity) for all, for each triangle, or for each corner of each.")
+        given = "those of a function" if callable(colours) else shown(np.asarray(colours))
+        raise FastGSError(f"colours must be finite numbers of the shape {WANTED}, not {given}; there are {count} triangles.")
     rgba = values if values.shape[1] == 4 else np.c_[values, np.ones(sampled)]
     seam = np.zeros((count, 3), bool) if function is None else _seams(function, corners, edges, samples.spacing)
     return Painted(rgba, across, distance, seam)
@@ -92,7 +95,10 @@ def _footprints(colours: Colours, corners: np.ndarray, samples: SurfaceSamples):
     inside = np.maximum(around, 0)
     around = np.where(large[:, None], inside / inside.sum(-1, keepdims=True), around)
 
-    centre = np.asarray(colours(samples.triangle, samples.weights), np.float64)
+    centre = numbers(colours(samples.triangle, samples.weights), "the colours of a function", "(places, 3 or 4)")
+    if centre.shape not in ((len(samples), 3), (len(samples), 4)):
+        raise FastGSError(f"the function of colours must give the shape ({len(samples)}, 3 or 4) for {len(samples)} places, not "
+                          f"{centre.shape}.")
     found = np.stack([np.asarray(colours(samples.triangle, weights), np.float64) for weights in around])
     other = np.abs(found - centre).max(-1) > CONTRAST
     # An edge has the sample's own colour behind the sample; in a speckled texture a Gaussian takes the mean.

@@ -11,14 +11,26 @@ def printable(text: object) -> str:
 
 
 class FastGSError(Exception):
-    """Bad input.  The message is one sentence: which file, what is wrong, what to do.  It is printable()."""
+    """Bad input.  The message is one sentence: which file, what is wrong, what to do.  It is printable().
+
+    Example:
+        try:
+            fg.load("missing.ply")
+        except fg.FastGSError as error:
+            print(error)
+    """
 
     def __init__(self, message: object = ""):
         super().__init__(printable(message))
 
 
 class LossWarning(UserWarning):
-    """Something is lost: a format that cannot hold all of a model, or unusable Gaussians in a file; the message says what."""
+    """Something is lost: a format that cannot hold all of a model, or unusable Gaussians in a file; the message says what.
+
+    Example:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", fg.LossWarning)  # a lossy save now raises
+    """
 
     def __init__(self, message: object = ""):
         super().__init__(printable(message))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...util.arguments import in_words
 from ...util.errors import FastGSError, LossWarning
 from ...util.outputs import replacing
 from .. import poses
@@ -59,7 +60,7 @@ class Picture:
 
     def __post_init__(self):
         if not (1 <= self.width <= LARGEST_SIDE and 1 <= self.height <= LARGEST_SIDE and np.isfinite(self.fps) and self.fps > 0):
-            raise FastGSError(f"a camera path needs a picture of at least 1 x 1 pixel and a positive frame rate, not {self}.")
+            raise FastGSError(f"a camera path needs a picture of at least 1 x 1 pixel and a positive frame rate, not {in_words(self)}.")
 
 
 def camera_to_world(camera: Camera) -> np.ndarray:

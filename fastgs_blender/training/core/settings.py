@@ -6,6 +6,7 @@ import math
 from dataclasses import MISSING, asdict, dataclass, fields
 
 from ...model.motion import trained_motions
+from ...util.arguments import shown
 from ...util.errors import FastGSError
 
 CHOICES = {
@@ -221,7 +222,7 @@ def settings(preset: str = "standard", **options) -> Settings:
 def from_dict(values: dict) -> Settings:
     """The inverse of Settings.to_dict; absent options keep their defaults, unknown ones raise FastGSError."""
     if not isinstance(values, dict):
-        raise FastGSError(f"training options are a table of names and values, not {values!r}.")
+        raise FastGSError(f"training options are a table of names and values, not {shown(values)}.")
     known = {field.name for field in fields(Settings)}
     unknown = [name for name in values if name not in known]
     if unknown:

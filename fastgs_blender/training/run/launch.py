@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ... import formats
-from ...captures.pixels.checks import check
-from ...captures.pixels.store import FrameStore
 from ...model.gaussians import GaussianModel
-from ..core.distributed import joined
-from ..core.settings import settings
-from ..initial.calibrate import with_poses
-from . import session
+from ...util.arguments import file_path
+from ...util.errors import FastGSError
 from .files import MODEL
-from .plan import Source, plan_from_dict
+
+if TYPE_CHECKING:
+    from .plan import Source
 
 
 def train(capture: str | Path | None, out: str | Path, *, preset: str | None = None, resume: bool = False, overwrite: bool = False,
@@ -36,6 +34,8 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     Example:
         model = fg.train("my-capture", "run", preset="draft", iterations=500)
     """
+    if capture is None and not resume:
+        raise FastGSError("name the capture to train on; only a run that is resumed knows its own.")
     source = source_of(capture, layout, scale, frames, held_out)
     wanted = {**options, "preset": preset} if preset else dict(options)
     launch(source, out, wanted, resume, overwrite, quiet, lambda text: None)
@@ -44,8 +44,10 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
 
 def source_of(capture, layout, scale, frames: slice | None, held_out) -> Source:
     """The Source of open_capture()'s arguments."""
+    from .plan import Source
+
     part = None if frames is None else (frames.start or 0, 1 << 30 if frames.stop is None else frames.stop, frames.step or 1)
-    return Source(None if capture is None else str(Path(capture).absolute()), layout, scale, part,
+    return Source(None if capture is None else str(file_path(capture, "the name of a capture").absolute()), layout, scale, part,
                   None if held_out is None else tuple(held_out))
 
 
@@ -54,6 +56,14 @@ def launch(source: Source, out, wanted: Mapping[str, Any], resume: bool, overwri
 
     wanted  the settings that were asked for by name; note: told remarks on the capture
     """
+    from ...captures.pixels.checks import check
+    from ...captures.pixels.store import FrameStore
+    from ..core.distributed import joined
+    from ..core.settings import settings
+    from ..initial.calibrate import with_poses
+    from . import session
+    from .plan import plan_from_dict
+
     def new(chosen):
         return settings(**{"preset": "standard", **chosen})
 

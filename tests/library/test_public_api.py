@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The library's public face: all of it is described, with an example that runs, and docs/api.md says the same."""
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import pydoc
+import re
+import shutil
+import textwrap
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_captures import write_capture
+
+import fastgs_blender as fg
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def api_docs():
+    spec = importlib.util.spec_from_file_location("api_docs", ROOT / "tools" / "api_docs.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def example(name: str) -> str:
+    return textwrap.dedent(inspect.getdoc(getattr(fg, name)).partition("\n\nExample:\n")[2]).strip()
+
+
+def test_the_page_is_current(api_docs):
+    assert (ROOT / "docs" / "api.md").read_text("utf-8") == api_docs.page(), "`make api-docs` writes it anew"
+
+
+def test_everything_is_on_the_page_and_has_an_example(api_docs):
+    listed = [name for names in api_docs.GROUPS.values() for name in names]
+    assert sorted(listed) == sorted(fg.__all__) and len(set(listed)) == len(listed)
+    made = {"BakeReport", "Capture", "View", "Slice", "Sequence"}  # by other members
+    assert not [name for name in fg.__all__ if f"fg.{'' if name in made else name}" not in example(name)]
+    helped = pydoc.plain(pydoc.render_doc(fg))
+    assert all(re.search(rf"\b{name}\b", helped) for name in fg.__all__) and "examples/playground.safetensors" in helped
+
+
+def test_the_examples_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
+    shutil.copytree(ROOT / "examples", "examples", ignore=shutil.ignore_patterns("*.py"))
+    write_capture(Path("my-capture"))
+    positions = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]
+    names = {"fg": fg, "np": np, "warnings": warnings, "positions": positions, "triangles": np.array([[0, 1, 2], [1, 3, 2]])}
+    few = ', start="file", iterations=2, points=50, preview_every=0'
+    overview = "\n".join(line.strip() for line in inspect.getdoc(fg).split("\n\n")[1:-1] for line in line.splitlines())
+    model, camera = fg.load("examples/playground.safetensors"), fg.load_cameras("examples/cameras.json")[4].camera
+    frozen = fg.freeze(model.take(slice(0, 50)), 0)
+    for i in range(2):
+        fg.save(frozen, f"still_{i:04d}.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fg.LossWarning)
+        for code in (overview, *map(example, fg.__all__)):
+            code = re.sub(r'preset="draft"(, iterations=500)?', f'preset="draft"{few}', code)
+            shutil.rmtree("run", ignore_errors=True) if "fg.train" in code else None
+            exec(code, {**names, "model": model, "camera": camera})  # noqa: S102 (our own docstrings)
+    assert Path("copy.ply").exists() and Path("cameras.json").exists() and len(fg.load("run/model.safetensors"))
