@@ -45,7 +45,9 @@ class Camera:
     def __post_init__(self):
         set_ = object.__setattr__
         for name in ("width", "height"):
-            set_(self, name, whole(getattr(self, name), f"a camera's {name} in pixels", 1, 1 << 31))
+            set_(self, name, whole(getattr(self, name), f"a camera's {name} in pixels", -1 << 31, 1 << 31))
+        if self.width < 1 or self.height < 1:
+            raise FastGSError(f"a camera's image must be at least 1 x 1 pixel, not {self.width} x {self.height}.")
         for name in ("fx", "fy", "cx", "cy", "near"):
             real(getattr(self, name), f"a camera's {name}")
         matrix = numbers(self.world_to_camera, "a camera's world_to_camera", "(4, 4)").copy()

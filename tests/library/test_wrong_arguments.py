@@ -39,7 +39,8 @@ RENDERS = [
 ]
 MAKES = [
     (lambda: camera(width=64.5), "width in pixels must be a whole number.*not 64.5"), (lambda: camera(height=None), "height.*not None"),
-    (lambda: camera(width=0), "width.*not 0"), (lambda: camera(width=np.inf), "width.*not inf"), (lambda: camera(fx="wide"), "fx.*'wide'"),
+    (lambda: camera(width=0), "1 x 1 pixel, not 0 x 48"), (lambda: camera(width=np.inf), "width.*not inf"),
+    (lambda: camera(fx="wide"), "fx.*'wide'"),
     (lambda: camera(fy=0), "must not be 0"), (lambda: camera(world_to_camera=np.eye(3)), "4 x 4"),
     (lambda: camera(world_to_camera="eye"), r"of the shape \(4, 4\), not 'eye'"), (lambda: camera(window=(1, 2)), "window must be"),
     (lambda: camera(window=(0, 0, 65, 2)), "does not lie within"),
