@@ -17,6 +17,7 @@ from . import (
     train,
     training_python,
     training_runs,
+    upright,
 )
 from .bake import FASTGS_OT_bake
 from .example import FASTGS_OT_import_example
@@ -45,6 +46,7 @@ CLASSES = (
     *capture_scene.CLASSES,
     *train.CLASSES,
     *training_runs.CLASSES,
+    *upright.CLASSES,
 )
 
 

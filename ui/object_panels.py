@@ -60,6 +60,7 @@ def draw_model(layout, context):
     if obj.fastgs.camera_count:
         row.operator("fastgs.look_through", text="", icon='OUTLINER_OB_CAMERA')
     row.operator("fastgs.store_view", text="", icon='FILE_TICK')
+    layout.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
     if startup.dulls_colours(context.scene):
         layout.operator("fastgs.use_standard", icon='COLOR')
     if context.engine != 'FASTGS':

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Set Upright: which axis of a splat object's file points up."""
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects, upright
+from ..scene.splats import splat_object
+
+SIGNS = {'POS': ("+", "positive"), 'NEG': ("-", "negative")}
+AXES = [(axis, SIGNS[axis[:3]][0] + axis[-1], f"The file's {SIGNS[axis[:3]][1]} {axis[-1]} axis points up", number)
+        for number, axis in enumerate(upright.TURNS, 1)]
+
+
+class FASTGS_OT_set_upright(bpy.types.Operator):
+    """Choose which axis of the active splat object's file points up; the object's own location, rotation and scale stay as they are"""
+
+    bl_idname = "fastgs.set_upright"
+    bl_label = "Upright"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    axis: EnumProperty(
+        name="Up", description="The axis of the file that points up",
+        items=[('FILE', "As in File", "What the file says, or what is usual in its format", 0), *AXES], default='FILE')
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        if obj is None or not objects.is_splat(obj) or obj.type != 'MESH' or not obj.is_editable or not obj.data.is_editable:
+            return False
+        if context.mode != 'OBJECT':
+            cls.poll_message_set("Only in Object Mode")
+        return context.mode == 'OBJECT'
+
+    def invoke(self, context, event):
+        """A popup in which each axis shows at once, in the view, what it does."""
+        self.axis = upright.axis_of(context.object)
+        return context.window_manager.invoke_props_popup(self, event)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.label(text="Which axis of the file points up?")
+        layout.prop_enum(self, "axis", 'FILE')
+        for sign in SIGNS:
+            row = layout.row(align=True)
+            for letter in "XYZ":
+                row.prop_enum(self, "axis", f"{sign}_{letter}")
+
+    def execute(self, context):
+        obj = context.object
+        try:
+            upright.set_upright(obj, upright.recorded_axis(obj) if self.axis == 'FILE' else self.axis)
+        except FastGSError as error:
+            self.report({'ERROR'}, splat_object.sentence(error))
+            return {'CANCELLED'}
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_set_upright,)
