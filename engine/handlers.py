@@ -4,7 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..scene import notices, objects, paths
-from ..scene.splats import moving, proxy_nodes
+from ..scene.splats import guard, moving, proxy_nodes
 from . import compiling
 
 
@@ -16,6 +16,11 @@ def _begin_job(*_):
 @persistent
 def _forget_models(*_):
     objects.clear()
+
+
+@persistent
+def _forget_objects(*_):
+    guard.forget()
 
 
 @persistent
@@ -32,10 +37,12 @@ def _compile_for_splats(*_):
 HANDLERS = (
     (bpy.app.handlers.render_init, _begin_job),
     (bpy.app.handlers.load_pre, _forget_models),
+    (bpy.app.handlers.load_pre, _forget_objects),
     (bpy.app.handlers.load_post, _compile_for_splats),
     (bpy.app.handlers.load_post, _upgrade),
     (bpy.app.handlers.frame_change_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
+    (bpy.app.handlers.depsgraph_update_post, guard.watch),
     (bpy.app.handlers.save_pre, paths.before_save),
     (bpy.app.handlers.save_post, paths.after_save),
     (bpy.app.handlers.save_post_fail, paths.after_save),

@@ -3,12 +3,38 @@
 from __future__ import annotations
 
 import logging
+import textwrap
+from functools import partial
+
+import bpy
 
 from ..fastgs_blender.util.errors import printable
 
 log = logging.getLogger(__package__)
 
 _said: set[str] = set()
+
+WIDTH = 80
+"""Characters in a line of a pop-up."""
+
+
+def tell(text: str):
+    """Log a sentence that no operator can report, and show it where there is a window."""
+    text = printable(text)
+    log.warning(text)
+    if not bpy.app.background:
+        bpy.app.timers.register(partial(_pop_up, text), first_interval=0.0)
+
+
+def _pop_up(text):
+    def draw(self, context):
+        for line in textwrap.wrap(text, WIDTH):
+            self.layout.label(text=line)
+
+    manager = bpy.context.window_manager
+    if manager.windows:
+        with bpy.context.temp_override(window=manager.windows[0]):  # a timer has none, and Blender crashes without one
+            manager.popup_menu(draw, title="FAST-GS", icon='INFO')
 
 
 def warn(engine, text: str):

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keeps proxies whole: what operators do to single points of them, or make of them, is undone and told in a sentence.
+
+Blender lets nobody forbid an operator.  So after each evaluation the splat objects whose meshes changed are looked at.  Points that
+were deleted or moved come back, converted meshes become proxies again, and what was joined is parted.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bmesh
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from mathutils import Matrix
+
+from ...fastgs_blender.util.errors import FastGSError
+from .. import model_space, notices, objects
+from . import proxy
+from .proxy_nodes import GAUSSIAN, NAME, OFFSET, RADIUS, SHADE, give_modifier, modifier_of
+
+SINGLE = ('The points of "{}" stand for its splats and cannot be changed one by one, so they were put back; move all of them together, '
+          "or hide splats with a crop box.")
+CONVERTED = ('"{}" shows splats and stays what it is: they are no mesh. Clear its file in Object properties > 4D Gaussians to have its '
+             "points as a mesh.")
+JOINED = '"{}" cannot be joined with others, because splats are no mesh; they stay apart. Parent them (Ctrl P) to move them as one.'
+MODIFIER = 'The modifier "{}" changes the points of "{}" in other render engines, not its splats.'
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What a splat object was like at the last look, for when it is joined into another and gone."""
+
+    name: str
+    mesh: str
+    model: np.ndarray
+    world: Matrix
+    parent: str
+    collections: tuple[str, ...]
+    settings: dict
+    action: str
+
+
+_records: dict[int, _Record] = {}
+_meshes: dict[int, str] = {}
+"""Names of the other mesh objects."""
+_told: set[tuple[int, str]] = set()
+
+
+def forget(*_) -> None:
+    """Another file is opened."""
+    _records.clear()
+    _meshes.clear()
+    _told.clear()
+
+
+@persistent
+def watch(scene, depsgraph) -> None:
+    """Handler, after each evaluation: look at the meshes that changed, and remember what there is."""
+    splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
+    if not (splats or _records):
+        return
+    for update in list(depsgraph.updates):
+        obj = update.id.original
+        if update.is_updated_geometry and isinstance(obj, bpy.types.Object) and obj.type == 'MESH' and _ours(obj):
+            _look_at(obj)
+    _remember()
+
+
+def _ours(obj) -> bool:
+    """Whether an object may be changed here, and nobody is at work in its mesh."""
+    return obj.mode == 'OBJECT' and obj.is_editable and obj.data.is_editable
+
+
+def _look_at(obj):
+    mesh, splat = obj.data, objects.is_splat(obj)
+    points = _points(mesh)
+    if not splat:
+        if points is not None and points.any() and not obj.fastgs.file_hash and _gone():
+            _part(obj, points)
+            notices.tell(JOINED.format(obj.name))
+        return
+    _tell_of_modifiers(obj)
+    if obj.session_uid not in _records and _being_edited(obj.fastgs.filepath):
+        bpy.data.objects.remove(obj)  # Separate made it: its points are those of the object that it comes from
+        return
+    text = _trouble(mesh, points)
+    if text is None:
+        return
+    name = obj.name
+    try:
+        model = objects.load_model(objects.abspath(obj))
+    except FastGSError:  # the panel says why
+        return
+    if text is JOINED and not points.all():
+        _split_off(obj, ~points)
+    if text is JOINED:
+        _bring_back()
+    _put_back(obj, model, text is SINGLE)
+    notices.tell(text.format(name))
+
+
+def _being_edited(path: str) -> bool:
+    """Whether somebody is at work in the mesh of an object that shows a file."""
+    return any(obj.mode == 'EDIT' and obj.fastgs.filepath == path for obj in bpy.data.objects if obj.session_uid in _records)
+
+
+def _trouble(mesh, points) -> str | None:
+    """What to say of a splat object's mesh that is no proxy any more; None where it is one."""
+    made_with = mesh.get(proxy.POINTS)
+    if points is None:  # an older version's, or made without an importer
+        return CONVERTED if len(mesh.edges) else None
+    here = int(points.sum())
+    if here < len(points) or (made_with is not None and here > made_with):
+        return JOINED
+    return SINGLE if here != made_with or model_space.misplaced(mesh) else None
+
+
+def _points(mesh) -> np.ndarray | None:
+    """Which vertices [M] bool are those of a proxy; None where a mesh has nothing of one."""
+    count = len(mesh.vertices)
+    if GAUSSIAN not in mesh.attributes or RADIUS not in mesh.attributes or OFFSET in mesh.attributes:
+        return None
+    gaussian, radius = np.empty(count, np.int32), np.empty(count, np.float32)
+    mesh.attributes[GAUSSIAN].data.foreach_get("value", gaussian)
+    mesh.attributes[RADIUS].data.foreach_get("value", radius)
+    return (radius > 0) | (gaussian < 0)
+
+
+def _gone() -> list[_Record]:
+    """The splat objects that were there at the last look and are no more."""
+    here = {obj.session_uid for obj in bpy.data.objects}
+    return [record for uid, record in _records.items() if uid not in here]
+
+
+def _put_back(obj, model, single: bool):
+    """Give the object a new proxy in place of its mesh, wherever that is used."""
+    old, record = obj.data, _records.get(obj.session_uid)
+    turn = model_space.model_matrix(obj) if single or record is None else record.model
+    new = proxy.new_mesh("", model, proxy.limit_of(old), turn)
+    for material in old.materials:
+        if material is None or not material.name.startswith(f".{NAME}"):
+            new.materials.append(material)
+    name = old.name
+    old.user_remap(new)
+    bpy.data.meshes.remove(old)
+    new.name = name if record is None else record.mesh
+    if modifier_of(obj) is None:
+        give_modifier(obj)
+
+
+def _part(obj, points):
+    """Take the points of proxies out of a mesh that they were joined into; the splat objects come back."""
+    _delete(obj.data, points)
+    for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
+        if name in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[name])
+    _bring_back()
+
+
+def _split_off(obj, foreign):
+    """Make an object of its own of what was joined into a proxy and is none."""
+    here = {other.session_uid for other in bpy.data.objects}
+    names = [name for uid, name in _meshes.items() if uid not in here]
+    mesh = obj.data.copy()
+    _delete(mesh, ~foreign)
+    for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
+    other = bpy.data.objects.new(names[0] if len(names) == 1 else "Parted", mesh)
+    for collection in obj.users_collection:
+        collection.objects.link(other)
+    other.matrix_world = obj.matrix_world
+
+
+def _delete(mesh, chosen):
+    edited = bmesh.new()
+    edited.from_mesh(mesh)
+    edited.verts.ensure_lookup_table()
+    bmesh.ops.delete(edited, geom=[edited.verts[i] for i in np.flatnonzero(chosen)], context='VERTS')
+    edited.to_mesh(mesh)
+    edited.free()
+    mesh.update()
+
+
+def _bring_back():
+    """Make the splat objects anew that were joined into another: their meshes are still there."""
+    for record in _gone():
+        mesh = bpy.data.meshes.get(record.mesh)
+        if mesh is None:
+            continue
+        obj = bpy.data.objects.new(record.name, mesh)
+        _restore(obj.fastgs, record.settings)
+        homes = [bpy.data.collections.get(name) for name in record.collections]
+        for home in [h for h in homes if h is not None] or [bpy.context.scene.collection]:
+            home.objects.link(obj)
+        obj.parent = bpy.data.objects.get(record.parent) if record.parent else None
+        obj.matrix_world = record.world
+        if record.action and record.action in bpy.data.actions:
+            obj.animation_data_create().action = bpy.data.actions[record.action]
+        give_modifier(obj)
+
+
+def _tell_of_modifiers(obj):
+    ours = modifier_of(obj)
+    for modifier in obj.modifiers:
+        key = obj.session_uid, modifier.name
+        if modifier != ours and key not in _told:
+            _told.add(key)
+            notices.tell(MODIFIER.format(modifier.name, obj.name))
+
+
+def _remember():
+    _records.clear()
+    _meshes.clear()
+    for obj in bpy.data.objects:
+        if obj.type != 'MESH' or obj.library is not None:
+            continue
+        if objects.is_splat(obj):
+            action = obj.animation_data.action if obj.animation_data else None
+            _records[obj.session_uid] = _Record(
+                obj.name, obj.data.name, model_space.model_matrix(obj), obj.matrix_world.copy(), obj.parent.name if obj.parent else "",
+                tuple(collection.name for collection in obj.users_collection), _values(obj.fastgs), action.name if action else "")
+        else:
+            _meshes[obj.session_uid] = obj.name
+
+
+def _values(group) -> dict:
+    """A property group's values as plain ones; datablocks by their names."""
+    found = {}
+    for prop in group.bl_rna.properties:
+        value = None if prop.identifier in ("rna_type", "name") else getattr(group, prop.identifier)
+        if prop.type == 'COLLECTION':
+            found[prop.identifier] = [_values(item) for item in value]
+        elif prop.type == 'POINTER':
+            found[prop.identifier] = value.name if isinstance(value, bpy.types.Object) else None
+        elif value is not None and not prop.is_readonly:
+            found[prop.identifier] = tuple(value) if getattr(prop, "is_array", False) else value
+    return found
+
+
+def _restore(group, values: dict):
+    for name, value in values.items():
+        kind = group.bl_rna.properties[name].type
+        if kind == 'COLLECTION':
+            for item in value:
+                _restore(getattr(group, name).add(), item)
+        elif kind == 'POINTER':
+            if value is not None:
+                setattr(group, name, bpy.data.objects.get(value))
+        else:
+            setattr(group, name, value)
