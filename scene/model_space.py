@@ -17,8 +17,8 @@ PLACE = "Model Position"
 TOLERANCE = 1e-5
 """Distance, as a share of the points' extent, up to which a point counts as being where the map puts it."""
 ROUNDS = 10
-EDITED = 400
-"""So many vertices are read in Edit Mode, which is slow."""
+SOME = 400
+"""So many vertices say where a model lies; all of them lie alike."""
 
 _known: dict[int, np.ndarray] = {}
 """The last map of each mesh, for meshes whose points have been deleted, by the mesh's session_uid."""
@@ -32,7 +32,8 @@ def model_matrix(obj) -> np.ndarray:
     pairs = _edited(mesh) if mesh.is_editmode else _stored(mesh)
     if pairs is None:
         return _known.get(mesh.session_uid, np.eye(4))
-    found = affine(*pairs)
+    some = _some(len(pairs[0]))
+    found = affine(pairs[0][some], pairs[1][some])
     if found is None:
         return _known.get(mesh.session_uid, np.eye(4))
     _known[mesh.session_uid] = found
@@ -101,6 +102,11 @@ def affine(place: np.ndarray, at: np.ndarray) -> np.ndarray | None:
     return rounded if good else found
 
 
+def _some(count: int) -> np.ndarray:
+    """Numbers of vertices from the first to the last, and the last four, which are the corners of the proxy's box."""
+    return np.unique(np.r_[np.linspace(0, count - 1, SOME), np.arange(max(count - 4, 0), count)].round().astype(int))
+
+
 def _least_squares(place, at):
     middle, extent = place.mean(0), _extent(place)
     known = np.c_[(place - middle) / extent, np.ones(len(place))].astype(np.float64)
@@ -147,5 +153,5 @@ def _edited(mesh):
     if layer is None or not len(edited.verts):
         return None
     edited.verts.ensure_lookup_table()
-    some = [edited.verts[i] for i in np.unique(np.linspace(0, len(edited.verts) - 1, EDITED).round().astype(int))]
+    some = [edited.verts[i] for i in _some(len(edited.verts))]
     return np.array([v[layer] for v in some], np.float32), np.array([v.co for v in some], np.float32)
