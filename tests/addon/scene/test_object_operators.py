@@ -284,7 +284,7 @@ def test_modifiers_that_do_not_act_on_splats_are_told(splats, where, told):
 def test_instances_and_copies(splats, where):
     """Duplicate, Duplicate Linked and Make Instances Real."""
     before = where()["model"]
-    for duplicate in (lambda: ops.object.duplicate(), lambda: ops.object.duplicate(linked=True)):
+    for duplicate in (ops.object.duplicate, lambda: ops.object.duplicate(linked=True)):
         select(splats)
         duplicate()
         bpy.ops.transform.translate(value=(5, 0, 0))
