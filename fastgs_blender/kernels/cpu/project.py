@@ -211,9 +211,10 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
         u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
         u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
         u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
+        unit = per_depth
         if sized:
-            per_depth *= size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look)
-        size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
+            unit *= size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look)
+        size0, size1, size2 = _exp(scale[n, 0]) * unit, _exp(scale[n, 1]) * unit, _exp(scale[n, 2]) * unit
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
         s00, s01, s11, sharp, det = _covariance(u, v, blur)
         if not (det > 0.0 and s00 + s11 < np.inf):

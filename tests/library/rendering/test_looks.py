@@ -53,9 +53,11 @@ def test_models_in_srgb_are_changed_in_scene_linear():
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 def test_every_backend_shows_looks_alike(appearance, space):
     model = random_model(np.random.default_rng(1), 60, "paper", "line", "radial", appearance, colour_space=space)
-    pictures = [fg.render([(model, np.eye(4), 0.4, look)], CAMERA, backend=backend)
+    passes = "rgb", "alpha", "depth", "median_depth"
+    pictures = [fg.render([(model, np.eye(4), 0.4, look)], CAMERA, passes=passes, backend=backend)
                 for look in (EVERYTHING, ObjectSettings()) for backend in ("reference", "cpu")]
-    for name in ("rgb", "alpha"):
+    pictures = [{name: np.where(np.isfinite(image), image, 0) for name, image in each.items()} for each in pictures]
+    for name in passes:
         assert np.abs(pictures[0][name] - pictures[1][name]).max() < 2e-5
         assert np.abs(pictures[0][name] - pictures[2][name]).max() > 0.05
     for look in (EVERYTHING, ObjectSettings(opacity=3.0), ObjectSettings(min_size=0.4)):
