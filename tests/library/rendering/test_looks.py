@@ -58,7 +58,7 @@ def test_every_backend_shows_looks_alike(appearance, space):
                 for look in (EVERYTHING, ObjectSettings()) for backend in ("reference", "cpu")]
     pictures = [{name: np.where(np.isfinite(image), image, 0) for name, image in each.items()} for each in pictures]
     for name in passes:
-        assert np.abs(pictures[0][name] - pictures[1][name]).max() < 2e-5
+        assert np.abs(pictures[0][name] - pictures[1][name]).max() < (1e-4 if "depth" in name else 2e-5)
         assert np.abs(pictures[0][name] - pictures[2][name]).max() > 0.05
     for look in (EVERYTHING, ObjectSettings(opacity=3.0), ObjectSettings(min_size=0.4)):
         instance = Instance(model, np.eye(4), 0.4, look).viewed(CAMERA)
