@@ -20,8 +20,12 @@ def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
         return
     if settings.fps:  # a sequence without a rate of its own follows the scene's
         scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
+    scene.frame_start = max(round(settings.start_frame), 0)
+    scene.frame_end = scene.frame_start + max(ceil(clip_length(settings)), 1) - 1
+
+
+def clip_length(settings) -> float:
+    """How many frames of a clip that has the scene's frame rate, or sets it, an object's settings play from its start frame on."""
     speed = settings.speed or 1.0
-    frames = (settings.frame_count - settings.offset) if speed > 0 else (settings.frame_count + settings.offset)
-    start = max(round(settings.start_frame), 0)
-    scene.frame_start = start
-    scene.frame_end = start + max(ceil(frames / abs(speed)), 1) - 1
+    frames = max(settings.frame_count - settings.trim_start - settings.trim_end, 1.0)
+    return (frames - settings.offset if speed > 0 else frames + settings.offset) / abs(speed)

@@ -17,6 +17,7 @@ from bpy.props import (
 from ..fastgs_blender.rendering.instances import RANGES
 from ..fastgs_blender.rendering.passes import PASSES
 from . import updates
+from .time import MOST_ECHOES
 from .training.options import FASTGS_PG_training
 
 _PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
@@ -97,6 +98,27 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
             ('INTERPOLATE', "Interpolate", "What lies between the two; the nearer one where their Gaussians do not match", 0),
             ('HOLD', "Hold", "The nearer frame", 1),
         ), default='INTERPOLATE', **_SHOWN)
+    trim_start: FloatProperty(
+        name="Trim Start", description="Frames of the capture to cut off at its beginning: the clip begins behind them", min=0.0, **_SHOWN)
+    trim_end: FloatProperty(
+        name="Trim End", description="Frames of the capture to cut off at its end", min=0.0, **_SHOWN)
+    use_capture_frame: BoolProperty(
+        name="Key the Capture Frame", description="Show the capture frame below, whatever the scene's frame, speed and offset are: "
+        "its keys are speed ramps, freezes and reverses", default=False, **_SHOWN)
+    capture_frame: FloatProperty(
+        name="Capture Frame", description="The frame of the capture to show; 0 is its first, fractions lie between frames", **_SHOWN)
+    fade: FloatProperty(
+        name="Loop Fade", description="Frames at the seam of a loop over which its end and its beginning are shown together; at most half "
+        "of the clip", min=0.0, soft_max=50.0, **_SHOWN)
+    echoes: IntProperty(
+        name="Echoes", description="How many earlier moments of the capture are shown besides the current one, each as much to draw as the "
+        "object itself", min=0, max=MOST_ECHOES, soft_max=8, **_SHOWN)
+    echo_spacing: FloatProperty(
+        name="Echo Spacing", description="Frames of the capture between two echoes; negative shows later moments", default=5.0,
+        soft_min=0.1, soft_max=30.0, **_SHOWN)
+    echo_fade: FloatProperty(
+        name="Echo Fade", description="Opacity of an echo as a share of that of the one before", default=0.5, min=0.0, max=1.0,
+        subtype='FACTOR', **_SHOWN)
     crops: CollectionProperty(
         type=FASTGS_PG_crop, name="Crop Boxes", description="Boxes outside or inside which nothing of the model is shown",
         override=_OWN | {'USE_INSERTION'})

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.instances import LIMIT, Instance, ObjectSettings
 from . import crops, model_space, objects
-from .time import Retime, clip_frame
+from .time import Retime, shown_frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +75,23 @@ class Snapshot:
         loaded, left_out = [], []
         for item in self.instances:
             try:
-                instance = self._load(item, load_model, read)
+                loaded += [(item, instance) for instance in self._load(item, load_model, read)]
             except fg.FastGSError as error:
                 left_out.append((item.name, str(error)))
-            else:
-                loaded += [] if instance is None else [(item, instance)]
         return loaded, left_out
 
-    def _load(self, item: FileInstance, load_model, read: bool) -> Instance | None:
+    def _load(self, item: FileInstance, load_model, read: bool) -> list[Instance]:
+        """The instance at each of the times at which its object shows it: more than one where a loop fades, or with echoes."""
         if not (np.abs(item.placement) <= LIMIT).all():  # neither are NaN
             raise fg.FastGSError(f"its transform holds numbers beyond {LIMIT:g} or that are no numbers; "
                                  "clear its location, rotation and scale, or those of its parents.")
         source = load_model(item.path)
-        frame = clip_frame(self.frame, self.fps, item.retime, source.clip)
-        if frame is None:
-            return None
-        model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
-        return Instance(model, item.placement, t, item.settings, item.name, item.index, item.place)
+        made = []
+        for number, (frame, share) in enumerate(shown_frames(self.frame, self.fps, item.retime, source.clip)):
+            model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
+            settings = item.settings if share == 1 else replace(item.settings, opacity=item.settings.opacity * share)
+            made.append(Instance(model, item.placement, t, settings, item.name, item.index, (item.place, number) if number else item.place))
+        return made
 
 
 def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot:
@@ -129,7 +129,8 @@ def clock(scene) -> tuple[float, float]:
 def retime_of(obj) -> Retime:
     """How an evaluated object plays its clip."""
     settings = obj.fastgs
-    return Retime(settings.start_frame, settings.speed, settings.offset, settings.before, settings.after, settings.subframes == 'HOLD')
+    plain = {f.name: getattr(settings, f.name) for f in fields(Retime) if f.name not in ("hold", "capture_frame")}
+    return Retime(hold=settings.subframes == 'HOLD', capture_frame=settings.capture_frame if settings.use_capture_frame else None, **plain)
 
 
 def settings_of(obj, depsgraph) -> ObjectSettings:

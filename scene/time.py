@@ -2,7 +2,10 @@
 """Maps a frame of the scene to a frame of a capture, for each object's retiming.  Nothing is ever rounded to a whole frame."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+
+MOST_ECHOES = 32
 
 
 @dataclass(frozen=True)
@@ -15,6 +18,13 @@ class Retime:
     before       'HIDE', 'HOLD', 'LOOP' or 'PING_PONG': what shows before the clip's first frame
     after        the same after its last
     hold         whether a sequence shows the nearer frame between two, instead of what lies between them
+    trim_start, trim_end
+                 frames of the capture that are cut off at its beginning and at its end: the clip is what is left
+    capture_frame  the capture's frame to show, whatever the scene's frame, speed and offset are; None: these decide
+    fade         frames at the seam of a loop over which its end and its begin are shown together; at most half of the clip
+    echoes       how many earlier frames (later ones where speed is negative) are shown besides
+    echo_spacing, echo_fade
+                 frames of the capture between them; factor on the opacity from one to the next
     """
 
     start_frame: float = 1.0
@@ -23,36 +33,80 @@ class Retime:
     before: str = 'HOLD'
     after: str = 'HOLD'
     hold: bool = False
+    trim_start: float = 0.0
+    trim_end: float = 0.0
+    capture_frame: float | None = None
+    fade: float = 0.0
+    echoes: int = 0
+    echo_spacing: float = 5.0
+    echo_fade: float = 0.5
+
+    def range(self, clip) -> tuple[float, float]:
+        """The first and the last frame of the capture that trimming leaves."""
+        first = min(max(self.trim_start, 0.0), clip.frame_count - 1.0)
+        return first, max(clip.frame_count - 1.0 - max(self.trim_end, 0.0), first)
 
 
 def clip_frame(scene_frame: float, scene_fps: float, retime: Retime, clip) -> float | None:
-    """The clip's frame (0 .. frame_count, fractions are sub-frames) to show on a scene frame; None: nothing shows.
+    """The clip's frame (0 .. frame_count, fractions are sub-frames) that shows most on a scene frame; None: nothing shows."""
+    frames = shown_frames(scene_frame, scene_fps, replace(retime, echoes=0), clip)
+    return max(frames, key=lambda shown: shown[1])[0] if frames else None
 
-    Time runs in seconds, so a clip keeps its speed whatever the scene's frame rate.  With n frames:
+
+def shown_frames(scene_frame: float, scene_fps: float, retime: Retime, clip) -> list[tuple[float, float]]:
+    """The clip's frames (0 .. frame_count, fractions are sub-frames) to show on a scene frame, each with the opacity that it has.
+
+    Time runs in seconds, so a clip keeps its speed whatever the scene's frame rate.  With n frames left by trimming:
 
         f = speed * (scene_frame - start_frame) * clip.fps / scene_fps + offset      (+ n - 1 where speed < 0)
 
-    A clip without a frame rate of its own has the scene's.
+    counts from the first of them.  A clip without a frame rate of its own has the scene's.
 
     Between 0 and n - 1 f itself shows.  Outside 'HOLD' shows the nearest of these two, 'LOOP' f mod n, 'PING_PONG' turns
     around at 0 and n - 1 (period 2 (n - 1)), and 'HIDE' shows f for 0 <= f < n only: the last frame lasts as long as any other.
+    A loop that fades over c frames has the period n - c; its first c frames come in while the last c go.
+    Echoes end where the clip does, unless it loops or turns around.
     """
-    n = clip.frame_count
+    first, last = retime.range(clip)
     rate = scene_fps if clip.free else clip.fps
-    f = retime.speed * (scene_frame - retime.start_frame) * rate / scene_fps + retime.offset
-    if retime.speed < 0:
-        f += n - 1
+    if retime.capture_frame is None:
+        f = retime.speed * (scene_frame - retime.start_frame) * rate / scene_fps + retime.offset
+        if retime.speed < 0:
+            f += last - first
+    else:
+        f = retime.capture_frame - first
+    step = retime.echo_spacing if retime.speed >= 0 else -retime.echo_spacing
+    shown = []
+    for number in range(min(max(retime.echoes, 0), MOST_ECHOES) + 1):
+        for frame, share in _within(f - number * step, last - first + 1, retime, number > 0):
+            if share > 0:
+                shown.append((first + frame, share * retime.echo_fade**number))
+    return [(frame, share) for frame, share in shown if share > 0]
+
+
+def _within(f: float, n: float, retime: Retime, echo: bool) -> list[tuple[float, float]]:
+    """The frames of a clip of n frames to show at its frame f, with their opacities."""
     # Blender stores single precision: a speed of 0.7 is a little less, and the first frame must not fall before itself
     slack = 1e-6 * max(1.0, abs(f))
+    fade = min(max(retime.fade, 0.0), n / 2)
+    if fade and 'LOOP' in (retime.before, retime.after):
+        period = n - fade
+        turn = math.floor((f + slack) / period)
+        at = max(f - turn * period, 0.0)
+        comes_from_the_loop = retime.after == 'LOOP' if turn > 0 else retime.before == 'LOOP'
+        if comes_from_the_loop and at < fade:
+            return [(at, at / fade), (min(at + period, n - 1.0), 1 - at / fade)]
+        if comes_from_the_loop and turn:
+            return [(at, 1.0)]
     if -slack <= f <= n - 1 + slack:
-        return min(max(f, 0.0), n - 1.0)
+        return [(min(max(f, 0.0), n - 1.0), 1.0)]
     mode = retime.before if f < 0 else retime.after
     if mode == 'HOLD':
-        return 0.0 if f < 0 else n - 1.0
+        return [] if echo else [(0.0 if f < 0 else n - 1.0, 1.0)]
     if mode == 'LOOP':
         f %= n
-        return f if f < n - slack else 0.0
+        return [(f if f < n - slack else 0.0, 1.0)]
     if mode == 'PING_PONG':
         last = n - 1.0
-        return last - abs(f % (2 * last) - last) if last else 0.0
-    return f if 0 <= f < n - slack else None
+        return [(last - abs(f % (2 * last) - last) if last else 0.0, 1.0)]
+    return [(f, 1.0)] if 0 <= f < n - slack else []

@@ -75,17 +75,37 @@ def draw_time(layout, context):
     settings = obj.fastgs
     layout.use_property_split = True
     col = layout.column()
+    col.active = not settings.use_capture_frame
     col.prop(settings, "start_frame")
     col.prop(settings, "speed")
     col.prop(settings, "offset")
+    row = layout.row(heading="Capture Frame", align=True)
+    row.prop(settings, "use_capture_frame", text="")
+    sub = row.row()
+    sub.active = settings.use_capture_frame
+    sub.prop(settings, "capture_frame", text="")
+    col = layout.column(align=True)
+    col.prop(settings, "trim_start", text="Trim Start")
+    col.prop(settings, "trim_end", text="End")
     col = layout.column()
     col.prop(settings, "before")
     col.prop(settings, "after")
+    if 'LOOP' in (settings.before, settings.after):
+        col.prop(settings, "fade")
+    col = layout.column(align=True)
+    col.prop(settings, "echoes")
+    if settings.echoes:
+        col.prop(settings, "echo_spacing", text="Spacing")
+        col.prop(settings, "echo_fade", text="Fade")
     if objects.is_sequence(obj):
         col.prop(settings, "subframes")
     if facts.known(obj):
         draw_rows(layout, [("Shown Now", facts.shown_now(obj, context.scene))])
         layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
+        row = layout.row(align=True)
+        row.operator("fastgs.split", icon='PIVOT_CURSOR')
+        row.operator("fastgs.mark_clip", icon='MARKER_HLT')
+        layout.operator("fastgs.add_sound", icon='SOUND')
 
 
 def draw_look(layout, context):

@@ -94,3 +94,54 @@ def test_single_precision_settings_do_not_step_over_a_boundary(show, n, speed, r
 def test_one_frame(show, frame, mode):
     f = show(frame, 1, before=mode, after=mode)
     assert 0 <= f < 1 and (mode == 'LOOP' or f == 0)
+
+
+@pytest.fixture(scope="module")
+def show_all(module, fg):
+    """show_all(frame, n=10, **retime): the clip's frames with their opacities, rounded."""
+    time = module("scene.time")
+
+    def call(frame, n=10, **retime):
+        return [(round(f, 6), round(share, 6)) for f, share in time.shown_frames(frame, 24.0, time.Retime(**retime), fg.Clip(n, 24.0))]
+
+    return call
+
+
+@pytest.mark.parametrize(("frame", "retime", "expected"), [
+    # trimmed: the clip is what is left
+    (1, dict(trim_start=2), [(2, 1)]), (99, dict(trim_start=2, trim_end=3), [(6, 1)]),
+    (1, dict(trim_start=2, trim_end=3, speed=-1), [(6, 1)]),
+    (6, dict(trim_start=2, trim_end=3, after='LOOP'), [(2, 1)]),
+    (6, dict(trim_start=2, trim_end=3, after='HIDE'), []),
+    (1, dict(trim_start=50), [(9, 1)]),
+    # the capture's frame is keyed
+    (77, dict(capture_frame=4.25), [(4.25, 1)]), (77, dict(capture_frame=4.25, speed=-3, offset=2), [(4.25, 1)]),
+    (77, dict(capture_frame=1, trim_start=3), [(3, 1)]), (77, dict(capture_frame=12, after='LOOP'), [(2, 1)]),
+    # a loop that fades: 4 of 10 frames, so that it begins anew every 6
+    (4, dict(after='LOOP', fade=4), [(3, 1)]), (7, dict(after='LOOP', fade=4), [(6, 1)]),
+    (8, dict(after='LOOP', fade=4), [(1, 0.25), (7, 0.75)]),
+    (10, dict(after='LOOP', fade=4), [(3, 0.75), (9, 0.25)]), (11, dict(after='LOOP', fade=4), [(4, 1)]),
+    (14, dict(after='LOOP', fade=4), [(1, 0.25), (7, 0.75)]), (0, dict(before='LOOP', fade=4), [(5, 1)]),
+    (2, dict(before='LOOP', fade=4), [(1, 0.25), (7, 0.75)]), (2, dict(after='LOOP', fade=4), [(1, 1)]),
+    (10, dict(before='LOOP', fade=4), [(9, 1)]), (99, dict(before='LOOP', fade=4), [(9, 1)]),
+    # echoes
+    (9, dict(echoes=2, echo_spacing=3), [(8, 1), (5, 0.5), (2, 0.25)]), (4, dict(echoes=2, echo_spacing=3), [(3, 1), (0, 0.5)]),
+    (3, dict(echoes=2, echo_spacing=-3, echo_fade=1), [(2, 1), (5, 1), (8, 1)]),
+    (3, dict(echoes=1, echo_spacing=3, speed=-1), [(7, 1)]), (5, dict(echoes=1, echo_spacing=3, speed=-1), [(5, 1), (8, 0.5)]),
+    (12, dict(echoes=1, echo_spacing=3, after='LOOP'), [(1, 1), (8, 0.5)]), (4, dict(echoes=9, echo_fade=0), [(3, 1)]),
+])
+def test_trims_keys_fades_and_echoes(show_all, frame, retime, expected):
+    assert show_all(frame, **retime) == [(pytest.approx(f), pytest.approx(share)) for f, share in expected]
+
+
+@given(frames, st.floats(0, 6), st.sampled_from(MODES), st.sampled_from(MODES), st.floats(0, 1e-3))
+def test_a_fading_loop_has_no_seam(show_all, frame, fade, before, after, step):
+    """Opacities add up to one, and from a moment to the next no frame comes or goes with more than a little of it."""
+    first, second = (show_all(f, before=before, after=after, fade=fade) for f in (frame, frame + step))
+    for shown in (first, second):
+        assert not shown or sum(share for _, share in shown) == pytest.approx(1)
+        assert all(0 <= f < 10 for f, _ in shown) and len(shown) == len(set(shown))
+    if before == after == 'LOOP' and fade >= 1 and first and second:
+        for f, share in first:
+            near = sum(other for g, other in second if abs(f - g) <= step + ROUNDING)
+            assert abs(near - share) <= (step + ROUNDING) / fade + 1e-3 or any(abs(f - g) < 2 * step + ROUNDING for g, _ in second)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators on an object's clip: splitting it at the current frame, marking its begin and end, and its sound."""
+from __future__ import annotations
+
+from math import floor
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import objects, snapshot
+from ..scene.clips import add_sound, played
+from ..scene.splats.splat_object import sentence
+from ..scene.time import clip_frame
+
+
+class _OnClip:
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        if obj is None or not objects.is_splat(obj) or not obj.is_editable:
+            cls.poll_message_set("Select an object that shows splats")
+            return False
+        if obj.fastgs.frame_count < 2:
+            cls.poll_message_set("A still has no clip")
+            return False
+        return True
+
+
+class FASTGS_OT_split(_OnClip, bpy.types.Operator):
+    """Cut the clip at the current frame: the object shows what comes before it, a new object what comes from it on"""
+
+    bl_idname = "fastgs.split"
+    bl_label = "Split"
+
+    def execute(self, context):
+        obj, scene = context.object, context.scene
+        settings, clip = obj.fastgs, objects.clip_of(obj)
+        retime = snapshot.retime_of(obj)
+        frame, fps = snapshot.clock(scene)
+        whole = played(obj, scene)
+        at = clip_frame(frame, fps, retime, clip)
+        if settings.use_capture_frame or at is None or not whole.start < frame < whole.end:
+            self.report({'ERROR'}, "The clip cannot be split here: go to a frame within it, and let its time follow the scene's frame")
+            return {'CANCELLED'}
+        last = clip.frame_count - 1
+        second = obj.copy()  # shows the same file, and the same proxy
+        for collection in obj.users_collection:
+            collection.objects.link(second)
+        if settings.speed > 0:
+            settings.trim_end, second.fastgs.trim_start = last + 1 - at, at
+            settings.after = second.fastgs.before = 'HIDE'
+        else:  # what comes later lies before the clip's first frame
+            settings.trim_start, second.fastgs.trim_end = floor(at) + 1, last - at
+            settings.before = second.fastgs.after = 'HIDE'
+        second.fastgs.start_frame, second.fastgs.offset = frame, 0.0
+        for other in context.selected_objects:
+            other.select_set(False)
+        second.select_set(True)
+        context.view_layer.objects.active = second
+        return {'FINISHED'}
+
+
+class FASTGS_OT_mark_clip(_OnClip, bpy.types.Operator):
+    """Set markers in the timeline at the first and at the last frame of the clip; those that this object already has are moved"""
+
+    bl_idname = "fastgs.mark_clip"
+    bl_label = "Mark"
+
+    def execute(self, context):
+        markers, at = context.scene.timeline_markers, played(context.object, context.scene)
+        for what, frame in (("begins", at.start), ("ends", at.end - 1)):
+            name = f"{context.object.name} {what}"
+            marker = markers.get(name) or markers.new(name)
+            marker.frame = round(frame)
+        return {'FINISHED'}
+
+
+class FASTGS_OT_add_sound(_OnClip, bpy.types.Operator, ImportHelper):
+    """Add the sound of the capture, from a film or a sound file, to the sequencer, in step with the clip"""
+
+    bl_idname = "fastgs.add_sound"
+    bl_label = "Add Sound"
+
+    filter_glob: StringProperty(
+        default="*.wav;*.flac;*.ogg;*.mp3;*.m4a;*.aac;*.mp4;*.mov;*.mkv;*.webm;*.avi", options={'HIDDEN'})
+    sync: BoolProperty(
+        name="Sync to Audio", description="Let playback drop frames rather than leave the sound behind", default=True)
+
+    def execute(self, context):
+        try:
+            strip = add_sound(context.scene, context.object, Path(bpy.path.abspath(self.filepath)))
+        except FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        if self.sync:
+            context.scene.sync_mode = 'AUDIO_SYNC'
+        self.report({'INFO'}, f"Sound on channel {strip.channel} of the sequencer, from frame {strip.frame_start:g}")
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_split, FASTGS_OT_mark_clip, FASTGS_OT_add_sound)
