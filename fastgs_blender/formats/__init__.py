@@ -173,6 +173,7 @@ def _reading(path: Path) -> Iterator[None]:
 
 def _identify(path: Path) -> Format:
     if FILES.sniff(b"", path):
+        numbered_files(path)  # says what is wrong with a folder that is no sequence
         return FILES
     with open_file(path) as stream:
         head = stream.read(64)

@@ -64,10 +64,6 @@ class NumberedFiles(SequenceFormat):
     def sniff(self, head, path):
         return stands_for_many(path)
 
-    def load(self, path):
-        numbered_files(path)  # says what is wrong with a folder that is none
-        return super().load(path)
-
     def open(self, path, load):
         found = numbered_files(path)
         return _sequence([n for n, _ in found], lambda i: _still(load(found[i][1]), found[i][1]), lambda i: status_of(str(found[i][1])),
