@@ -133,7 +133,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | None =
     try:
         if not isinstance(model, GaussianModel):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
-        writer = _writer(model, path)
+        writer = writer_of(model, path)
         if compress is not None:
             if not isinstance(writer, Native):
                 raise FastGSError("only .safetensors files have a compressed variant; choose such a name, or a packed format such as .spz.")
@@ -152,7 +152,7 @@ def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:
     """All files that save() would write: path, and a decoder beside it where the format keeps one there."""
     path = file_path(path)
     try:
-        return _writer(model, path).files(model, path)
+        return writer_of(model, path).files(model, path)
     except FastGSError as error:
         raise _named("cannot write", path, error) from error
 
@@ -185,7 +185,8 @@ def _identify(path: Path) -> Format:
     raise FastGSError(f"{explain(head, path, [known.name for known in FORMATS])}.")
 
 
-def _writer(model: GaussianModel, path: Path) -> Format:
+def writer_of(model: GaussianModel, path: Path) -> Format:
+    """The format that save() would write the model in; raises FastGSError where the name's extension is unknown."""
     name = path.name.lower()
     extension = max((e for e in writable() if name.endswith(e) and name != e), key=len, default=None)
     choices = [known for known in WRITERS if extension in known.extensions]

@@ -22,6 +22,7 @@ from ..util import rotations
 from ..util.errors import FastGSError
 from .base import OPAQUE, generator
 from .description import read_json, whole_number
+from .scenes import placed, together
 from .spz import decoded
 from .static import StaticFormat, read_whole
 from .turning import into_rdf, turned
@@ -62,8 +63,8 @@ class Gltf(StaticFormat):
         buffers = _Buffers(tree, binary, path.parent)
         models = []
         for place, primitive in found:
-            models.append(_placed(_primitive(tree, primitive, buffers), place))
-        return turned(_together(models), into_rdf(AXES))
+            models.append(placed(_primitive(tree, primitive, buffers), place))
+        return turned(together(models), into_rdf(AXES))
 
     def fit(self, model):
         if not len(model):
@@ -243,38 +244,6 @@ def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
     if len({len(array) for array in arrays.values()}) > 1:
         raise FastGSError("its attributes differ in length; the file is damaged.")
     return GaussianModel(**arrays, appearance=SH(degree), raster=Raster(), colour_space=COLOURS[colours])
-
-
-def _placed(model: GaussianModel, place: np.ndarray) -> GaussianModel:
-    """The model moved, turned and scaled by a node's matrix; a scale that differs by axis becomes the Gaussians' own."""
-    if np.array_equal(place, np.eye(4)) or not len(model):
-        return model
-    linear = place[:3, :3]
-    left, sizes, right = np.linalg.svd(linear)
-    if not sizes.min() > 1e-12 * max(sizes.max(), 1e-30):
-        raise FastGSError("a node flattens its Gaussians; give it a scale other than 0 and export it again.")
-    turn = left @ right
-    out = replace(turned(replace(model, position=np.zeros_like(model.position)), turn), position=model.position @ linear.T + place[:3, 3])
-    if np.allclose(sizes, sizes[0], rtol=1e-6):
-        return replace(out, scale=model.scale + np.log(sizes.mean()))
-    own = rotations.to_matrices(rotations.unit(model.rotation.astype(np.float64)))
-    frame = linear @ (own * np.exp(model.scale.astype(np.float64))[:, None])
-    frame[~np.isfinite(frame).all((1, 2))] = 0  # load() leaves these Gaussians out
-    axes, lengths, _ = np.linalg.svd(frame)
-    axes = axes * np.sign(np.linalg.det(axes))[:, None, None]
-    return replace(out, rotation=rotations.from_matrices(axes), scale=np.log(lengths))
-
-
-def _together(models: list[GaussianModel]) -> GaussianModel:
-    """One model of all; those with fewer harmonics get zeros."""
-    if len({(m.colour_space, m.raster) for m in models}) > 1:
-        raise FastGSError("its Gaussians are in several colour spaces; export them one by one.")
-    degree = max(m.appearance.degree for m in models)
-    width = SH(degree).width
-    features = [np.pad(m.features, ((0, 0), (0, width - m.features.shape[1]))) for m in models]
-    arrays = {name: np.concatenate([getattr(m, name) for m in models]) for name in ("position", "rotation", "scale", "opacity")}
-    return replace(models[0], **arrays, features=np.concatenate(features), mu_tau=None, motion=None, rotation_motion=None, temporal=None,
-                   appearance=SH(degree))
 
 
 def _glb(model: GaussianModel) -> bytes:

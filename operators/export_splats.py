@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""File > Export > 4D Gaussians: a frame or a range of frames as static files, or the active object's whole model."""
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from .. import fastgs_blender as fg
+from ..fastgs_blender import formats
+from ..fastgs_blender.formats.scenes import as_seen
+from ..fastgs_blender.util.errors import printable
+from ..scene import objects, snapshot
+from ..scene.splats.splat_object import sentence
+
+SAMPLE = 200
+"""Gaussians of each object that are looked at to say what a format cannot hold."""
+STATIC = (
+    ('PLY', "PLY", ".ply", "The PLY of 3D Gaussian splatting, which most programs read"),
+    ('COMPRESSED_PLY', "Compressed PLY", ".compressed.ply", "PlayCanvas' and SuperSplat's packed PLY"),
+    ('SPZ', "SPZ", ".spz", "Niantic's packed format"),
+    ('SOG', "SOG", ".sog", "PlayCanvas' format of packed pictures"),
+    ('SPLAT', "Splat", ".splat", "antimatter15's format, without view-dependent colour"),
+    ('GLTF', "glTF", ".glb", "Binary glTF with KHR_gaussian_splatting"),
+)
+MOVING = (
+    ('OWN', "FAST-GS", ".safetensors", "Our own format, which holds everything"),
+    ('COMPRESSED', "FAST-GS, Compressed", ".safetensors", "Our own format, quantised and packed"),
+    ('STG', "Spacetime Gaussians PLY", ".ply", "The PLY of Spacetime Gaussians, with a decoder beside it where the model has one"),
+    ('SPLATV', "splaTV", ".splatv", "The format of the web viewer splaTV"),
+)
+
+
+def _items(kinds):
+    return tuple((key, label, description, number) for number, (key, label, _, description) in enumerate(kinds))
+
+
+class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
+    """Export what splat objects show as files for other programs"""
+
+    bl_idname = "export_scene.fastgs"
+    bl_label = "Export 4D Gaussians"
+    bl_options = {'PRESET'}
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default=";".join(f"*{extension}" for extension in formats.writable()), options={'HIDDEN'})
+    content: EnumProperty(
+        name="Content",
+        items=(
+            ('FRAME', "Frame", "What the scene shows on this frame, as one static file: with transforms, looks, crops and times", 0),
+            ('RANGE', "Frame Range", "The same for each frame of a range, as numbered files", 1),
+            ('MODEL', "4D Model", "The active object's whole model as its file has it, with its motion", 2),
+        ), default='FRAME')
+    static_format: EnumProperty(name="Format", items=_items(STATIC), default='PLY')
+    moving_format: EnumProperty(name="Format", items=_items(MOVING), default='OWN')
+    selected: BoolProperty(
+        name="Selected Objects", description="Only the selected objects, else all that the view layer shows", default=False)
+    frame_start: IntProperty(name="Start", description="First frame of the scene to export", default=1)
+    frame_end: IntProperty(name="End", description="Last frame of the scene to export", default=250)
+
+    @classmethod
+    def poll(cls, context):
+        if any(objects.is_splat(obj) for obj in context.view_layer.objects):
+            return True
+        cls.poll_message_set("The scene has no splat objects")
+        return False
+
+    def invoke(self, context, event):
+        self.frame_start, self.frame_end = context.scene.frame_start, context.scene.frame_end
+        return ExportHelper.invoke(self, context, event)
+
+    @property
+    def extension(self) -> str:
+        """The extension of the chosen format."""
+        chosen, kinds = (self.moving_format, MOVING) if self.content == 'MODEL' else (self.static_format, STATIC)
+        return next(extension for key, _, extension, _ in kinds if key == chosen)
+
+    def check(self, context):
+        """Give the name the chosen format's extension."""
+        before, path = self.filepath, self.filepath
+        for extension in sorted(formats.writable(), key=len, reverse=True):
+            if path.lower().endswith(extension):
+                path = path[:-len(extension)]
+                break
+        self.filepath = (path or "untitled") + self.extension
+        return self.filepath != before
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(self, "content")
+        layout.prop(self, "moving_format" if self.content == 'MODEL' else "static_format")
+        if self.content != 'MODEL':
+            layout.prop(self, "selected")
+        if self.content == 'RANGE':
+            col = layout.column(align=True)
+            col.prop(self, "frame_start")
+            col.prop(self, "frame_end")
+        try:
+            lost = self.losses(context)
+        except fg.FastGSError as error:
+            layout.label(text=sentence(error), icon='ERROR')
+            return
+        header, body = layout.panel("FASTGS_export_losses")
+        header.label(text="Not Kept" if lost else "Everything Is Kept")
+        if body is not None:
+            for clause in lost:
+                body.label(text=clause[:1].upper() + clause[1:], translate=False)
+
+    def losses(self, context) -> list[str]:
+        """What the chosen format cannot hold of what would be written, found on a few Gaussians of each object."""
+        if self.content == 'MODEL':
+            model = _model(context)
+            return self._writer(few(model)).losses(few(model))
+        model, lost = self._shown(context, few)
+        return list(dict.fromkeys([*lost, *self._writer(model).losses(model)]))
+
+    def _writer(self, model):
+        if self.content == 'MODEL' and self.moving_format == 'COMPRESSED':
+            return formats.Native(1.0)
+        return formats.writer_of(model, Path("x" + self.extension))
+
+    def _shown(self, context, take=lambda model: model):
+        """What the scene shows now as one static model, and clauses."""
+        depsgraph = context.evaluated_depsgraph_get()
+        chosen = (lambda obj: obj.original.select_get()) if self.selected else (lambda obj: True)
+        instances, left_out = snapshot.take(depsgraph, chosen, rendered=False).load()
+        if left_out:
+            raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
+        return as_seen([replace(instance, model=take(instance.model)) for instance in instances])
+
+    def execute(self, context):
+        target = Path(bpy.path.abspath(self.filepath))
+        with warnings.catch_warnings(record=True) as remarks:
+            warnings.simplefilter("always")
+            try:
+                written = self._write(context, target)
+            except fg.FastGSError as error:
+                self.report({'ERROR'}, sentence(error))
+                return {'CANCELLED'}
+        for text in dict.fromkeys(printable(remark.message) for remark in remarks if issubclass(remark.category, fg.LossWarning)):
+            self.report({'WARNING'}, text)
+        self.report({'INFO'}, f"Exported {written}")
+        return {'FINISHED'}
+
+    def _write(self, context, target: Path) -> str:
+        if self.content == 'MODEL':
+            model = _model(context)
+            fg.save(model, target, 1.0 if self.moving_format == 'COMPRESSED' else None)
+            return f"{len(model):,} Gaussians"
+        if self.content == 'FRAME':
+            model = self._shown(context)[0]
+            fg.save(model, target)
+            return f"{len(model):,} Gaussians"
+        if self.frame_end < self.frame_start:
+            raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
+        return self._write_range(context, target)
+
+    def _write_range(self, context, target: Path) -> str:
+        scene, manager = context.scene, context.window_manager
+        before = scene.frame_current, scene.frame_subframe
+        digits = max(4, len(str(self.frame_end)))
+        stem = target.name[:-len(self.extension)] if target.name.endswith(self.extension) else target.stem
+        manager.progress_begin(self.frame_start, self.frame_end + 1)
+        try:
+            for frame in range(self.frame_start, self.frame_end + 1):
+                scene.frame_set(frame)
+                fg.save(self._shown(context)[0], target.with_name(f"{stem}_{frame:0{digits}d}{self.extension}"))
+                manager.progress_update(frame)
+        finally:
+            manager.progress_end()
+            scene.frame_set(before[0], subframe=before[1])
+        return f"{self.frame_end + 1 - self.frame_start:,} frames"
+
+
+def few(model: fg.GaussianModel) -> fg.GaussianModel:
+    """Some Gaussians of a model."""
+    return model.take(slice(None, None, max(1, len(model) // SAMPLE)))
+
+
+def _model(context) -> fg.GaussianModel:
+    """The active object's model; raises FastGSError where it has none."""
+    obj = context.object
+    if obj is None or not objects.is_splat(obj):
+        raise fg.FastGSError("the active object shows no splats; make the object active whose model is to be exported.")
+    model = objects.load_model(objects.abspath(obj))
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
+    return model
+
+
+CLASSES = (FASTGS_OT_export,)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""File > Export > 4D Gaussians: what is written looks as the scene does, says what it loses, and touches nothing."""
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def exporter(module):
+    """A stand-in for the operator whose properties can be set, for what it says before it writes."""
+    cls = module("operators.export_splats").FASTGS_OT_export
+    plain = {name: value for name, value in vars(cls).items() if not name.startswith("bl_") and name != "__annotations__"}
+    return type("Exporter", (), plain | {"content": 'FRAME', "static_format": 'PLY', "moving_format": 'OWN', "selected": False})
+
+
+def differences(a, b):
+    """The largest difference of two renders, and the mean."""
+    wrong = np.concatenate([np.abs(a[name] - b[name]).ravel() for name in a])
+    return float(wrong.max()), float(wrong.mean())
+
+
+def test_a_frame_looks_as_the_scene_does(scene, fg, module, make_model, model_file, add_camera, render, tmp_path):
+    """Two objects: one turned, stretched, cropped and coloured, one that moves."""
+    scene.render.engine = 'FASTGS'
+    add_camera()
+    rng = np.random.default_rng(0)
+    still = make_model(50, axes="RDF", spread=0.7)
+    moving = make_model(40, seed=1, spread=0.6, axes="RFU", basis=fg.Polynomial(1), motion=rng.normal(0, 0.5, (40, 1, 3)),
+                        temporal_kind=fg.Radial(), temporal=np.full((40, 1), 1.0), mu_tau=rng.random(40), clip=fg.Clip(20, 24.0))
+    for model, name in ((still, "still.safetensors"), (moving, "moving.safetensors")):
+        bpy.ops.import_scene.fastgs(filepath=model_file(model, name))
+    one, two = bpy.data.objects["still"], bpy.data.objects["moving"]
+    one.location, one.rotation_euler, one.scale = (0.3, 0.1, -0.2), (0.4, 0.5, 0.6), (1.2, 0.6, 0.9)
+    one.fastgs.exposure, one.fastgs.opacity, one.fastgs.splat_scale = 0.5, 0.8, 0.9
+    two.scale = (0.8, 0.8, 0.8)
+    with bpy.context.temp_override(object=two, active_object=two, selected_objects=[two]):
+        bpy.ops.fastgs.add_crop_box()
+    two.fastgs.crops[0].object.scale.x *= 0.6
+    scene.frame_set(9)
+    before = render()
+    target = str(tmp_path / "out.ply")
+    assert bpy.ops.export_scene.fastgs(filepath=target) == {'FINISHED'}
+    model = fg.load(target)
+    assert 50 < len(model) < 90 and not model.basis.terms
+    for obj in (one, two):
+        bpy.data.objects.remove(obj)
+    bpy.ops.import_scene.fastgs(filepath=target)
+    largest, mean = differences(before, render())
+    assert largest < 0.02 and mean < 1e-3, (largest, mean)
+
+
+def test_ranges_selections_and_the_scenes_frame(scene, fg, make_model, model_file, tmp_path):
+    moving = make_model(20, basis=fg.Polynomial(1), motion=np.ones((20, 1, 3)), clip=fg.Clip(10, 24.0), axes="RFU")
+    bpy.ops.import_scene.fastgs(filepath=model_file(moving, "moving.safetensors"))
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(7), "still.ply"))  # it alone is selected
+    scene.frame_set(5)
+    bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "still.spz"), static_format='SPZ', selected=True)
+    assert len(fg.load(tmp_path / "still.spz")) == 7
+    bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "take.ply"), content='RANGE', frame_start=2, frame_end=4)
+    assert scene.frame_current == 5
+    sequence = fg.open_source(tmp_path / "take_####.ply")
+    assert sequence.clip.frame_count == 3 and len(sequence) == 27
+    first, last = (sequence.moment(f / 3)[0].position[:, 0].sum() for f in (0, 2))
+    assert last - first == pytest.approx(20 * 2 / 10, rel=1e-4)
+
+
+def test_the_whole_model(fg, make_model, model_file, tmp_path):
+    model = make_model(30, basis=fg.Polynomial(3), motion=np.ones((30, 3, 3)), axes="RFU")
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    for kind, name in (('OWN', "a.safetensors"), ('COMPRESSED', "b.safetensors"), ('STG', "c.ply"), ('SPLATV', "d.splatv")):
+        bpy.ops.export_scene.fastgs(filepath=str(tmp_path / name), content='MODEL', moving_format=kind)
+        again = fg.load(tmp_path / name)
+        assert len(again) == 30 and again.basis.terms == 3
+    assert np.array_equal(fg.load(tmp_path / "a.safetensors").position, model.position)
+
+
+def test_what_is_lost_is_said_before_writing(fg, exporter, make_model, model_file):
+    rng = np.random.default_rng(0)
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(30, features=rng.normal(size=(30, 12)), appearance=fg.SH(1))))
+    asked = exporter()
+    assert asked.losses(bpy.context) == []
+    asked.static_format = 'SPLAT'
+    assert any("spherical harmonics" in clause for clause in asked.losses(bpy.context))
+    asked.filepath = "/x/model.compressed.ply"
+    assert asked.check(bpy.context) and asked.filepath == "/x/model.splat"
+    assert not asked.check(bpy.context)
+    asked.content, asked.moving_format = 'MODEL', 'SPLATV'
+    assert any("view-dependent" in clause for clause in asked.losses(bpy.context))
+
+
+def test_errors_are_sentences(scene, make_model, model_file, tmp_path):
+    assert not bpy.ops.export_scene.fastgs.poll()
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model()))
+    obj = bpy.context.object
+    for options, text in (
+            ({"filepath": str(tmp_path / "nowhere" / "a.ply")}, "folder"), ({"filepath": str(tmp_path / "a.xyz")}, "extension"),
+            ({"filepath": str(tmp_path / "a.ply"), "content": 'RANGE', "frame_start": 3, "frame_end": 2}, "range")):
+        with pytest.raises(RuntimeError, match=text):
+            bpy.ops.export_scene.fastgs(**options)
+    obj.fastgs.before = 'HIDE'
+    obj.fastgs.start_frame = 100
+    with pytest.raises(RuntimeError, match="nothing is shown|Nothing is shown"):
+        bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "a.ply"))
+    assert not list(Path(tmp_path).glob("a.*"))
