@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, notices, objects, settings, snapshot, unshown, world
+from ..scene import camera, notices, objects, settings, sky, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -36,14 +36,12 @@ def _render_layer(engine, depsgraph):
     wanted = passes.switched_on(scene, layer)
     views = _views(scene.render)
     now = _moment(engine, depsgraph, area, views)
-    background, remark = world.background(scene, layer)
-    if remark:
-        notices.warn(engine, remark)
     settings_now = passes.settings(scene)
     neighbours = [_moment_at(engine, depsgraph, area, views, frames) for frames in (-1, 1)] if _has(wanted, "vector") else []
     for text in unshown.all_of(scene, layer):
         notices.warn(engine, text)
     status = Status(engine, f"{scene.name}, {layer.name}")
+    background = _background(engine, scene, layer, status)
     status("Reading")
     instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)
     _tell(engine, layer, now.shown, left_out)
@@ -60,13 +58,32 @@ def _render_layer(engine, depsgraph):
         before, after = (each.moment(view) for each in neighbours) if neighbours else (None, None)
         found = replace(settings_now, before=before, after=after)
         images = worker.run(
-            lambda progress, eye=eye, found=found: passes.images(instances, eye, wanted, background, progress, found), engine.test_break,
+            lambda progress, eye=eye, found=found: passes.images(instances, eye, wanted, background(eye), progress, found),
+            engine.test_break,
             lambda fraction, index=index: status.progress((index + fraction) / len(views)))
         _, _, width, height = area.window
         result = engine.begin_result(0, 0, width, height, layer=layer.name, view=view)
         passes.fill(result.layers[0], images)
         engine.end_result(result)
     passes.describe(engine, layer, wanted, [instance.name for instance in instances])
+
+
+def _background(engine, scene, layer, status):
+    """A function of the camera that gives what lies behind the splats, for colour.film()."""
+    plain, more = world.background(scene, layer)
+    if more is None:
+        return lambda eye: plain
+    status("Rendering the world")
+    wish = sky.Wish(more, (scene.frame_current, scene.frame_subframe))
+    found = sky.sky.get(wish)
+    while found is None:
+        sky.sky.ask(wish)
+        worker.run(lambda progress: sky.sky.wait(sky.PATIENCE), engine.test_break, status.progress)
+        found = sky.sky.get(wish)
+    if isinstance(found, str):
+        notices.warn(engine, found)
+        return lambda eye: plain
+    return found.behind
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,9 +33,9 @@ def scene_linear(rgb: np.ndarray, weight: np.ndarray, display_referred: bool, wo
 
 
 def film(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:
-    """Combined [h, w, 4]: premultiplied splats over a background colour, or on transparent film (None)."""
+    """Combined [h, w, 4]: premultiplied splats over a background, a colour [3] or picture [h, w, 3], or on transparent film (None)."""
     out = np.concatenate([rgb, alpha[..., None]], -1).astype(np.float32)
     if background is not None:
-        out += (1 - out[..., 3:]) * np.array([*background, 1], np.float32)
+        out[..., :3] += (1 - out[..., 3:]) * np.asarray(background, np.float32)
         out[..., 3] = 1
     return out

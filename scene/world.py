@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finds the background colour of a view layer in its world."""
+"""Finds what a view layer has behind it: nothing, a colour, or a world that must be rendered (sky.py)."""
 from __future__ import annotations
 
 import bpy
@@ -7,8 +7,8 @@ import bpy
 BLACK = (0.0, 0.0, 0.0)
 
 
-def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, str | None]:
-    """(scene-linear colour, or None for transparent film; a sentence about what is not shown, or None)."""
+def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, bpy.types.World | None]:
+    """(scene-linear colour, or None for transparent film; the world where it is more than that colour, or None)."""
     if scene.render.film_transparent:
         return None, None
     world = getattr(view_layer, "world_override", None) or scene.world
@@ -22,13 +22,10 @@ def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, st
         return BLACK, None
     node = link.from_node
     if node.bl_idname != 'ShaderNodeBackground':
-        return BLACK, f'The world "{world.name}" is more than a Background node: FAST-GS renders it black.'
+        return BLACK, world
     colour, plain = _value(node.inputs["Color"])
     strength, also_plain = _value(node.inputs["Strength"])
-    text = None
-    if not (plain and also_plain):
-        text = f'The world "{world.name}" is textured: FAST-GS shows the plain colour of its Background node.'
-    return tuple(c * strength for c in colour[:3]), text
+    return tuple(c * strength for c in colour[:3]), None if plain and also_plain else world
 
 
 def _source(socket):

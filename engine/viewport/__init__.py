@@ -2,10 +2,11 @@
 """Draws splats in Blender's 3D viewports on the GPU."""
 import bpy
 
-from ...scene import updates
+from ...scene import sky, updates
 from . import spaces
 
 HANDLERS = (
+    (bpy.app.handlers.depsgraph_update_post, sky.edited),
     (bpy.app.handlers.depsgraph_update_post, spaces.changed),
     (bpy.app.handlers.frame_change_post, spaces.changed),
     (bpy.app.handlers.undo_post, spaces.changed),

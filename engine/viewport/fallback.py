@@ -9,6 +9,7 @@ from mathutils import Matrix
 
 from ... import fastgs_blender as fg
 from ...scene.colour import film
+from ...scene.sky import Panorama
 from ...scene.snapshot import Snapshot
 from .. import scene_linear
 from .textures import upload
@@ -18,8 +19,10 @@ def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, backgroun
     """Premultiplied picture [h, w, 4], the bottom row first.
 
     working     [3, 3] from linear Rec.709 to the target's primaries
-    background  colour [3] under the splats, or None
+    background  colour [3] or Panorama under the splats, or None
     """
+    if isinstance(background, Panorama):
+        background = background.behind(camera)
     instances, _ = snapshot.load()
     images = scene_linear.render(instances, camera, working)
     return film(images["rgb"], images["alpha"], background)[::-1]

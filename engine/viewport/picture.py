@@ -17,6 +17,7 @@ import numpy as np
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
+from ...scene.sky import Panorama
 from . import shaders
 from .atlas import Atlas
 from .covering_table import covering_table
@@ -26,6 +27,8 @@ from .resolve_table import resolve_table
 from .textures import ORDER_WIDTH, upload, upload_list
 
 FORMAT = 'RGBA16F'
+HALF = 65_504
+"""The largest number that half floats hold."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Picture:
         self.groups: list[Group] = []
         self.camera = None
         self.deep = False
-        self._drawn = None
+        self._drawn = self._sky = None
         self._targets = []
         self._no_depth = None
 
@@ -93,6 +96,7 @@ class Picture:
         deep   whether the picture's own depth is wanted: resolve() can then test it, and cover() can use it
         gone   places in `instances` of those of which nothing is to be drawn
         """
+        self.camera = camera
         groups, member = grouped(instances)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]
         table = frame_table(camera, instances, atlas, order.count, member, depth and depth.depths, shape, gone)
@@ -101,7 +105,6 @@ class Picture:
             return
         self._drawn = None
         self._resize((camera.width, camera.height), groups, deep)
-        self.camera = camera
         if self._no_depth is None:
             self._no_depth = upload(np.ones((1, 1, 1), np.float32))
         seen = self._no_depth if depth is None else upload(depth.values[..., None])
@@ -126,12 +129,18 @@ class Picture:
         """Draw the picture over the whole of the active framebuffer: premultiplied, linear.
 
         working     [3, 3] from linear Rec.709 to the target's primaries
-        background  colour under the splats, or None
+        background  colour or Panorama under the splats, or None
         border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
         frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
         depths      of the framebuffer: splats are hidden by what it holds, pixel by pixel, if the picture is deep; None: they are not
         """
-        options = working, background, border, opacity, frame, outside, depths
+        sky = isinstance(background, Panorama)
+        if sky and (self._sky is None or self._sky[0] is not background):
+            texels = np.concatenate([background.values, np.ones_like(background.values[..., :1])], -1)
+            self._sky = background, upload(np.minimum(texels, HALF), half=True)
+        elif not sky:
+            self._sky = None
+        options = working, (0, 0, 0) if sky else background, border, opacity, frame, outside, depths
         if not self.groups:  # the background alone
             self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *options, size=(1, 1))
             return
@@ -156,11 +165,12 @@ class Picture:
 
     def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
                  depths=None, first=True, own=False, summed=False, raw=False, size=None):
+        sky = self._sky if first and not raw else None
         values = resolve_table(self.camera, size or self.size, group.colour_space, group.instance, working, background, border, opacity,
-                               frame, outside, depths, first, summed, raw)
-        shader, batch = shaders.resolve(group.instance is not None, own, depths is not None)
+                               frame, outside, depths, sky and sky[0].values.shape[1::-1], first, summed, raw)
+        shader, batch = shaders.resolve(group.instance is not None, own, depths is not None, sky is not None)
         with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
-            _fill(shader, batch, {"t_resolve": upload(values), **textures})
+            _fill(shader, batch, {"t_resolve": upload(values), **textures} | ({"t_sky": sky[1]} if sky else {}))
 
     def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
         """Take away from the active framebuffer, which holds overlays with their depth, what lies behind the splats of a deep picture.
@@ -175,7 +185,7 @@ class Picture:
 
     def free(self) -> None:
         """Free the targets."""
-        self._targets, self.groups, self.size, self._drawn, self._no_depth = [], [], None, None, None
+        self._targets, self.groups, self.size, self._drawn, self._no_depth, self._sky = [], [], None, None, None, None
 
     def _kind(self, number):
         return self.groups[number].instance is not None, self.deep or len(self.groups) > 1

@@ -20,7 +20,7 @@ class ResolveTexel(IntEnum):
     """Places in the row.
 
     KIND        whether colours are decoded from sRGB, the activation's code, whether it is a sum of groups, whether it is to be summed
-    BACKGROUND  colour, and whether there is one
+    BACKGROUND  colour, and whether there is one; the colour does not count where there is a panorama
     BORDER      part of the framebuffer to draw: left, bottom, right, top, 0..1
     WHOLE       whether the background and the coverage are drawn, the opacity
     SIZE        width, height, orthographic, share of their colour that pixels outside FRAME keep
@@ -31,6 +31,8 @@ class ResolveTexel(IntEnum):
     FRAME       where colours are as they are: left, bottom, right, top, 0..1
     DEPTHS      of the window, see Depths
     LOOK        five texels of the decoder's instance, see rendering/looks.py
+    SKY         width and height of the panorama that is the background, width and height of the camera's picture
+    TO_WORLD    three rows from the camera's directions to the world's
     """
 
     KIND = 0
@@ -46,25 +48,31 @@ class ResolveTexel(IntEnum):
     FRAME = WORKING + 3
     DEPTHS = FRAME + 1
     LOOK = DEPTHS + 1
+    SKY = LOOK + LOOK_NUMBERS // 4
+    TO_WORLD = SKY + 1
 
 
 def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstance | None, working: np.ndarray, background, border,
-                  opacity: float, frame, outside: float, depths: Depths | None, first: bool, summed: bool, raw: bool) -> np.ndarray:
+                  opacity: float, frame, outside: float, depths: Depths | None, sky, first: bool, summed: bool, raw: bool) -> np.ndarray:
     """float32 [1, texels, 4].
 
     size       width and height of the picture
     decoder    the instance whose decoder makes the colours, or None
+    sky        width and height of the panorama behind the splats, or None
     first      whether this also brings the background and the coverage
     summed     whether the colours are sums of groups, which bring their weight along
     raw        whether the colours are to be summed, and stay as they are
     For the rest see Picture.resolve().
     """
-    values = np.zeros((1, ResolveTexel.LOOK + LOOK_NUMBERS // 4, 4), np.float32)
+    values = np.zeros((1, ResolveTexel.TO_WORLD + 3, 4), np.float32)
     row, at = values[0], ResolveTexel
     appearance = decoder and decoder.model.appearance
     activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
     row[at.KIND] = colour_space == "srgb" and not raw, activation, summed, raw
     row[at.BACKGROUND] = (0, 0, 0, 0) if background is None else (*background, 1)
+    if sky:
+        row[at.SKY] = *sky, camera.width, camera.height
+        row[at.TO_WORLD:at.TO_WORLD + 3, :3] = np.linalg.inv(camera.world_to_camera)[:3, :3]
     row[at.BORDER] = border
     row[at.WHOLE] = first, opacity, 0, 0
     row[at.SIZE] = *size, camera.orthographic, outside
@@ -73,7 +81,7 @@ def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstan
         row[at.TO_MODEL:at.TO_MODEL + 3] = decoder.camera_to_model[:3]
         row[at.W1:at.W2] = appearance.w1.reshape(-1, 4)
         row[at.W2:at.WORKING, :3] = appearance.w2.T
-        row[at.LOOK:] = decoder.look.reshape(-1, 4)
+        row[at.LOOK:at.SKY] = decoder.look.reshape(-1, 4)
     row[at.WORKING:at.WORKING + 3, :3] = working
     row[at.FRAME] = frame
     if depths:

@@ -39,8 +39,12 @@ def splats(features: bool, own: bool):
 
 
 @cache
-def resolve(features: bool, own: bool, deep: bool):
-    """(shader, batch) that turns blended splats into scene-linear colour; if `deep`, it writes their depth too, which needs `own`."""
+def resolve(features: bool, own: bool, deep: bool, sky: bool):
+    """(shader, batch) that turns blended splats into scene-linear colour.
+
+    deep  it writes their depth too, which needs `own`
+    sky   the background is a panorama
+    """
     info = _whole("fastgs_resolve_iface")
     names = ["t_resolve", "t_first"]
     if features:
@@ -51,6 +55,9 @@ def resolve(features: bool, own: bool, deep: bool):
         names.append("t_own")
     if deep:
         _deep(info)
+    if sky:
+        info.define("SKY")
+        names.append("t_sky")
     _samplers(info, names)
     return _finish(info, glsl.RESOLVE_VERTEX, glsl.RESOLVE_FRAGMENT)
 

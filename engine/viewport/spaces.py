@@ -10,7 +10,7 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, objects, proxies, snapshot, unshown, world
+from ...scene import colour, objects, proxies, sky, snapshot, unshown, world
 from .. import compiling
 from . import frusta, overlays, shaders
 from .atlas import Atlas
@@ -31,14 +31,33 @@ _snapshots: dict[tuple, snapshot.Snapshot] = {}
 _surfaces: dict[tuple, bool] = {}
 _any_splats: bool | None = None
 _changes = 0
+_wish: tuple[int, sky.Wish] | None = None
+_sky_awaited = False
 
 
 def view_draw(context, depsgraph) -> None:
     """Rendered shading under our engine: scene-linear, premultiplied; Blender applies the view transform."""
     scene, region = depsgraph.scene, context.region
-    background, _ = world.background(scene, depsgraph.view_layer)
+    background = _background(scene, depsgraph.view_layer)
     display = Display(colour.rec709_to_working(), background, _border(context, depsgraph))
     _draw(context, depsgraph, display, region, rendered=True)
+
+
+def _background(scene, view_layer):
+    """A colour or a Panorama, None for transparent film; until a world has been rendered its plain colour, or what was there before."""
+    global _wish
+    plain, more = world.background(scene, view_layer)
+    if more is None:
+        _wish = None
+        return plain
+    if _wish is None or _wish[0] != _changes:
+        _wish = _changes, sky.Wish(more, (scene.frame_current, scene.frame_subframe))
+    found = sky.sky.get(_wish[1])
+    if found is None:
+        sky.sky.ask(_wish[1])
+        _start()
+        found = sky.sky.latest()
+    return found if isinstance(found, sky.Panorama) else plain
 
 
 def _cover(context, depsgraph):
@@ -180,7 +199,8 @@ def memory() -> int:
 
 def trouble() -> str | None:
     """What keeps viewports from showing all splats, as a sentence; None where nothing does."""
-    return next((view.trouble for view in _views.values() if view.trouble), None)
+    found = _wish and sky.sky.get(_wish[1])
+    return next((view.trouble for view in _views.values() if view.trouble), found if isinstance(found, str) else None)
 
 
 def clear(*_) -> None:
@@ -198,6 +218,7 @@ def stop() -> None:
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _worker.stop()
+    sky.sky.stop()
     clear()
     shaders.clear()
     frusta.free_shader()
@@ -294,7 +315,9 @@ def _forget_closed():
 
 def _tick():
     """While something is under way: draw the viewports for which it has arrived."""
-    busy = False
+    global _sky_awaited
+    busy = sky.sky.busy
+    arrived, _sky_awaited = _sky_awaited and not busy, busy
     if bpy.app.is_job_running('RENDER'):
         return 0.5  # it reads the data that is written below
     proxies.hide(any(view.shows for view in _views.values()) and all(scene.fastgs.show_splats for scene in bpy.data.scenes))
@@ -303,7 +326,7 @@ def _tick():
             view = _views.get((region.as_pointer(), rendered))
             if view is None:
                 continue
-            if view.stale or (view.coarse and view.resting):
+            if view.stale or (view.coarse and view.resting) or (arrived and rendered):
                 region.tag_redraw()
             busy |= view.waiting or view.stale or view.coarse
     return TICK if busy else None

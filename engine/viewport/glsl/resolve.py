@@ -39,6 +39,28 @@ vec3 decoded(vec3 base, vec3 direction, vec3 time, vec2 pixel, int activation)
 }
 #endif
 
+#ifdef SKY
+/* sky.Panorama.towards, for the ray through a place in the window */
+vec3 sky_texel(int x, int y, ivec2 size) { return texelFetch(t_sky, ivec2(x < 0 ? x + size.x : (x < size.x ? x : x - size.x), y), 0).rgb; }
+
+vec3 behind(vec2 place)
+{
+  vec4 sizes = row(RESOLVE_SKY), lens = row(RESOLVE_LENS);
+  vec3 ray = vec3(0.0, 0.0, 1.0);
+  if (row(RESOLVE_SIZE).z < 0.5) { ray.xy = vec2((place.x * sizes.z - lens.z) / lens.x, ((1.0 - place.y) * sizes.w - lens.w) / lens.y); }
+  ray = vec3(dot(row(RESOLVE_TO_WORLD).xyz, ray), dot(row(RESOLVE_TO_WORLD + 1).xyz, ray), dot(row(RESOLVE_TO_WORLD + 2).xyz, ray));
+  ray /= length(ray);
+  float u = (atan(ray.x, ray.y) / 6.283185307179586 + 0.5) * sizes.x - 0.5;
+  float v = clamp((asin(clamp(ray.z, -1.0, 1.0)) / 3.141592653589793 + 0.5) * sizes.y - 0.5, 0.0, sizes.y - 1.0);
+  ivec2 size = ivec2(sizes.xy);
+  int left = int(floor(u)), low = min(int(floor(v)), size.y - 2);
+  float across = u - floor(u), up = v - float(low);
+  vec3 below = mix(sky_texel(left, low, size), sky_texel(left + 1, low, size), across);
+  vec3 above = mix(sky_texel(left, low + 1, size), sky_texel(left + 1, low + 1, size), across);
+  return mix(below, above, up);
+}
+#endif
+
 void main()
 {
   vec4 kind = row(RESOLVE_KIND), under = row(RESOLVE_BACKGROUND), border = row(RESOLVE_BORDER);
@@ -78,6 +100,9 @@ void main()
   }
   /* the first one also brings the background and the coverage; the others only add their light */
   if (whole_picture.x > 0.5) {
+#ifdef SKY
+    under.rgb = behind(v_uv);
+#endif
     rgb += (1.0 - alpha) * under.rgb * under.a;
     out_colour = vec4(rgb, under.a > 0.5 ? 1.0 : alpha) * whole_picture.y;
   }

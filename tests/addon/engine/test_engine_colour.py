@@ -205,25 +205,3 @@ def test_constants_reach_the_background_through_nodes(scene, world, add_camera, 
     tree.links.new(rgb.outputs[0], reroute.inputs[0])
     tree.links.new(reroute.outputs[0], world.inputs["Color"])
     np.testing.assert_allclose(render()["ViewLayer.Combined"][0, 0, :3], 1.5 * np.array((0.5, 0.25, 0.125)), rtol=1e-6)
-
-
-def test_textured_worlds_are_said_to_be_plain_once(scene, world, add_camera, caplog, tmp_path):
-    add_camera()
-    tree = scene.world.node_tree
-    sky = tree.nodes.new('ShaderNodeTexEnvironment')
-    tree.links.new(sky.outputs[0], world.inputs["Color"])
-    scene.frame_start, scene.frame_end = 1, 3
-    scene.render.filepath = str(tmp_path / "frame_")
-    bpy.ops.render.render(animation=True)
-    assert len([r for r in caplog.records if "textured" in r.message]) == 1
-    bpy.ops.render.render(animation=True)
-    assert len([r for r in caplog.records if "textured" in r.message]) == 2
-
-
-def test_other_world_shaders_are_black_with_a_word(scene, world, add_camera, render, caplog):
-    add_camera()
-    tree = scene.world.node_tree
-    emission = tree.nodes.new('ShaderNodeEmission')
-    tree.links.new(emission.outputs[0], tree.get_output_node('ALL').inputs["Surface"])
-    assert not render()["ViewLayer.Combined"][0, 0, :3].any()
-    assert "more than a Background node" in caplog.text
