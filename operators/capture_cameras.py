@@ -26,9 +26,9 @@ OPTIONS = ("space", "backgrounds", "scale", "set_scene")
 """What the file browser offers."""
 
 
-def _import_afterwards(window, chosen) -> None:
+def _import_afterwards(chosen) -> None:
     """Import a capture that was chosen in the file browser, once that has closed."""
-    with bpy.context.temp_override(window=window):
+    with bpy.context.temp_override(window=next(iter(bpy.context.window_manager.windows))):
         bpy.ops.fastgs.import_capture('EXEC_DEFAULT', True, modal_work=True, **chosen)
 
 
@@ -78,7 +78,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         if self._browsing and not bpy.app.background:
             self._browsing = False
             chosen = {name: getattr(self, name) for name in ("filepath", "directory", *OPTIONS)}
-            bpy.app.timers.register(partial(_import_afterwards, context.window, chosen), first_interval=0.0)
+            bpy.app.timers.register(partial(_import_afterwards, chosen), first_interval=0.0)
             return {'CANCELLED'}  # the file browser closes only when this operator has ended
         self._interactive = self.modal_work
         path = bpy.path.abspath(self.filepath or self.directory)
