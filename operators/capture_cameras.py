@@ -2,7 +2,6 @@
 """Imports the cameras of a capture, with their films or pictures as backgrounds."""
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import bpy
@@ -22,14 +21,6 @@ from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
 """Pictures that an import undistorts unasked: more take minutes."""
-OPTIONS = ("space", "backgrounds", "scale", "set_scene")
-"""What the file browser offers."""
-
-
-def _import_afterwards(chosen) -> None:
-    """Import a capture that was chosen in the file browser, once that has closed."""
-    with bpy.context.temp_override(window=next(iter(bpy.context.window_manager.windows))):
-        bpy.ops.fastgs.import_capture('EXEC_DEFAULT', True, modal_work=True, **chosen)
 
 
 class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
@@ -40,7 +31,6 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     bl_options = {'REGISTER', 'UNDO', 'PRESET'}
     doing = "Undistorting the pictures"
     free = True
-    _browsing = False
 
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
@@ -60,27 +50,18 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         name="Set Scene", description="Give the scene the capture's frame rate, length and picture size, and its first camera",
         default=False)
 
-    modal_work: BoolProperty(
-        name="Stay Usable", description="Do long work in steps, while Blender stays usable", default=False, options={'HIDDEN', 'SKIP_SAVE'})
-
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        for name in OPTIONS:
+        for name in ("space", "backgrounds", "scale", "set_scene"):
             layout.prop(self, name)
 
     def invoke(self, context, event):
-        self._browsing = True
+        self._interactive = True
         return ImportHelper.invoke(self, context, event)
 
     def execute(self, context):
-        if self._browsing and not bpy.app.background:
-            self._browsing = False
-            chosen = {name: getattr(self, name) for name in ("filepath", "directory", *OPTIONS)}
-            bpy.app.timers.register(partial(_import_afterwards, chosen), first_interval=0.0)
-            return {'CANCELLED'}  # the file browser closes only when this operator has ended
-        self._interactive = self.modal_work
         path = bpy.path.abspath(self.filepath or self.directory)
         if not path:
             self.report({'ERROR'}, "No capture was chosen; choose its folder, or a file that describes it.")

@@ -13,7 +13,7 @@ from ..scene import objects
 from ..scene.splats.splat_object import sentence
 from ..scene.training import displays, installation, results, watch
 
-REPORT_WIDTH, REPORT_PICTURE = 460, 12.0
+REPORT_WIDTH, REPORT_PICTURE = 460, 10.0
 """Width of the report's dialog in pixels, and height of its picture in rows of text."""
 
 
@@ -196,6 +196,7 @@ class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
         try:
             _, job, _ = self.found()
             self._report = results.report_of(job)
+            self._icons = displays.icons_of(self._report.picture) if self._report.picture else []
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
@@ -209,11 +210,11 @@ class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
     def draw(self, context):
         layout = self.layout
         rows_of(layout, self._report.numbers)
-        if self._report.picture is not None:
-            icon = displays.icon_of(self._report.picture)
-            if icon:
-                layout.template_icon(icon_value=icon, scale=REPORT_PICTURE)
-                layout.label(text="Model beside truth")
+        row = layout.row()
+        for name, icon in zip(("Model", "Truth"), self._icons):
+            col = row.column(align=True)
+            col.template_icon(icon_value=icon, scale=REPORT_PICTURE)
+            col.label(text=name)
         row = layout.row()
         row.alignment = 'LEFT'
         row.prop(self, "show_settings", icon='TRIA_DOWN' if self.show_settings else 'TRIA_RIGHT', emboss=False)

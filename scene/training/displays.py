@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 import bpy.utils.previews
+import numpy as np
 
 from ...fastgs_blender.jobs.job import Job
 from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
@@ -21,7 +22,7 @@ MOST_TEXT = 200_000
 _files: dict[str, FileIdentity] = {}
 """By name of an image or text: the file that it shows."""
 _icons = None
-"""Blender's collection of picture files as icons, made when it is needed."""
+"""Blender's collection of pictures as icons, made when it is needed."""
 
 
 def update(job: Job) -> None:
@@ -36,20 +37,30 @@ def update(job: Job) -> None:
         _show_text(LOG, _end_of(console))
 
 
-def icon_of(path: Path) -> int:
-    """The number of an icon that shows a picture file; 0 where it cannot be read."""
+def icons_of(path: Path) -> list[int]:
+    """The numbers of icons that show the halves of a preview picture, the model and the truth; [] where it cannot be read.
+
+    Not to be called while a panel is drawn.
+    """
     global _icons
+    try:
+        image = bpy.data.images.load(str(path), check_existing=False)
+    except RuntimeError:
+        return []
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
     if _icons is None:
         _icons = bpy.utils.previews.new()
-    try:
-        identity = FileIdentity.of(str(path))
-        key = f"{path} {identity.status}"  # a file that has changed is another picture
-        if key not in _icons:
-            _icons.clear()
-            _icons.load(key, str(path), 'IMAGE')
-        return _icons[key].icon_id
-    except (FastGSError, KeyError, RuntimeError):
-        return 0
+    _icons.clear()
+    found = []
+    for name, half in zip(("model", "truth"), np.array_split(pixels.reshape(height, width, 4), 2, axis=1)):
+        icon = _icons.new(name)
+        icon.image_size = half.shape[1::-1]
+        icon.image_pixels_float.foreach_set(np.ascontiguousarray(half).ravel())
+        found.append(icon.icon_id)
+    return found
 
 
 def unregister() -> None:

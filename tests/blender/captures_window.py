@@ -42,14 +42,14 @@ def from_browser_to_frusta(capture):
         save(file, pixels)
 
     undistorted._save = slowly
-    with within(browser):
-        bpy.ops.file.execute()
+    yield from press('RET', browser)
     yield from until(lambda: len(told) > 6, 60)
     yield 1.0
     during = kinds()
     area = area_of()
     turn = area.spaces.active.region_3d.view_rotation.copy()
     yield from press('NUMPAD_6', area)
+    yield 1.0
     turned = turn.rotation_difference(area_of().spaces.active.region_3d.view_rotation).angle
     with within(area):
         bpy.ops.object.empty_add(location=(0, 0, -9))  # the scene may be edited, too
@@ -76,10 +76,13 @@ def frusta(name, scale):
     area = area_of()
     view = area.spaces.active.region_3d
     view.view_perspective = 'PERSP'
-    view.view_rotation = Euler((1.25, 0, 0.35)).to_quaternion()
-    view.view_location, view.view_distance = world.matrix_world.translation, 5.0 * scale
+    view.view_rotation = Euler((1.2, 0, 0.35)).to_quaternion()
+    view.view_location, view.view_distance = scale * Vector((0, -3.1, 0.8)), 4.0 * scale
+    area.spaces.active.show_region_ui = False
     for obj in scene.objects:
         obj.select_set(False)
+        if obj.type == 'CAMERA':
+            obj.data.display_size = 0.9
     places = {}
     for shown in (False, True):
         scene.fastgs.show_pictures = shown

@@ -205,9 +205,8 @@ def from_scene_to_shot(environment, cache):
 def train_again(area, settings, job):
     """The Train button once more, into the folder of the finished run, which is begun anew: the states that the new job goes through."""
     watch = part("scene.training.watch")
-    bpy.ops.screen.back_to_previous()
+    area.type = 'VIEW_3D'  # F12 has put the picture there
     yield 1.0
-    area = area_of()
     settings.out, settings.existing, settings.iterations = job.out, 'OVERWRITE', 60
     yield from sidebar(area)
     shot("train-again")
