@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects
+from ..scene.splats import proxy
 from ..scene.splats.splat_object import sentence
 from ..scene.training import displays, installation, results, watch
 
@@ -156,10 +157,10 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
         context.workspace.status_text_set(None)
 
     def _read(self, out):
-        """Write the model so far and read it into memory; touches nothing of Blender's data."""
+        """Write the model so far, read it into memory and prepare its proxy; touches nothing of Blender's data."""
         try:
             path = intermediate().write_model(out)
-            objects.load_model(str(path))
+            proxy.prepare(objects.load_model(str(path)))
             self._answer = path
         except FastGSError as error:
             self._answer = error

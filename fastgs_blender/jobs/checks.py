@@ -65,6 +65,9 @@ def inspect(python: str, capture: str) -> Facts:
         first = next((view for view in values["views"] if view["width"] or view["file_width"]), None) or {}
         latest = Facts(capture, len(values["views"]), values["clip"]["frame_count"], first.get("width") or first.get("file_width") or 0,
                        first.get("height") or first.get("file_height") or 0, values["layout"], values["posed"], values["problems"])
+        if not latest.posed and "pycolmap" in report.missing:
+            latest.problems.append(f"the capture does not say where its cameras are, and {python} lacks pycolmap, which finds that; make "
+                                   "an environment for training in the preferences, or choose one that has it.")
     except (ValueError, KeyError, TypeError) as error:
         raise FastGSError(causes.sentence(None, done.stderr.decode(errors="replace"), done.returncode, capture)) from error
     return latest

@@ -18,7 +18,7 @@ from ..colour import rec709_to_working
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, LEVELS, RADIUS, SHADE, give_modifier
 from .proxy_points import LIMIT, Points, choose
 
-__all__ = ["LIMIT", "fill", "limit_of", "new_mesh", "show_in_all_engines"]
+__all__ = ["LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
 
 CORNERS = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], bool)
 """Of the points' box, those that are vertices too: they hold its extent, and with them few or flat points have a place in space."""
@@ -46,7 +46,7 @@ def limit_of(mesh: bpy.types.Mesh) -> int:
 
 def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> None:
     """Replace the mesh's points by those of the model; materials and everything else that hangs on the mesh stay."""
-    points = choose(model, min(limit, LIMIT - len(CORNERS)))
+    points = prepare(model, limit)
     place = np.concatenate([points.position, _corners(points.box)]).astype(np.float64)
     mesh.clear_geometry()
     for name in (COLOUR, RADIUS, GAUSSIAN, SHADE):
@@ -57,6 +57,11 @@ def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.nda
     _write(mesh, points, len(place))
     mesh[POINTS], mesh[LIMITED], mesh[LARGER] = len(place), limit, points.larger
     mesh.update()
+
+
+def prepare(model: Source, limit: int = LIMIT) -> Points:
+    """The Gaussians of a proxy, which takes the most time; for models that live on, a thread may do it beforehand."""
+    return choose(model, min(limit, LIMIT - len(CORNERS)))
 
 
 def _write(mesh, points: Points, count: int):

@@ -5,6 +5,7 @@ Plain arrays, no Blender.  Everything is drawn without chance, so that the same 
 """
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,10 @@ EDGE = 1.5
 MOST_LARGER = 2.5
 BRIEF = 0.5
 """Gaussians that are seen for less than this share of the clip are chosen for each moment anew."""
+
+
+_chosen: weakref.WeakKeyDictionary[Source, tuple[int, Points]] = weakref.WeakKeyDictionary()
+"""By model: the last limit, and the Gaussians that were chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +78,15 @@ def choose(source: Source, limit: int = LIMIT) -> Points:
     """At most `limit` Gaussians of a model: important ones (opaque, large, long seen), from everywhere and from all of the clip.
 
     The backdrop, and lone Gaussians far outside (floaters), are left out, of the box too.  Of a sequence they are those of the
-    frame on which most is to be seen.
+    frame on which most is to be seen.  They are remembered as long as the model lives: a thread can choose them before they are needed.
     """
+    known = _chosen.get(source)
+    if known is None or known[0] != limit:
+        known = _chosen[source] = limit, _choose(source, limit)
+    return known[1]
+
+
+def _choose(source: Source, limit: int) -> Points:
     frames = source.clip.frame_count
     times = sorted({round(x) / frames for x in np.linspace(0, frames - 1, MOMENTS)})
     moments = [_sample(source, t, PROBES) for t in times]

@@ -2,6 +2,8 @@
 """The open scene is filmed from many sides, and left as it was."""
 from __future__ import annotations
 
+import shutil
+
 import bpy
 import numpy as np
 import pytest
@@ -103,6 +105,25 @@ def test_a_world_that_our_engine_shows_itself_is_left_out(moving_scene, module, 
     assert (pixels.alpha is None) == filmed
     if not filmed:
         assert pixels.alpha[12, 16] == 1 and pixels.alpha[0, 0] == 0 and np.abs(pixels.alpha - pixels.mask).max() < 0.1
+
+
+def test_a_finished_model_hides_what_was_filmed(moving_scene, add_camera, module, tmp_path, make_model, model_file, splat_object):
+    """What the pictures show is hidden, in viewports and renders: no cameras, no lights, no splats, nothing that was hidden before."""
+    camera = add_camera()
+    bpy.data.objects["Floor"].hide_render = True
+    splats = splat_object(model_file(make_model()))
+    bpy.ops.fastgs.capture_scene(out=str(tmp_path / "film"), count=2, samples=1, frame_end=3, **SIZE)
+    jobs, results = module("fastgs_blender.jobs.job"), module("scene.training.results")
+    (tmp_path / "run").mkdir()
+    shutil.copy(model_file(make_model(30)), tmp_path / "run" / "model.safetensors")
+    job = jobs.Job("1", str(tmp_path / "run"), str(tmp_path / "film"), "python")
+    shown = results.add_finished(bpy.context, job)
+    assert not any(obj.hide_get() for obj in moving_scene.objects), "it was not asked for"
+    job.scene["hide"] = True
+    assert results.add_finished(bpy.context, job) == shown
+    assert {obj.name for obj in moving_scene.objects if obj.hide_get()} == {"Ball"} and bpy.data.objects["Ball"].hide_render
+    for obj in (shown, splats, camera, bpy.data.objects["Sun"]):
+        assert not obj.hide_render
 
 
 def test_filming_goes_on_where_it_stopped(moving_scene, tmp_path):

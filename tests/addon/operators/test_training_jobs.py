@@ -210,7 +210,7 @@ def test_another_blender_finds_pauses_and_resumes(jobs, toy, tmp_path, monkeypat
     assert end_of(jobs, jobs.get(second.id)).kind == 'FINISHED'
 
 
-def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tmp_path):
+def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tmp_path, monkeypatch):
     out = tmp_path / "run"
     options = module("operators.train").FASTGS_OT_train
     assert options.bl_idname == "fastgs.train"
@@ -224,6 +224,11 @@ def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tm
     model, other = load(out / "model.safetensors"), load(so_far)
     assert np.array_equal(model.position, other.position) and np.array_equal(model.motion, other.motion)
     assert (model.clip, model.axes, model.basis) == (other.clip, other.axes, other.basis)
+    reader = SimpleNamespace()  # what the operator's thread does leaves Blender's data little to do
+    module("operators.training_runs").FASTGS_OT_train_import._read(reader, str(out))
+    monkeypatch.setattr(module("scene.splats.proxy_points"), "_choose", None)
+    again = module("scene.training.results").add_model(bpy.context, jobs.all()[0], reader._answer)
+    assert again == obj and again.fastgs.filepath.endswith("so-far.safetensors")
     assert bpy.ops.fastgs.train_report() == {'FINISHED'}
     assert "Held-out PSNR" in bpy.data.texts["FAST-GS Report"].as_string()
     assert bpy.ops.fastgs.train_forget() == {'FINISHED'} and not jobs.all()
