@@ -99,11 +99,14 @@ class Surroundings:
 
 
 def together(parts: list[Surroundings]) -> Surroundings:
-    """What is known around several models of one capture together: the smallest backdrop, evenly chosen cameras, the first good view."""
-    backdrops = [part.backdrop for part in parts if part.backdrop is not None]
+    """What is known around several models of one capture together: evenly chosen cameras, the first good view, and the smallest of the
+    backdrops inside which all cameras stand; none where a camera would see none of it.
+    """
     cameras = list(dict.fromkeys(camera for part in parts for camera in part.cameras))
+    backdrops = sorted((part.backdrop for part in parts if part.backdrop is not None), key=lambda backdrop: backdrop.radius)
+    holding = (each for each in backdrops if all(each.distance(camera.position) < WITHIN for camera in cameras))
     view = next((part.view for part in parts if part.view is not None), None)
-    return Surroundings(min(backdrops, key=lambda b: b.radius, default=None), evenly(cameras), view)
+    return Surroundings(next(holding, None), evenly(cameras), view)
 
 
 def evenly(cameras: list) -> tuple:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import bpy
-from window import area_of, press, seen_by, settled, sidebar, within
+from background import ADDON
+from window import area_of, press, seen_by, settled, shot, sidebar, within
 
 
 def seen():
@@ -36,4 +37,23 @@ def newcomer():
         yield from press(key, area)
         yield from settled(f"first-{name}")
         facts[name] = seen()
+    with within(area):
+        bpy.ops.fastgs.set_upright('INVOKE_DEFAULT')
+    yield 1.0
+    shot("first-upright")
     return facts
+
+
+def preferences():
+    """Our preferences, as Blender draws them, in the place of the 3D view."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 1.0
+    area = area_of()
+    area.ui_type = 'PREFERENCES'
+    bpy.context.preferences.active_section = 'ADDONS'
+    bpy.data.window_managers[0].addon_search = "FAST-GS"
+    with within(area):
+        bpy.ops.preferences.addon_expand(module=ADDON)
+    yield 2.0
+    shot("first-preferences")
+    return {}

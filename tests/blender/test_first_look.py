@@ -55,3 +55,9 @@ def test_nothing_hides_it(looked, user, example, reference):
 
 def test_colours_are_the_users(looked):
     assert [looked[name]["transform"] for name in ("solid", "rendered", "standard")] == ['AgX', 'AgX', 'Standard']
+
+
+def test_preferences_are_drawn(user):
+    user.story("first_look.preferences", window=True)
+    picture = read_png(user.folder / "first-preferences.png")[..., :3]
+    assert picture.std() > 0.05

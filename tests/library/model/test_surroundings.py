@@ -108,6 +108,9 @@ def test_parts_of_one_capture_together():
     first = Surroundings(Backdrop(radius=5.0), tuple(views[:60]))
     both = together([first, Surroundings(Backdrop(radius=4.0), tuple(views[40:]), views[7])])
     assert both.backdrop.radius == 4.0 and both.view is views[7]
+    moved = Surroundings(Backdrop((9.0, 0.0, 0.0), 4.0), (Viewpoint(position=(9.0, 0.0, 0.0)),))  # a camera that went on its way
+    assert together([first, moved]).backdrop is None
+    assert together([replace(first, backdrop=Backdrop(radius=12.0)), moved]).backdrop.radius == 12.0
     assert len(both.cameras) == MOST_CAMERAS and (both.cameras[0], both.cameras[-1]) == (views[0], views[99])
 
 
