@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import notices, objects, paths
+from ..scene import model_space, notices, objects, paths
 from ..scene.splats import guard, moving, proxy_nodes
 from . import compiling
 
@@ -25,7 +25,21 @@ def _forget_objects(*_):
 
 @persistent
 def _upgrade(*_):
+    paths.upgrade()
     proxy_nodes.upgrade()
+    _upgrade_meshes()
+
+
+@persistent
+def _upgrade_appended(context, *_):
+    paths.after_import(context)
+    _upgrade_meshes()
+
+
+def _upgrade_meshes():
+    for obj in bpy.data.objects:
+        if objects.is_splat(obj):
+            model_space.upgrade(obj)
 
 
 @persistent
@@ -43,14 +57,9 @@ HANDLERS = (
     (bpy.app.handlers.frame_change_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
-    (bpy.app.handlers.save_pre, paths.before_save),
-    (bpy.app.handlers.save_post, paths.after_save),
-    (bpy.app.handlers.save_post_fail, paths.after_save),
 )
 if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
-    HANDLERS += ((bpy.app.handlers.blend_import_post, paths.after_import),)
-else:
-    HANDLERS += ((bpy.app.handlers.depsgraph_update_post, paths.after_update),)
+    HANDLERS += ((bpy.app.handlers.blend_import_post, _upgrade_appended),)
 
 
 def register():

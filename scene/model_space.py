@@ -67,6 +67,15 @@ def set_model_matrix(obj, matrix: np.ndarray) -> None:
         obj.data.update()
 
 
+def upgrade(obj) -> None:
+    """Let a splat object of an earlier version, whose points lie in the model's space, know that they do."""
+    mesh = obj.data
+    if obj.type == 'MESH' and mesh.is_editable and len(mesh.vertices) and PLACE not in mesh.attributes:
+        at = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.vertices.foreach_get("co", at)
+        write(mesh, at.reshape(-1, 3), np.eye(4))
+
+
 def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Points [M, 3] by a matrix [4, 4]."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -53,14 +53,14 @@ def is_splat(obj: bpy.types.Object) -> bool:
 
 
 def abspath(obj: bpy.types.Object) -> str:
-    """Absolute path of an object's file, "" where it shows none; `//` is the folder of the .blend that the object comes from."""
+    """Absolute path of an object's file, "" where it shows none; `//` is the folder of the .blend that the path comes from."""
     path = obj.fastgs.filepath
     if not path:
         return ""
     origin = obj.original
     if origin.override_library:
         origin = origin.override_library.reference
-    return _key(bpy.path.abspath(path, library=origin.library))
+    return _key(bpy.path.abspath(path, library=(origin.fastgs.file or origin).library))
 
 
 def load_model(path: str) -> Source:

@@ -1,79 +1,88 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keeps relative paths right when objects or .blend files move.  Blender does this for its own datablocks, not for an add-on's."""
+"""Keeps the paths of splat files in datablocks of Blender's own kind for files outside, cache files.
+
+So everything in Blender that looks after paths knows them: the first save makes them relative, saving elsewhere, appending and linking
+keep them right, and External Data's Make Relative, Make Absolute, Report Missing and Find Missing do what they do for images.
+Blender opens such a file only if it is Alembic's or USD's, and packs none.
+
+The functions import bpy when they are called, for the reason that updates.py gives.
+"""
 from __future__ import annotations
 
-import os
-
-import bpy
-from bpy.app.handlers import persistent
-
-from . import objects
-
-_before: list[tuple[bpy.types.Object, str]] = []
-"""Objects whose paths were rewritten for the save that is under way, and what they held before."""
+KEY = "filepath"
+"""Where earlier versions stored the path, in the object's own property."""
 
 
-def rebased(path: str, old: str, new: str) -> str:
-    """A `//` path beside the .blend file `old`, as it must read beside the .blend file `new`."""
-    target = bpy.path.abspath(path, start=os.path.dirname(old))
-    try:
-        return bpy.path.relpath(target, start=os.path.dirname(new))
-    except ValueError:  # on another drive
-        return os.path.normpath(target)
+def get(settings) -> str:
+    """The path that an object's settings (FASTGS_PG_object) hold; "" where there is none."""
+    return settings.file.filepath if settings.file is not None else _earlier(settings)
 
 
-def _relative():
-    return [obj for obj in bpy.data.objects if obj.is_editable and obj.fastgs.filepath.startswith("//")]
+def put(settings, path: str) -> None:
+    """Let an object show the file at a path, absolute or beginning with // for the .blend's folder; "" for none."""
+    import bpy
+
+    before = settings.file
+    if before is None or before.filepath != path:
+        settings.file = _of(path) if path else None
+        if before is not None and not before.users and before.library is None:
+            bpy.data.batch_remove([before])
+    _forget_earlier(settings)
+    settings.id_data.update_tag()
 
 
-@persistent
-def before_save(target, _=None):
-    """Save As, and saving a copy, into another folder."""
-    _before.clear()
-    current = bpy.data.filepath
-    if current and os.path.dirname(current) != os.path.dirname(target):
-        for obj in _relative():
-            _before.append((obj, obj.fastgs.filepath))
-            obj.fastgs.filepath = rebased(obj.fastgs.filepath, current, target)
+def upgrade() -> None:
+    """Take over the paths that an earlier version stored in the open .blend."""
+    import bpy
+
+    for obj in bpy.data.objects:
+        _take_over(obj, None)
 
 
-@persistent
-def after_save(target, _=None):
-    """After a copy was written, or nothing at all, the open file stays what it was."""
-    if bpy.data.filepath != target:
-        for obj, path in _before:
-            obj.fastgs.filepath = path
-    _before.clear()
+def after_import(context, _=None) -> None:
+    """The same for what was appended: a path beginning with // is one beside the .blend that it comes from."""
+    import bpy
 
-
-@persistent
-def after_import(context, _=None):
-    """Append from a .blend in another folder.  (Linked objects keep to their library's folder.)"""
     for item in context.import_items:
-        obj = item.id
-        if isinstance(obj, bpy.types.Object) and obj.library is None and item.source_library and objects.is_splat(obj):
-            _move_here(obj, bpy.path.abspath(item.source_library.filepath))
+        if isinstance(item.id, bpy.types.Object) and item.source_library:
+            _take_over(item.id, bpy.path.abspath(item.source_library.filepath))
 
 
-@persistent
-def after_update(_, depsgraph):
-    """Append in Blender 4.2, which does not announce it: the object's mesh remembers the library that it came from."""
-    for update in depsgraph.updates:
-        obj = update.id.original
-        if not (isinstance(obj, bpy.types.Object) and obj.library is None and obj.data and objects.is_splat(obj)):
-            continue
-        origin = obj.data.library_weak_reference
-        if origin and not os.path.exists(objects.abspath(obj)):
-            source = bpy.path.abspath(origin.filepath)
-            if os.path.exists(bpy.path.abspath(obj.fastgs.filepath, start=os.path.dirname(source))):
-                _move_here(obj, source)
+def _take_over(obj, source):
+    import os
+
+    import bpy
+
+    path = _earlier(obj.fastgs) if obj.is_editable and obj.fastgs.file is None else ""
+    if path:
+        put(obj.fastgs, path if source is None else os.path.normpath(bpy.path.abspath(path, start=os.path.dirname(source))))
 
 
-def _move_here(obj, source: str):
-    path = obj.fastgs.filepath
-    if not path.startswith("//"):
-        return
-    if bpy.data.filepath:
-        obj.fastgs.filepath = rebased(path, source, bpy.data.filepath)
-    else:
-        obj.fastgs.filepath = os.path.normpath(bpy.path.abspath(path, start=os.path.dirname(source)))
+def _of(path: str):
+    """The cache file of a path; a new one where there is none."""
+    import bpy
+
+    files = bpy.data.cache_files
+    found = next((file for file in files if file.library is None and file.filepath == path), None)
+    if found is None:
+        there = set(files)
+        bpy.ops.cachefile.open(filepath=bpy.path.basename(path))  # gives it its name; the operator takes no // path
+        found = next(file for file in files if file not in there)
+        found.filepath = path
+        found.user_clear()  # the operator counts a user that it does not have
+    return found
+
+
+def _stored(settings):
+    return settings.bl_system_properties_get() if hasattr(settings, "bl_system_properties_get") else settings
+
+
+def _earlier(settings) -> str:
+    stored = _stored(settings)
+    return "" if stored is None else stored.get(KEY, "")
+
+
+def _forget_earlier(settings):
+    stored = _stored(settings)
+    if stored is not None and KEY in stored:
+        del stored[KEY]

@@ -16,7 +16,7 @@ from bpy.props import (
 
 from ..fastgs_blender.rendering.instances import RANGES
 from ..fastgs_blender.rendering.passes import PASSES
-from . import updates
+from . import paths, updates
 from .time import MOST_ECHOES
 from .training.options import FASTGS_PG_training
 
@@ -63,7 +63,9 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
     filepath: StringProperty(
-        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=_PATH)
+        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=_PATH,
+        get=paths.get, set=paths.put)
+    file: PointerProperty(name="Cache File", description="The datablock that holds the path of the file", type=bpy.types.CacheFile)
     file_hash: StringProperty(
         name="File Hash", description="Fingerprint of the file when it was imported or last reloaded")
     gaussian_count: IntProperty(

@@ -240,7 +240,7 @@ def _say_once(text):
 def _key(space, depsgraph):
     """What decides which objects a viewport shows, beside the scene itself."""
     return (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
-            space.use_local_collections, space.show_object_viewport_mesh)
+            space.use_local_collections, space.show_object_viewport_mesh, tuple(file.filepath for file in bpy.data.cache_files))
 
 
 def _visible(obj, space) -> bool:

@@ -6,8 +6,6 @@ import bpy
 import numpy as np
 import pytest
 
-needs_append_event = pytest.mark.skipif(bpy.app.version < (4, 3), reason="Blender 4.2 tells add-ons nothing of an append")
-
 
 @pytest.fixture
 def objects(module):
@@ -72,6 +70,75 @@ def test_saving_elsewhere_keeps_relative_paths_right(imported, objects, tmp_path
     assert shown(objects, bpy.data.objects["model"]) == 40
 
 
+def test_the_first_save_makes_paths_relative(imported, objects, tmp_path):
+    """As it does for images, and where the preference says so."""
+    obj = imported()
+    assert obj.fastgs.filepath == str(tmp_path / "model.safetensors")
+    (tmp_path / "scenes").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scenes" / "x.blend"))
+    assert obj.fastgs.filepath == "//../model.safetensors" and shown(objects, obj) == 40
+
+
+def test_external_data_knows_splat_files(imported, objects, tmp_path, capfd):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
+    first, second = imported(), imported(n=30, name="other.safetensors")
+    bpy.ops.file.make_paths_absolute()
+    assert first.fastgs.filepath == str(tmp_path / "model.safetensors")
+    bpy.ops.file.make_paths_relative()
+    assert (first.fastgs.filepath, second.fastgs.filepath) == ("//model.safetensors", "//other.safetensors")
+    (tmp_path / "moved").mkdir()
+    (tmp_path / "model.safetensors").rename(tmp_path / "moved" / "model.safetensors")
+    capfd.readouterr()
+    bpy.ops.file.report_missing_files()
+    told = capfd.readouterr().out
+    assert "model.safetensors" in told and "other.safetensors" not in told
+    bpy.ops.file.find_missing_files(directory=str(tmp_path))
+    assert first.fastgs.filepath == "//moved/model.safetensors"
+    assert (shown(objects, first), shown(objects, second)) == (40, 30)
+
+
+def test_one_datablock_holds_the_path_of_a_file(imported, objects):
+    first = imported()
+    bpy.ops.object.duplicate()
+    second = imported()
+    assert first.fastgs.file == second.fastgs.file and len(bpy.data.cache_files) == 1
+    imported(n=30, name="other.safetensors")
+    second.fastgs.filepath = bpy.context.object.fastgs.filepath
+    assert (shown(objects, first), shown(objects, second)) == (40, 30) and len(bpy.data.cache_files) == 2
+    bpy.context.object.fastgs.filepath = second.fastgs.filepath = ""
+    assert not objects.is_splat(second) and len(bpy.data.cache_files) == 1
+
+
+def test_files_of_earlier_versions_look_as_they_did(make_model, model_file, objects, module, tmp_path, splat_object):
+    """They turned the object, not its points, and stored the path in a property."""
+    upright = objects.axes_matrix("RDF")
+    path = model_file(make_model(axes="RDF"))
+    bpy.ops.import_scene.fastgs(filepath=path, orientation='KEEP')
+    obj = bpy.context.object
+    obj.matrix_world = upright
+    bpy.context.view_layer.update()
+    settings, mesh = obj.fastgs, obj.data
+    mesh.attributes.remove(mesh.attributes["Model Position"])
+    mesh.attributes.remove(mesh.attributes["Gaussian"])
+    for key in [key for key in list(mesh.keys()) if key.startswith("fastgs")]:
+        del mesh[key]
+    settings.filepath = ""
+    stored = settings.bl_system_properties_get(do_create=True) if bpy.app.version >= (5, 0, 0) else settings
+    stored["filepath"] = "//model.safetensors"
+    bpy.data.node_groups["FAST-GS Proxy"].nodes.clear()
+    del bpy.data.node_groups["FAST-GS Proxy"]["fastgs_version"]
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
+    obj = bpy.context.object
+    placement = module("scene.model_space").placement
+    assert obj.fastgs.filepath == "//model.safetensors" and obj.fastgs.file is not None and shown(objects, obj) == 40
+    np.testing.assert_allclose(placement(obj), upright, atol=1e-6)
+    assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons) == 8 * 40
+    obj.select_set(True)
+    bpy.ops.object.transform_apply()
+    np.testing.assert_allclose(placement(obj), upright, atol=1e-5)
+
+
 def test_a_failed_save_changes_no_path(imported, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
     obj = imported()
@@ -92,7 +159,6 @@ def library(imported, tmp_path):
     return path
 
 
-@needs_append_event
 @pytest.mark.parametrize("saved", [False, True])
 def test_append(library, objects, tmp_path, saved):
     if saved:
