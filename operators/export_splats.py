@@ -13,6 +13,7 @@ from bpy_extras.io_utils import ExportHelper
 from .. import fastgs_blender as fg
 from ..fastgs_blender import formats
 from ..fastgs_blender.formats.scenes import as_seen
+from ..fastgs_blender.formats.usd import save_samples
 from ..fastgs_blender.util.errors import printable
 from ..scene import objects, snapshot
 from ..scene.splats.splat_object import sentence
@@ -25,12 +26,14 @@ STATIC = (
     ('SPZ', "SPZ", ".spz", "Niantic's packed format"),
     ('SOG', "SOG", ".sog", "PlayCanvas' format of packed pictures"),
     ('SPLAT', "Splat", ".splat", "antimatter15's format, without view-dependent colour"),
+    ('USD', "OpenUSD", ".usdc", "ParticleField3DGaussianSplat of OpenUSD 26.03; a frame range becomes time samples"),
     ('GLTF', "glTF", ".glb", "Binary glTF with KHR_gaussian_splatting"),
 )
 MOVING = (
     ('OWN', "FAST-GS", ".safetensors", "Our own format, which holds everything"),
     ('COMPRESSED', "FAST-GS, Compressed", ".safetensors", "Our own format, quantised and packed"),
     ('STG', "Spacetime Gaussians PLY", ".ply", "The PLY of Spacetime Gaussians, with a decoder beside it where the model has one"),
+    ('FREE_TIME', "FreeTimeGS PLY", ".ftgs.ply", "The PLY of FreeTimeGS and the FTGS player: straight motion, bell-shaped lives"),
     ('SPLATV', "splaTV", ".splatv", "The format of the web viewer splaTV"),
 )
 
@@ -162,20 +165,28 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
         return self._write_range(context, target)
 
     def _write_range(self, context, target: Path) -> str:
-        scene, manager = context.scene, context.window_manager
+        scene = context.scene
         before = scene.frame_current, scene.frame_subframe
         digits = max(4, len(str(self.frame_end)))
         stem = target.name[:-len(self.extension)] if target.name.endswith(self.extension) else target.stem
-        manager.progress_begin(self.frame_start, self.frame_end + 1)
+        context.window_manager.progress_begin(self.frame_start, self.frame_end + 1)
         try:
-            for frame in range(self.frame_start, self.frame_end + 1):
-                scene.frame_set(frame)
-                fg.save(self._shown(context)[0], target.with_name(f"{stem}_{frame:0{digits}d}{self.extension}"))
-                manager.progress_update(frame)
+            if self.static_format == 'USD':
+                save_samples(target, self._frames(context), scene.render.fps / scene.render.fps_base)
+            else:
+                for frame, model in self._frames(context):
+                    fg.save(model, target.with_name(f"{stem}_{frame:0{digits}d}{self.extension}"))
         finally:
-            manager.progress_end()
+            context.window_manager.progress_end()
             scene.frame_set(before[0], subframe=before[1])
         return f"{self.frame_end + 1 - self.frame_start:,} frames"
+
+    def _frames(self, context):
+        """(frame, what the scene shows on it) for each frame of the range."""
+        for frame in range(self.frame_start, self.frame_end + 1):
+            context.scene.frame_set(frame)
+            yield frame, self._shown(context)[0]
+            context.window_manager.progress_update(frame)
 
 
 def few(model: fg.GaussianModel) -> fg.GaussianModel:

@@ -42,16 +42,17 @@ from .spz import Spz
 from .stg import SpacetimeGaussians
 from .tsog import Tsog
 from .unsupported import explain
+from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), Tsog(), Splat4d())
-STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 FILES = NumberedFiles()
 """What a path that is no file may be."""
-WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), Splatv(), *STATIC)
+WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), Splatv(), *STATIC, Usd(".usda"))
 """Asked in this order to write, among those that share an extension."""
 
 

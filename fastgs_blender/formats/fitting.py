@@ -104,21 +104,34 @@ def _moments(model: GaussianModel, samples: int = 257) -> tuple[np.ndarray, np.n
     return total * (high - low) / samples, moment / total
 
 
-def cubic_motion(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
-    """A model whose motion is static or a polynomial of degree 3 at most."""
+def polynomial_motion(model: GaussianModel, degree: int = 3) -> tuple[GaussianModel, list[str]]:
+    """A model whose motion is static or a polynomial of this degree at most."""
     basis = model.basis
-    if isinstance(basis, Static) or (isinstance(basis, Polynomial) and basis.degree <= 3):
+    if isinstance(basis, Static) or (isinstance(basis, Polynomial) and basis.degree <= degree):
         return model, []
-    position, motion = np.empty((len(model), 3)), np.empty((len(model), 3, 3))
+    position, motion = np.empty((len(model), 3)), np.empty((len(model), degree, 3))
     error = 0.0
     samples = _samples(basis)
-    fits = polynomial(basis, model.position, model.motion, model.mu_tau, model.mu_tau, *lifetimes(model), 3, samples)
+    fits = polynomial(basis, model.position, model.motion, model.mu_tau, model.mu_tau, *lifetimes(model), degree, samples)
     for part, fit, true, fitted in fits:
         position[part], motion[part] = fit[:, 0], fit[:, 1:]
         error += np.sum((fitted - true) ** 2)
     rms = sqrt(error / max(1, len(model) * samples))
-    lost = f"its motion ({basis.name}, {basis.terms} terms) becomes a cubic over each lifetime, RMS error {rms:.3g} scene units"
-    return replace(model, position=position, motion=motion, basis=Polynomial(3)), [lost]
+    kind = {1: "straight", 3: "a cubic"}[degree]
+    lost = f"its motion ({basis.name}, {basis.terms} terms) becomes {kind} over each lifetime, RMS error {rms:.3g} scene units"
+    return replace(model, position=position, motion=motion, basis=Polynomial(degree)), [lost]
+
+
+def still_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
+    """A model whose Gaussians do not turn: each keeps the middle of its turns over its lifetime."""
+    if not model.rotation_basis.terms:
+        return model, []
+    rotation = np.empty((len(model), 4))
+    fits = polynomial(model.rotation_basis, model.rotation, model.rotation_motion, model.mu_tau, model.mu_tau, *lifetimes(model), 0,
+                      _samples(model.rotation_basis))
+    for part, fit, _, _ in fits:
+        rotation[part] = fit[:, 0]
+    return replace(model, rotation=rotation, rotation_motion=None, rotation_basis=Static()), ["its rotations over time"]
 
 
 def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:

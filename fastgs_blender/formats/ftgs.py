@@ -10,16 +10,22 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel, Raster
+from ..model.motion import Polynomial
+from ..model.temporal import Radial
 from ..util.errors import FastGSError, LossWarning
 from . import ply
-from .base import Format
-from .inria import DEGREES, POSITION, ROTATION, SCALE, colour_columns
+from .base import STEEP, Format, generator
+from .fitting import bell_opacity, polynomial_motion, still_rotation
+from .inria import DEGREES, NORMAL, POSITION, ROTATION, SCALE, colour_columns, in_file_order
+from .static import plain_harmonics
 from .straight import straight
+from .turning import into_rdf, turned
 
 TIME = ("time", "log_duration")
 VELOCITY = ("velocity_0", "velocity_1", "velocity_2")
@@ -33,6 +39,7 @@ class FreeTimePly(Format):
     """See the module."""
 
     name = "FreeTimeGS PLY"
+    extensions = (".ftgs.ply",)
     reads = (".ply",)
 
     def sniff(self, head, path):
@@ -52,6 +59,35 @@ class FreeTimePly(Format):
         lives = straight(columns.pop("position"), velocity if moves else None, time[:, 0],
                          np.maximum(time[:, 1], math.log(said["min_duration"])))
         return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
+
+
+    def fit(self, model):
+        model, lost = bell_opacity(model)
+        for step in (lambda m: polynomial_motion(m, 1), still_rotation, lambda m: plain_harmonics(m, 4)):
+            model, clauses = step(model)
+            lost += clauses
+        if model.raster != GSPLAT:
+            lost.append("the rasteriser's constants that it was trained with")
+        if model.colour_space == "linear":
+            lost.append("that its colours are linear, not sRGB")
+        if model.provenance.keys() - {"source", "format"}:
+            lost.append("its provenance")
+        turn = into_rdf(model.axes)
+        motion = model.motion.astype(np.float64) @ turn.T
+        basis = {"basis": Polynomial(1), "motion": motion[:, :1]} if model.basis.terms else {}
+        return replace(turned(model, turn), axes="RDF", **basis), lost
+
+    def write(self, model, targets):
+        ln_s = model.temporal[:, 0] if isinstance(model.temporal_kind, Radial) else np.full(len(model), -STEEP)
+        ln_sigma = -0.5 * (math.log(2) + ln_s.astype(np.float64))
+        shortest = min(MIN_DURATION, float(np.exp(ln_sigma.min(initial=0))))
+        said = {"ftgs_version": 1, "time_units": "normalized", "sh_degree": model.appearance.degree, "use_velocity": 1,
+                "min_duration": f"{0.999 * shortest:.6g}", "opacity_floor": 0, "n_frames": model.clip.frame_count + 1}
+        velocity = model.motion[:, 0] if model.basis.terms else np.zeros((len(model), 3), np.float32)
+        columns = [(POSITION, model.position), (NORMAL, np.broadcast_to(np.float32(0), (len(model), 3))), *in_file_order(model),
+                   (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation),
+                   (TIME, np.stack([model.mu_tau, ln_sigma], -1).astype(np.float32)), (VELOCITY, velocity)]
+        ply.write(targets[-1], [f"Written by {generator()}", *(f"{key} {value}" for key, value in said.items())], columns)
 
 
 def static_columns(header: ply.Header) -> tuple[int, dict[str, tuple[str, ...] | list[str]]]:

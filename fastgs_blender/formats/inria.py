@@ -75,7 +75,7 @@ class Inria(Format):
         mode = ["SplatRenderMode: mip"] if model.raster.antialiased else []
         columns = [
             (POSITION, model.position), (NORMAL, np.broadcast_to(np.float32(0), (len(model), 3))),
-            *_in_file_order(model), (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation)]
+            *in_file_order(model), (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation)]
         ply.write(targets[-1], [f"Written by {generator()}", *mode, *comments(model, KEYS)[0]], columns)
 
 
@@ -85,7 +85,7 @@ def says_antialiased(header: ply.Header) -> bool:
     return not said.isdisjoint(("splatrendermodemip", "antialiased1"))
 
 
-def _in_file_order(model: GaussianModel):
+def in_file_order(model: GaussianModel):
     """The colour columns, channel after channel."""
     yield ("f_dc_0", "f_dc_1", "f_dc_2"), model.features[:, :3]
     rest = model.appearance.width // 3 - 1

@@ -21,7 +21,7 @@ from ..util.errors import FastGSError
 from ..util.reading import open_file
 from .base import Format
 from .description import describe, read_json, restored, understand, whole_number
-from .fitting import bell_opacity, cubic_motion, linear_rotation, plain_colour
+from .fitting import bell_opacity, linear_rotation, plain_colour, polynomial_motion
 
 MAGIC = struct.pack("<I", 0x674B)
 MAX_JSON = 16 << 20
@@ -66,7 +66,7 @@ class Splatv(Format):
 
     def fit(self, model):
         lost = []
-        for step in (bell_opacity, cubic_motion, linear_rotation, lambda m: plain_colour(m, keep_features=False)):
+        for step in (bell_opacity, polynomial_motion, linear_rotation, lambda m: plain_colour(m, keep_features=False)):
             model, clauses = step(model)
             lost += clauses
         texels, clipped = _encode(model)

@@ -23,7 +23,7 @@ from ..util.reading import reading
 from . import cfg_args, ply, torch_zip
 from .base import STEEP, Format, generator
 from .description import comments, from_comments, restored
-from .fitting import bell_opacity, cubic_motion, linear_rotation, plain_colour
+from .fitting import bell_opacity, linear_rotation, plain_colour, polynomial_motion
 from .inria import NORMAL, POSITION, ROTATION, SCALE
 
 KEYS = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space", "provenance", "surroundings")
@@ -79,9 +79,9 @@ class SpacetimeGaussians(Format):
 
     def fit(self, model):
         lost = comments(model, KEYS)[1]
-        steps = [bell_opacity, cubic_motion, linear_rotation, lambda m: plain_colour(m, keep_features=True)]
+        steps = [bell_opacity, polynomial_motion, linear_rotation, lambda m: plain_colour(m, keep_features=True)]
         if isinstance(model.basis, (Fourier, Cosine)):
-            steps.remove(cubic_motion)
+            steps.remove(polynomial_motion)
         for step in steps:
             model, clauses = step(model)
             lost += clauses

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """File > Export > 4D Gaussians: what is written looks as the scene does, says what it loses, and touches nothing."""
+import importlib.util
+import sys
 from pathlib import Path
 
 import bpy
@@ -104,3 +106,13 @@ def test_errors_are_sentences(scene, make_model, model_file, tmp_path):
     with pytest.raises(RuntimeError, match="nothing is shown|Nothing is shown"):
         bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "a.ply"))
     assert not list(Path(tmp_path).glob("a.*"))
+
+
+def test_a_range_as_time_samples(fg, make_model, model_file, tmp_path):
+    if importlib.util.find_spec("pxr") is None:  # the bpy wheel keeps it in a folder of its own
+        sys.path += [str(found.parent) for found in Path(bpy.utils.resource_path('LOCAL')).glob("python/lib/*/site-packages/pxr")]
+    moving = make_model(20, basis=fg.Polynomial(1), motion=np.ones((20, 1, 3)), clip=fg.Clip(10, 24.0), axes="RFU")
+    bpy.ops.import_scene.fastgs(filepath=model_file(moving, "moving.safetensors"))
+    bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "take.usdc"), content='RANGE', static_format='USD', frame_start=1, frame_end=3)
+    source = fg.open_source(tmp_path / "take.usdc")
+    assert source.clip.frame_count == 3 and source.clip.fps == pytest.approx(24)

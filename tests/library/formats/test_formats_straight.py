@@ -12,6 +12,7 @@ import numpy as np
 import ply_files
 import pytest
 from evaluated import assert_shows, directions, spherical
+from random_models import random_model
 
 import fastgs_blender as fg
 
@@ -309,3 +310,27 @@ def test_the_comparison_itself(rng):
     """spherical() in the tests and the library's own evaluation agree."""
     c = rng.normal(size=(N, 16, 3))
     np.testing.assert_allclose(evaluated.colours(fg.SH(3), c.reshape(N, -1), directions(N)), spherical(directions(N), c), atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+@pytest.mark.parametrize("axes", ["RDF", "RUB"])
+def test_ftgs_is_written_as_it_is_read(tmp_path, degree, axes):
+    model = random_model(np.random.default_rng(5), 30, "line", "static", "radial", f"sh{degree}", clip=fg.Clip(24, 30.0), axes=axes)
+    with pytest.warns(fg.LossWarning, match="constants"):
+        fg.save(model, tmp_path / "m.ftgs.ply")
+    again = fg.load(tmp_path / "m.ftgs.ply")
+    assert again.clip == fg.Clip(24, 30.0)
+    flip = np.float64([1, -1, -1]) if axes == "RUB" else np.ones(3)
+    for t in (0.0, 0.3, 1.0):
+        a, b = fg.slice_model(model, t, cull=False), fg.slice_model(again, t, cull=False)
+        np.testing.assert_allclose(b.position, a.position * flip, atol=1e-5)
+        np.testing.assert_allclose(b.opacity, a.opacity, atol=1e-5)
+        np.testing.assert_allclose(b.scale, a.scale, rtol=1e-6)
+    assert again.appearance == fg.SH(degree)
+
+
+def test_ftgs_says_what_it_loses(tmp_path):
+    model = random_model(np.random.default_rng(6), 40, "paper", "line", "window", "clamp")
+    with pytest.warns(fg.LossWarning, match=r"becomes straight.*rotations over time.*decoder"):
+        fg.save(model, tmp_path / "m.ftgs.ply")
+    assert len(fg.load(tmp_path / "m.ftgs.ply")) == 40

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""OpenUSD's ParticleField3DGaussianSplat, by the library that Blender brings along: written and read, still and with time samples."""
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import mutations
+import numpy as np
+import pytest
+from random_models import random_model
+
+import fastgs_blender as fg
+from fastgs_blender.formats import usd
+
+pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def pxr():
+    """Pixar's library; that of the bpy wheel lies in a folder of its own."""
+    if importlib.util.find_spec("pxr") is None:
+        spec = importlib.util.find_spec("bpy")
+        places = [Path(place) for place in (spec.submodule_search_locations if spec else [])]
+        sys.path += [str(path.parent) for place in places for path in place.glob("*/python/lib/*/site-packages/pxr")]
+    return pytest.importorskip("pxr")
+
+
+def same(a: fg.GaussianModel, b: fg.GaussianModel) -> None:
+    """Two static models show the same."""
+    a, b = (fg.slice_model(m, 0, cull=False) for m in (a, b))
+    np.testing.assert_allclose(a.position, b.position, atol=1e-5)
+    np.testing.assert_allclose(a.scale, b.scale, rtol=1e-5)
+    np.testing.assert_allclose(a.opacity, b.opacity, atol=1e-6)
+    np.testing.assert_allclose(np.abs(np.sum(a.rotation * b.rotation, 1)), 1, atol=1e-6)
+    np.testing.assert_allclose(a.features, b.features, atol=1e-5)
+
+
+@pytest.mark.parametrize("extension", [".usdc", ".usda"])
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_what_is_written_is_read(tmp_path, extension, degree):
+    model = random_model(np.random.default_rng(1), 20, appearance=f"sh{degree}", axes="RFU")
+    fg.save(model, tmp_path / f"m{extension}")
+    again = fg.load(tmp_path / f"m{extension}")
+    assert again.axes == "RFU" and again.appearance == fg.SH(degree)
+    same(model, again)
+
+
+EXAMPLE = """#usda 1.0
+( upAxis = "Y" )
+def Xform "Root" {
+    double3 xformOp:translate = (10, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def ParticleField3DGaussianSplat "Splat" (
+        prepend references = @missing.usda@
+    ) {
+        point3f[] positions.timeSamples = { 10: [(0, 0, 0), (1, 2, 3)], 11: [(2, 0, 0), (3, 2, 3)], 13: [(6, 0, 0), (7, 2, 3)] }
+        float3[] scales = [(1, 1, 1), (0.5, 1, 2)]
+        quath[] orientationsh = [(1, 0, 0, 0), (0.5, 0.5, 0.5, 0.5)]
+        float[] opacities = [0.5, 1]
+        int radiance:sphericalHarmonicsDegree = 0
+        float3[] radiance:sphericalHarmonicsCoefficients = [(0.1, 0.2, 0.3), (1, 0, -1)]
+    }
+}
+"""
+
+
+def test_a_file_by_hand(tmp_path):
+    """Time samples with a gap, half precision, a parent's transform, a reference that leads nowhere."""
+    (tmp_path / "m.usda").write_text(EXAMPLE)
+    source = fg.open_source(tmp_path / "m.usda")
+    assert (source.clip.frame_count, source.clip.fps, source.axes) == (4, 24.0, "RUB")
+    for frame, x in ((0, 10), (1, 12), (3, 16)):
+        shown = source.moment(source.clip.t_of_frame(frame))[0]
+        np.testing.assert_allclose(shown.position, [(x, 0, 0), (x + 1, 2, 3)], atol=1e-5)
+    s = fg.slice_model(shown, 0, cull=False)
+    np.testing.assert_allclose(s.scale[1], (0.5, 1, 2), rtol=1e-5)
+    np.testing.assert_allclose(s.rotation[1], (0.5, 0.5, 0.5, 0.5), atol=1e-6)
+    np.testing.assert_allclose(s.opacity, (0.5, 1), atol=1e-6)
+    np.testing.assert_allclose(s.features[1], (1, 0, -1))
+
+
+def test_frames_are_time_samples(tmp_path):
+    models = [random_model(np.random.default_rng(i), 5 + i, appearance="sh1", axes="RFU") for i in range(3)]
+    usd.write_frames(tmp_path / "m.usdc", ".usdc", [(float(i), model) for i, model in enumerate(models)], 30.0)
+    source = fg.open_source(tmp_path / "m.usdc")
+    assert source.clip == fg.Clip(3, 30.0)
+    for i, model in enumerate(models):
+        same(model, source.moment(i / 3)[0])
+
+
+def test_other_files_are_told_apart(tmp_path):
+    (tmp_path / "mesh.usda").write_text('#usda 1.0\ndef Mesh "Cube" {}\n')
+    with pytest.raises(fg.FastGSError, match=r"mesh\.usda.*without Gaussians"):
+        fg.load(tmp_path / "mesh.usda")
+    (tmp_path / "broken.usda").write_text("#usda 1.0\ndef {")
+    with pytest.raises(fg.FastGSError, match=r"broken\.usda.*damaged"):
+        fg.load(tmp_path / "broken.usda")
+
+
+@pytest.mark.parametrize("extension", [".usda", ".usdc"])
+def test_mutated_files(tmp_path, extension):
+    fg.save(random_model(np.random.default_rng(2), 3, appearance="sh1"), tmp_path / f"m{extension}")
+    (tmp_path / "seeds").mkdir()
+    seeds = {"still": {"m" + extension: (tmp_path / f"m{extension}").read_bytes()}}
+    told = mutations.campaign(f"usd {extension}", lambda folder: fg.load(folder / f"m{extension}"), seeds, tmp_path / "seeds")
+    assert min(told.values(), default=1) > 0
