@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that crop a splat object with boxes and write the remaining Gaussians as a new model."""
+"""Operators that crop a splat object with shapes and write the remaining Gaussians as a new model."""
 from __future__ import annotations
 
 from pathlib import Path
 
 import bpy
-from bpy.props import IntProperty, StringProperty
+from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..fastgs_blender.util.errors import FastGSError
@@ -19,18 +19,35 @@ def _editable(context) -> bool:
 
 
 class FASTGS_OT_add_crop_box(bpy.types.Operator):
-    """Add an empty around the active object's splats, as a box outside of which nothing is shown. It moves with the object"""
+    """Add a shape outside of which nothing of the active object's splats is shown"""
 
     bl_idname = "fastgs.add_crop_box"
-    bl_label = "Add Crop Box"
+    bl_label = "Add Crop"
     bl_options = {'REGISTER', 'UNDO'}
+
+    shape: EnumProperty(
+        name="Shape", description="What is added",
+        items=(
+            ('BOX', "Box", "An empty around the splats, which moves with them", 'CUBE', 0),
+            ('SPHERE', "Sphere", "An empty around the splats, which moves with them", 'SPHERE', 1),
+            ('MESH', "Selected Meshes", "The insides of the selected meshes, which must be closed", 'MESH_MONKEY', 2),
+        ), default='BOX')
 
     @classmethod
     def poll(cls, context):
         return _editable(context) and context.mode == 'OBJECT'
 
     def execute(self, context):
-        box = crops.add_box(context.object)
+        if self.shape == 'MESH':
+            meshes = [obj for obj in context.selected_objects if obj.type == 'MESH' and not objects.is_splat(obj)]
+            if not meshes:
+                self.report({'ERROR'}, "No mesh is selected: select closed meshes and, last, the splat object")
+                return {'CANCELLED'}
+            for mesh in meshes:
+                item = context.object.fastgs.crops.add()
+                item.object, item.shape = mesh, 'MESH'
+            return {'FINISHED'}
+        box = crops.add_shape(context.object, self.shape)
         for other in context.selected_objects:
             other.select_set(False)
         box.select_set(True)
@@ -38,13 +55,13 @@ class FASTGS_OT_add_crop_box(bpy.types.Operator):
 
 
 class FASTGS_OT_remove_crop_box(bpy.types.Operator):
-    """Stop cropping the active object with this box; the box itself stays in the scene"""
+    """Stop cropping the active object with this shape; the shape itself stays in the scene"""
 
     bl_idname = "fastgs.remove_crop_box"
     bl_label = "Remove Crop Box"
     bl_options = {'REGISTER', 'UNDO'}
 
-    index: IntProperty(name="Index", description="The box to remove", min=0)
+    index: IntProperty(name="Index", description="The shape to remove", min=0)
 
     @classmethod
     def poll(cls, context):
@@ -60,7 +77,7 @@ class FASTGS_OT_remove_crop_box(bpy.types.Operator):
 
 
 class FASTGS_OT_apply_crop(bpy.types.Operator, ExportHelper):
-    """Write the Gaussians that the boxes show on any frame of the clip into a new file, and use this file for the object"""
+    """Write the Gaussians that the crops show on any frame of the clip into a new file, and use this file for the object"""
 
     bl_idname = "fastgs.apply_crop"
     bl_label = "Apply Crop"

@@ -2,6 +2,7 @@
 """Reads and makes crop boxes of splat objects: ordinary objects of the scene whose extent says which Gaussians are shown."""
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import bpy
@@ -9,6 +10,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import Crop, cropped
+from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
 from . import model_space, objects
 
 
@@ -25,16 +27,41 @@ def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     for item in used:
         box = np.array(_world(item.object.original, depsgraph), np.float64) @ extent(item.object)
         flat = not (np.isfinite(box).all() and abs(np.linalg.det(box)) > 1e-30)
-        made.append(Crop(np.full((4, 4), np.nan) if flat else np.linalg.inv(box) @ world, item.mode == 'REMOVE'))
+        shape = item.shape
+        if shape == 'MESH':
+            shape = "BOX" if flat or item.object.type != 'MESH' else _volume(item.object, depsgraph)
+        made.append(Crop(np.full((4, 4), np.nan) if flat else np.linalg.inv(box) @ world, item.mode == 'REMOVE', shape, item.soft))
     return tuple(made)
+
+
+@lru_cache(maxsize=16)
+def _made(points: bytes, triangles: bytes, low: bytes, high: bytes) -> Volume:
+    return mesh_volume(np.frombuffer(points, np.float32).reshape(-1, 3), np.frombuffer(triangles, np.int32).reshape(-1, 3),
+                       np.frombuffer(low), np.frombuffer(high))
+
+
+def _volume(obj, depsgraph) -> Volume:
+    """The inside of a mesh object as it is evaluated; made anew when its shape changes."""
+    mesh = (obj.original.evaluated_get(depsgraph) if _is_evaluated(obj.original, depsgraph) else obj.original).data
+    mesh.calc_loop_triangles()
+    points, triangles = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
+    mesh.vertices.foreach_get("co", points)
+    mesh.loop_triangles.foreach_get("vertices", triangles)
+    around = extent(obj)
+    low, high = around[:3, 3] - np.diag(around)[:3], around[:3, 3] + np.diag(around)[:3]
+    return _made(points.tobytes(), triangles.tobytes(), low.tobytes(), high.tobytes())
 
 
 def _world(obj, depsgraph):
     """Where an original object is.  Blender does not evaluate what is disabled: that is where its own numbers put it."""
-    flag = "hide_render" if depsgraph.mode == 'RENDER' else "hide_viewport"
-    if not getattr(obj, flag) and not all(getattr(collection, flag) for collection in obj.users_collection):
+    if _is_evaluated(obj, depsgraph):
         return obj.evaluated_get(depsgraph).matrix_world
     return obj.matrix_basis if obj.parent is None else _world(obj.parent, depsgraph) @ obj.matrix_parent_inverse @ obj.matrix_basis
+
+
+def _is_evaluated(obj, depsgraph) -> bool:
+    flag = "hide_render" if depsgraph.mode == 'RENDER' else "hide_viewport"
+    return not getattr(obj, flag) and not all(getattr(collection, flag) for collection in obj.users_collection)
 
 
 def extent(obj) -> np.ndarray:
@@ -46,17 +73,18 @@ def extent(obj) -> np.ndarray:
     return out
 
 
-def add_box(obj) -> bpy.types.Object:
-    """A new empty around an object's splats that crops them; it is the object's child and moves with it."""
+def add_shape(obj, shape: str) -> bpy.types.Object:
+    """A new empty, 'BOX' or 'SPHERE', around an object's splats that crops them; it is the object's child and moves with it."""
     box = bpy.data.objects.new(f"{obj.name} Crop", None)
-    box.empty_display_type = 'CUBE'
+    box.empty_display_type = 'SPHERE' if shape == 'SPHERE' else 'CUBE'
     for collection in obj.users_collection:
         collection.objects.link(box)
     around = extent(obj)
     box.parent = obj
     box.location = around[:3, 3]
     box.scale = [max(around[i, i], 1e-3) for i in range(3)]
-    obj.fastgs.crops.add().object = box
+    item = obj.fastgs.crops.add()
+    item.object, item.shape = box, shape
     return box
 
 

@@ -39,18 +39,55 @@ BACKDROP = (
 
 
 class FASTGS_PG_crop(bpy.types.PropertyGroup):
-    """A box that crops a splat object."""
+    """A shape that crops a splat object."""
 
     object: PointerProperty(
-        name="Box", description="An empty or a mesh: its extent is the box", type=bpy.types.Object, override=_OWN,
+        name="Object", description="An empty or a mesh, whose place and size are the shape's", type=bpy.types.Object, override=_OWN,
         poll=lambda self, obj: obj != self.id_data and obj.type in {'EMPTY', 'MESH'}, update=updates.viewports)
     mode: EnumProperty(
-        name="Mode", description="What happens to the Gaussians whose centres are in the box",
+        name="Mode", description="What happens to the Gaussians whose centres are in the shape",
         items=(
-            ('KEEP', "Keep", "Only what is in this or another box to keep is shown", 'SELECT_INTERSECT', 0),
-            ('REMOVE', "Remove", "What is in the box is not shown", 'SELECT_SUBTRACT', 1),
-        ), default='KEEP', override=_OWN, update=updates.viewports)
-    use: BoolProperty(name="Use", description="Crop with this box", default=True, override=_OWN, update=updates.viewports)
+            ('KEEP', "Keep", "Only what is in this or another shape to keep is shown", 'SELECT_INTERSECT', 0),
+            ('REMOVE', "Remove", "What is in the shape is not shown", 'SELECT_SUBTRACT', 1),
+        ), default='KEEP', **_SHOWN)
+    shape: EnumProperty(
+        name="Shape", description="What of the object crops",
+        items=(
+            ('BOX', "Box", "The box around it: its bounds, or an empty's size", 'CUBE', 0),
+            ('SPHERE', "Sphere", "The ellipsoid within that box", 'SPHERE', 1),
+            ('MESH', "Mesh", "The inside of the mesh, which must be closed; modifiers and animation count", 'MESH_MONKEY', 2),
+        ), default='BOX', **_SHOWN)
+    soft: FloatProperty(
+        name="Soft Edge", description="Depth within the shape over which it begins to count, by half of its extent; 0 is a sharp edge",
+        min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
+    use: BoolProperty(name="Use", description="Crop with this shape", default=True, **_SHOWN)
+
+
+class FASTGS_PG_filter(bpy.types.PropertyGroup):
+    """A filter that hides Gaussians of a splat object for what they are."""
+
+    kind: EnumProperty(
+        name="Filter", description="What the filter looks at",
+        items=(
+            ('SIZE', "Size", "The longest axis of a Gaussian, in the model's units", 0),
+            ('OPACITY', "Opacity", "The opacity that the file gives, without fading in and out", 1),
+            ('SPEED', "Speed", "The largest speed while it can be seen, in the model's units per second", 2),
+            ('LIFETIME', "Lifetime", "Seconds in which it can be seen", 3),
+            ('COLOUR', "Colour", "Difference from a colour, 0 to 1", 4),
+            ('NEIGHBOURS', "Neighbours", "How many other Gaussians are around it; floaters have few", 5),
+        ), default='SIZE', **_SHOWN)
+    low: FloatProperty(name="From", description="Least value of those that are meant", default=0.0, precision=3, **_SHOWN)
+    high: FloatProperty(name="To", description="Largest value of those that are meant", default=1.0, precision=3, **_SHOWN)
+    colour: FloatVectorProperty(
+        name="Colour", description="The colour from which the difference counts", subtype='COLOR_GAMMA', size=3, default=(0.0, 1.0, 0.0),
+        min=0.0, max=1.0, **_SHOWN)
+    mode: EnumProperty(
+        name="Mode", description="What happens to the Gaussians that are meant",
+        items=(
+            ('HIDE', "Hide", "They are not shown", 0),
+            ('KEEP', "Keep", "Only they are shown", 1),
+        ), default='HIDE', **_SHOWN)
+    use: BoolProperty(name="Use", description="Filter by this", default=True, **_SHOWN)
 
 
 def _look(name, description, default, low, high, *, soft_min=None, soft_max=None, **options):
@@ -122,7 +159,10 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         name="Echo Fade", description="Opacity of an echo as a share of that of the one before", default=0.5, min=0.0, max=1.0,
         subtype='FACTOR', **_SHOWN)
     crops: CollectionProperty(
-        type=FASTGS_PG_crop, name="Crop Boxes", description="Boxes outside or inside which nothing of the model is shown",
+        type=FASTGS_PG_crop, name="Crops", description="Shapes outside or inside which nothing of the model is shown",
+        override=_OWN | {'USE_INSERTION'})
+    filters: CollectionProperty(
+        type=FASTGS_PG_filter, name="Filters", description="Which Gaussians are hidden for what they are",
         override=_OWN | {'USE_INSERTION'})
 
     exposure: _look("Exposure", "Brightness, in stops", 0.0, *RANGES["exposure"], soft_min=-10.0, soft_max=10.0)
@@ -202,7 +242,7 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     clip_fps: FloatProperty(name="Clip Rate", description="The capture's frames per second", min=0.0)
 
 
-CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
+CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.filters import Filter
 from ..fastgs_blender.rendering.instances import LIMIT, Instance, ObjectSettings
 from . import crops, model_space, objects
 from .time import Retime, shown_frames
@@ -134,6 +135,7 @@ def retime_of(obj) -> Retime:
 
 
 def settings_of(obj, depsgraph) -> ObjectSettings:
-    """How an evaluated object shows its model: each setting is the property of the same name, but for the boxes' places."""
-    plain = {f.name: getattr(obj.fastgs, f.name) for f in fields(ObjectSettings) if f.name != "crops"}
-    return ObjectSettings(crops=crops.crops_of(obj, depsgraph), **plain)
+    """How an evaluated object shows its model: each setting is the property of the same name, but for crops and filters."""
+    plain = {f.name: getattr(obj.fastgs, f.name) for f in fields(ObjectSettings) if f.name not in ("crops", "filters")}
+    filters = tuple(Filter(item.kind, item.low, item.high, item.mode == 'KEEP', item.colour) for item in obj.fastgs.filters if item.use)
+    return ObjectSettings(crops=crops.crops_of(obj, depsgraph), filters=filters, **plain)

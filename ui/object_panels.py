@@ -121,18 +121,39 @@ def draw_look(layout, context):
 
 
 def draw_crop(layout, context):
-    """Draw the boxes that crop the model."""
+    """Draw the shapes that crop the model."""
     layout.use_property_decorate = False
     boxes = context.object.fastgs.crops
     for index, item in enumerate(boxes):
         row = layout.row(align=True)
         row.prop(item, "use", text="")
         row.prop(item, "object", text="")
-        row.prop(item, "mode", text="", icon_only=True)  # with its words, names of boxes are cut
+        row.prop(item, "shape", text="", icon_only=True)  # with their words, names of objects are cut
+        row.prop(item, "mode", text="", icon_only=True)
+        row.prop(item, "soft", text="Soft")
         row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
-    layout.operator("fastgs.add_crop_box", icon='ADD')
+    layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
     if boxes:
         layout.operator("fastgs.apply_crop", icon='FILE_TICK')
+
+
+def draw_filters(layout, context):
+    """Draw the filters that hide Gaussians for what they are."""
+    layout.use_property_decorate = False
+    for index, item in enumerate(context.object.fastgs.filters):
+        col = layout.column(align=True)
+        row = col.row(align=True)
+        row.prop(item, "use", text="")
+        row.prop(item, "mode", text="")
+        row.prop(item, "kind", text="")
+        row.operator("fastgs.separate", text="", icon='MOD_EXPLODE').index = index
+        row.operator("fastgs.remove_filter", text="", icon='X').index = index
+        row = col.row(align=True)
+        if item.kind == 'COLOUR':
+            row.prop(item, "colour", text="")
+        row.prop(item, "low")
+        row.prop(item, "high")
+    layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
 
 
 class _Splat:
@@ -192,6 +213,15 @@ class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
         draw_crop(self.layout, context)
 
 
+class FASTGS_PT_object_filters(_Properties, bpy.types.Panel):
+    bl_label = "Filters"
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_filters(self.layout, context)
+
+
 class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
     bl_label = "4D Gaussians"
 
@@ -235,5 +265,14 @@ class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
         draw_crop(self.layout, context)
 
 
-CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_sidebar,
-           FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look, FASTGS_PT_sidebar_crop)
+class FASTGS_PT_sidebar_filters(_Sidebar, bpy.types.Panel):
+    bl_label = "Filters"
+    bl_parent_id = "FASTGS_PT_sidebar"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_filters(self.layout, context)
+
+
+CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,
+           FASTGS_PT_sidebar, FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look, FASTGS_PT_sidebar_crop, FASTGS_PT_sidebar_filters)

@@ -64,7 +64,7 @@ class SceneDepth:
 
 
 class Order:
-    """Which Gaussians to draw, the nearest first, on the GPU."""
+    """Which Gaussians to draw, the nearest first, on the GPU; see sorting.Sorted.order."""
 
     def __init__(self, indices: np.ndarray):
         self.count = len(indices)

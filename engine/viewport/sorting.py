@@ -11,7 +11,7 @@ import numpy as np
 from ... import fastgs_blender as fg
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.rendering import visibility
-from ...fastgs_blender.rendering.instances import Instance
+from ...fastgs_blender.rendering.instances import Instance, ViewedInstance
 from ...scene import objects
 from ...scene.snapshot import Snapshot
 from .. import compiling
@@ -32,7 +32,8 @@ class Sorted:
     shown      [the name and the file of each one's object]
     models     models and sequences of their files, by path
     left_out   (object's name, why it is not shown), see Snapshot.load
-    order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances
+    order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances; or [V, 2], with the share of
+               its opacity that crops take from each
     """
 
     instances: list[Instance]
@@ -57,11 +58,18 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
     instances = [instance for _, instance in pairs]
     atlas.pack({id(instance.model): instance.model for instance in instances}.values())
     total = sum(len(instance.model) for instance in instances)
-    order = visibility.order([instance.viewed(camera) for instance in instances], camera, min(share, MOST / max(total, 1)), rank,
+    viewed = [instance.viewed(camera) for instance in instances]
+    order = visibility.order(viewed, camera, min(share, MOST / max(total, 1)), rank,
                              "reference" if compiling.is_running() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
-    return Sorted(instances, [item.key for item, _ in pairs], models, left_out, order.astype(np.float32))
+    return Sorted(instances, [item.key for item, _ in pairs], models, left_out, listed(viewed, order))
+
+
+def listed(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray:
+    """The order as Sorted has it."""
+    share, order = visibility.crop_shares(instances, order), order.astype(np.float32)
+    return order if share is None else np.stack([order, 1 - share], 1)
 
 
 def rank(model: fg.GaussianModel) -> np.ndarray:

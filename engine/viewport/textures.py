@@ -12,7 +12,7 @@ ORDER_WIDTH = 4096
 ROWS = 16384
 """The most rows that every supported GPU takes."""
 
-FORMATS = {1: 'R32F', 4: 'RGBA32F'}
+FORMATS = {1: 'R32F', 2: 'RG32F', 4: 'RGBA32F'}
 
 
 class Sent:
@@ -22,7 +22,7 @@ class Sent:
 
 
 def upload(array: np.ndarray, half: bool = False):
-    """A texture [h, w] of an array [h, w, c] with c 1 or 4; half stores it in 16 bits."""
+    """A texture [h, w] of an array [h, w, c] with c 1, 2 or 4; half stores it in 16 bits."""
     height, width, channels = array.shape
     flat = np.ascontiguousarray(array, np.float32).reshape(-1)
     Sent.bytes += flat.nbytes
@@ -36,10 +36,11 @@ def rows_of(texels: int) -> int:
 
 
 def upload_list(values: np.ndarray, width: int):
-    """A texture of a flat list [n], `width` values in a row."""
-    padded = np.zeros(max(-(-len(values) // width), 1) * width, np.float32)
+    """A texture of a list [n], or [n, c], `width` entries in a row."""
+    values = values.reshape(len(values), -1) if len(values) else np.zeros((0, 1))
+    padded = np.zeros((max(-(-len(values) // width), 1) * width, values.shape[1]), np.float32)
     padded[:len(values)] = values
-    return upload(padded.reshape(-1, width, 1))
+    return upload(padded.reshape(-1, width, values.shape[1]))
 
 
 def read(framebuffer, width: int, height: int, slot: int = 0) -> np.ndarray:

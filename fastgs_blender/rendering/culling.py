@@ -6,7 +6,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.slicing import sigmoid
-from .crops import kept_by
+from .crops import crop_share
 from .instances import ViewedInstance
 from .looks import Look, size_factor
 
@@ -43,6 +43,8 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         sigma = sigmoid(model.opacity) * instance.look[Look.OPACITY] * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
         kept = 1 + np.exp(-model.opacity.astype(np.float64)) <= instance.look[Look.FAINTEST]
         kept &= (sigma >= raster.alpha_cut) & instance.in_ball(model.position) & wanted
+        if len(instance.hidden):
+            kept &= ~instance.hidden
         at = np.flatnonzero(kept)
         moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
         to_camera = instance.model_to_camera
@@ -53,8 +55,9 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         centre = p[:, :2] * (camera.fx, camera.fy) * per_depth[:, None] + (camera.cx, camera.cy)
         size = np.exp(model.scale[at].max(1).astype(np.float64))
         size *= size_factor(size, instance.look) * per_depth * scale_bound(to_camera[:3, :3])
-        reach = 2 * np.log(sigma[at] / raster.alpha_cut)
+        strength = sigma[at] * crop_share(instance.settings.crops, position)
+        reach = 2 * np.log(strength / raster.alpha_cut)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
-        seen = (z > instance.near) & (z <= instance.far) & kept_by(instance.settings.crops, position)
+        seen = (z > instance.near) & (z <= instance.far) & (strength >= raster.alpha_cut)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return z[seen].astype(np.float32), at[seen]

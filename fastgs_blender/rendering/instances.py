@@ -14,6 +14,7 @@ from ..model.surroundings import WITHIN
 from ..util.arguments import numbers, real
 from ..util.errors import FastGSError
 from .crops import Crop
+from .filters import Filter, hidden
 from .looks import look_numbers
 
 LIMIT = 1e30
@@ -31,7 +32,8 @@ BACKDROPS = ("INSIDE", "SHOWN", "HIDDEN")
 class ObjectSettings:
     """How an object shows its model.  It goes whole from the object to the kernels and to the viewport; equal settings look equal.
 
-    crops     boxes that cut the model, see crops.py
+    crops     shapes that cut the model, see crops.py
+    filters   which Gaussians are hidden for what they are, see filters.py
     exposure, gamma, contrast, saturation, hue, tint
               of the colours, scene linear: stops; powers; a factor on what is not grey; radians; factors on red, green and blue
     opacity, opacity_cut
@@ -54,9 +56,11 @@ class ObjectSettings:
     splat_scale: float = 1.0
     min_size: float = 0.0
     max_size: float = 0.0
+    filters: tuple[Filter, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "crops", tuple(self.crops))
+        object.__setattr__(self, "filters", tuple(self.filters))
         object.__setattr__(self, "tint", tuple(float(value) for value in self.tint))
         for name, (low, high) in RANGES.items():
             for value in self.tint if name == "tint" else (getattr(self, name),):
@@ -153,6 +157,11 @@ class ViewedInstance(Instance):
     def far(self) -> float:
         """Depth up to which Gaussians are drawn."""
         return min(self.camera.far, LIMIT)
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """Which Gaussians its filters hide: [N] bool, or [0] where there are none."""
+        return hidden(self.model, self.settings.filters)
 
     @cached_property
     def look(self) -> np.ndarray:

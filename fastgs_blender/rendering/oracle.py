@@ -15,7 +15,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import SH, Features, decode, momentary, sh_basis
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
-from .crops import kept_by
+from .crops import crop_share
 from .culling import order_in_numpy
 from .instances import LIMIT, ViewedInstance
 from .layout import DEPTH_FROM, PROBES, Buffers, Layout
@@ -70,7 +70,10 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     view = s.position @ linear.T + origin
     z = view[:, 2]
     factor = linear @ rotations.to_matrices(s.rotation) * s.scale[:, None, :]
-    seen = instance.in_ball(model.position[s.index]) & kept_by(instance.settings.crops, s.position)
+    s = replace(s, opacity=s.opacity * crop_share(instance.settings.crops, s.position))
+    seen = instance.in_ball(model.position[s.index])
+    if len(instance.hidden):
+        seen &= ~instance.hidden[s.index]
     seen &= (z > instance.near) & (z <= instance.far)
     seen &= 1 + np.exp(-model.opacity[s.index].astype(np.float64)) <= instance.look[Look.FAINTEST]
     seen &= np.isfinite(view).all(1) & np.isfinite(factor).all((1, 2))

@@ -8,6 +8,7 @@ from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util.backends import load_backend
+from .crops import crop_share
 from .instances import ViewedInstance
 
 
@@ -19,6 +20,21 @@ def order(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, r
     backend        "cpu" (numba, all threads), "reference" (NumPy), "auto"; all give the same
     """
     return load_backend(backend).front_to_back(instances, camera, limit, ranks)
+
+
+def crop_shares(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray | None:
+    """What soft crops leave of the opacity of Gaussians that order() has listed: [V] float32, 0..1; None where no crop is soft."""
+    if not any(crop.soft > 0 for instance in instances for crop in instance.settings.crops):
+        return None
+    share, done = np.ones(len(order), np.float32), 0
+    for instance in instances:
+        model, own = instance.model, np.flatnonzero((order >= done) & (order < done + len(instance.model)))
+        if any(crop.soft > 0 for crop in instance.settings.crops):
+            at = order[own].astype(np.int64) - done
+            moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
+            share[own] = crop_share(instance.settings.crops, model.position[at] + moved)
+        done += len(model)
+    return share
 
 
 def importance_rank(model: GaussianModel) -> np.ndarray:

@@ -154,7 +154,8 @@ void main()
   bool orthographic = centre.z > 0.5;
   int drawn = whole(counts.x) * WIDTH + whole(counts.y);
   int k = drawn - 1 - gl_InstanceID; /* the list is front to back */
-  int g = whole(texelFetch(t_order, ivec2(k % ORDER_WIDTH, k / ORDER_WIDTH), 0).x);
+  vec4 listed = texelFetch(t_order, ivec2(k % ORDER_WIDTH, k / ORDER_WIDTH), 0); /* which, and what crops take of its opacity */
+  int g = whole(listed.x);
   int o = instance_of(g, whole(centre.w));
   int i = g - first_of(o);
 
@@ -181,7 +182,7 @@ void main()
   vec4 look = instance_texel(o, INSTANCE_LOOK), grading = instance_texel(o, INSTANCE_LOOK + 1); /* looks.py */
   float faintness = 1.0 + exp(-fixed_part.w);
   if (faintness > look.y) { return; }
-  float sigma = temporal_factor(kind, time.x, scale_time.w, temporal) / faintness * look.x;
+  float sigma = temporal_factor(kind, time.x, scale_time.w, temporal) / faintness * look.x * (1.0 - listed.y);
   if (!(sigma >= raster.z)) { return; }
   int turns = whole(bases.w);
   int used = whole(bases.y);

@@ -13,7 +13,7 @@ from numba import float32
 
 from ...rendering.instances import LIMIT
 from . import raster
-from .crop import in_ball, is_kept
+from .crop import crop_share, in_ball
 from .jit import inline, kernel
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .spherical import sh_colour
@@ -162,7 +162,7 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
 def project(first, last, boxes, look, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
 
-    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays; ViewedInstance.ball
+    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
     look       [LOOK_NUMBERS] float64, see rendering/looks.py
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
@@ -175,7 +175,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
-    crop_rows, crop_remove, ball = boxes
+    crops, ball, hidden = boxes
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
@@ -183,9 +183,10 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
+    hides, filtered = len(crops[1]) > 0, len(hidden) > 0
     out = first
     for n in range(first, last):
-        if not in_ball(position, n, ball):
+        if (filtered and hidden[n]) or not in_ball(position, n, ball):
             continue
         faintness = 1.0 + _exp(-opacity[n])
         if faintness > look[FAINTEST]:
@@ -196,8 +197,10 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
         delta = t - np.float64(mu_tau[n])
         px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        if not is_kept(px, py, pz, crop_rows, crop_remove):
-            continue
+        if hides:
+            sigma *= crop_share(px, py, pz, crops)
+            if not (sigma >= alpha_cut):
+                continue
         x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]

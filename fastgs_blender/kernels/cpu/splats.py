@@ -59,7 +59,7 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
     arrays = np.empty((total, 5)), attributes, np.empty(total, np.float32), np.empty(total, np.int32)
     runs, done = [], 0
     for instance in instances:
-        cut = (*crop_arrays(instance.settings.crops), instance.ball)
+        cut = crop_arrays(instance.settings.crops), instance.ball, instance.hidden
         look = instance.look.copy()
         look[Look.GRADED] *= not isinstance(instance.model.appearance, Features)  # a decoder's colours are changed when it has made them
         count, inputs = len(instance.model), (cut, look, *_inputs(instance, camera, layout))

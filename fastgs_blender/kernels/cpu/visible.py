@@ -9,7 +9,7 @@ import numpy as np
 from ...rendering.crops import crop_arrays
 from ...rendering.culling import scale_bound, spread
 from ...util.threads import ranges, run
-from .crop import in_ball, is_kept
+from .crop import crop_share, in_ball
 from .jit import kernel
 from .look import FAINTEST, OPACITY, SIZED, size_factor
 from .project import _exp, _moved3, _temporal_factor
@@ -29,7 +29,7 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
     lens       (fx, fy, cx, cy, near, far, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
     constants  (blur, alpha cut, orthographic)
-    boxes      (rows, remove) of the boxes that crop the model, see crops.crop_arrays; ViewedInstance.ball
+    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
     rank       [N] float32, or [0]; (limit, rank): Gaussians whose rank is not under the limit are left out
     depth      float32, along the view axis; index int32
     Returns the number of rows written.
@@ -39,13 +39,14 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
     fx, fy, cx, cy, near, far, right, bottom, spread_x, spread_y = lens
     blur, cut, orthographic = constants
     limit, ranks = rank
-    rows, remove, ball = boxes
+    crops, ball, hidden = boxes
+    hides, filtered = len(crops[1]) > 0, len(hidden) > 0
     row0, row1, row2, shift = view[0], view[1], view[2], view[3]
     out = first
     for n in range(first, last):
         if len(ranks) > 0 and not (ranks[n] < limit):
             continue
-        if not in_ball(position, n, ball):
+        if (filtered and hidden[n]) or not in_ball(position, n, ball):
             continue
         faintness = 1.0 + _exp(-opacity[n])
         if faintness > look[FAINTEST]:
@@ -55,8 +56,10 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
             continue
         px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        if not is_kept(px, py, pz, rows, remove):
-            continue
+        if hides:
+            sigma *= crop_share(px, py, pz, crops)
+            if not (sigma >= cut):
+                continue
         z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
         if not (z > near and z <= far):
             continue
@@ -104,7 +107,7 @@ def _visible(instance, camera, offset, rank):
     arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
     common = (offset, instance.look, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
               (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)),
-              (*crop_arrays(instance.settings.crops), instance.ball), rank, depth, index)
+              (crop_arrays(instance.settings.crops), instance.ball, instance.hidden), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)
     return [(depth[first:first + n], index[first:first + n]) for (first, _), n in zip(pieces, counts)]

@@ -62,7 +62,7 @@ def moving(fg):
 def drawn(module, gpu_scene):
     """drawn(parts, camera, **resolve): the viewport's picture in scene-linear Rec.709 [h, w, 4]."""
     picture, atlas = module("engine.viewport.picture"), module("engine.viewport.atlas")
-    order = module("fastgs_blender.rendering.visibility").order
+    order, listed = module("fastgs_blender.rendering.visibility").order, module("engine.viewport.sorting").listed
     instance = module("fastgs_blender.rendering.instances").Instance
 
     def draw(parts, camera, depth=None, keep=lambda indices: indices, **look):
@@ -71,7 +71,7 @@ def drawn(module, gpu_scene):
         textures.hold([part.model for part in parts])
 
         def resolve(framebuffer):
-            shown.draw(camera, parts, textures, picture.Order(keep(order(parts, camera))), depth)
+            shown.draw(camera, parts, textures, picture.Order(listed(parts, keep(order(parts, camera)))), depth)
             shown.resolve(np.eye(3), **look)
 
         return draw_offscreen(camera.width, camera.height, resolve)
@@ -128,6 +128,22 @@ def test_looks(module, fg, moving, camera, drawn, kind, space):
     model = moving({"rgb": fg.RGB(), "sh2": fg.SH(2), "sigmoid": decoder(fg, "sigmoid")}[kind], "paper", colour_space=space)
     _, want = agree(module, [(model, np.eye(4), 0.4, look)], camera(), drawn)
     assert psnr(want, expected(module, [(model, np.eye(4), 0.4)], camera())) < 30
+
+
+@pytest.mark.parametrize("kind", ["sh2", "sigmoid"])
+def test_crops_with_soft_edges_and_filters(module, fg, moving, camera, drawn, kind):
+    crops, filters = module("fastgs_blender.rendering.crops"), module("fastgs_blender.rendering.filters")
+    points = np.array([[-1, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    volume = module("fastgs_blender.rendering.volumes").mesh_volume(
+        points, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]), points.min(0), points.max(0))
+    model, eye = moving(fg.SH(2) if kind == "sh2" else decoder(fg, kind), "paper"), np.eye(4)
+    settings = module("fastgs_blender.rendering.instances").ObjectSettings
+    plain = expected(module, [(model, eye, 0.4)], camera())
+    for each in (crops.Crop(eye, shape="SPHERE", soft=0.8), crops.Crop(eye, shape=volume, soft=0.5), crops.Crop(eye, True, volume)):
+        look = settings(crops=[each], filters=[filters.Filter("SIZE", 0.2, 9)])
+        parts = [(model, eye, 0.4, look), (moving(fg.RGB(), n=20, seed=4), eye, 0.2)]
+        _, want = agree(module, parts, camera(), drawn)
+        assert psnr(want, plain) < 30
 
 
 def test_antialiased_models_with_constants_of_their_own(module, fg, moving, camera, drawn):

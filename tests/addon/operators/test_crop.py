@@ -182,6 +182,59 @@ def test_boxes_are_stored_and_copied_with_the_object(obj, tmp_path):
     assert item.object.name == "Box" and item.mode == 'REMOVE' and item.use
 
 
+def test_spheres_meshes_and_soft_edges(obj, seen, scene, render):
+    """An ellipsoid within the bounds, and the inside of a mesh as its modifiers and its animation make it."""
+    scene.render.film_transparent = True
+    obj.select_set(True)
+    bpy.ops.fastgs.add_crop_box(shape='SPHERE')
+    ball = obj.fastgs.crops[0].object
+    ball.parent, ball.location, ball.scale = None, (0.0, 0.0, 0.0), (0.55, 0.55, 0.55)
+    assert ball.empty_display_type == 'SPHERE' and seen() == row_between(-0.55, 0.55)
+    ball.location.z = 0.5  # the row runs near the ball's border
+    assert seen() == row_between(-0.2, 0.2)
+    obj.fastgs.crops.clear()
+    mesh = bpy.data.meshes.new("Hollow")
+    mesh.from_pydata([(x, y, z) for x in (-0.65, 0.65) for y in (-1, 1) for z in (-1, 1)], [],
+                     [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    block = bpy.data.objects.new("Block", mesh)
+    scene.collection.objects.link(block)
+    for other in (block, obj):
+        other.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.fastgs.add_crop_box(shape='MESH')
+    item = obj.fastgs.crops[0]
+    assert (item.object, item.shape) == (block, 'MESH') and seen() == row_between(-0.65, 0.65)
+    array = block.modifiers.new("Array", 'ARRAY')
+    array.relative_offset_displace[0] = 1.4  # a second block, beside a gap
+    block.location.x = -0.9
+    assert seen() == [-0.9, -0.7, -0.5, -0.3, 0.3, 0.5, 0.7, 0.9]
+    block.modifiers.clear()
+    block.location.x = 0.0
+    item.soft = 1.0
+    alpha = render()["ViewLayer.Combined"][..., 3].max(0)
+    place = [alpha[round((x + 2) / 4 * 64 - 0.5)] for x in (0.1, 0.3, 0.5)]
+    assert place[0] > place[1] + 0.1 > place[2] + 0.2
+    block.select_set(False)
+    with pytest.raises(RuntimeError, match="No mesh is selected"):
+        bpy.ops.fastgs.add_crop_box(shape='MESH')
+
+
+def test_filters_and_what_they_separate(obj, module, seen, scene):
+    scene.render.film_transparent = True
+    obj.select_set(True)
+    for preset in ('FLOATERS', 'LARGE', 'FAINT', 'MOVING', 'STATIC', 'SHORT', 'COLOUR'):
+        assert bpy.ops.fastgs.add_filter(preset=preset) == {'FINISHED'}
+        assert obj.fastgs.filters[-1].low < obj.fastgs.filters[-1].high
+        bpy.ops.fastgs.remove_filter(index=0)
+    bpy.ops.fastgs.add_filter(preset='STATIC')
+    assert seen() == []  # all of the row moves
+    bpy.ops.fastgs.separate(index=0)
+    assert bpy.context.object is not obj and bpy.context.object.fastgs.filters[0].mode == 'HIDE' and len(seen()) == 10
+    obj.fastgs.filters[0].use = False
+    bpy.data.objects.remove(bpy.context.object)
+    assert len(seen()) == 10
+
+
 def test_a_lost_box_crops_nothing(obj, seen, scene):
     scene.render.film_transparent = True
     bpy.data.objects.remove(add_box(obj, -0.6, 0.2))

@@ -75,7 +75,7 @@ def test_crop_boxes_are_listed(panels, obj):
     assert texts(drawn(panels["FASTGS_PT_object_crop"]), "operator") == ["fastgs.add_crop_box"]
     bpy.ops.fastgs.add_crop_box()
     record = drawn(panels["FASTGS_PT_object_crop"])
-    assert texts(record, "prop") == ["use", "object", "mode"]
+    assert texts(record, "prop") == ["use", "object", "shape", "mode", "soft"]
     assert texts(record, "operator") == ["fastgs.remove_crop_box", "fastgs.add_crop_box", "fastgs.apply_crop"]
 
 

@@ -2,6 +2,8 @@
 """Boxes that crop what is shown: in every backend, in a viewport's order, and for good."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,8 +12,10 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.rendering import visibility
-from fastgs_blender.rendering.crops import Crop, cropped, kept_by
+from fastgs_blender.rendering.crops import Crop, crop_share, cropped, kept_by
+from fastgs_blender.rendering.filters import Filter, values
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.volumes import mesh_volume
 
 CAMERA = fg.Camera(48, 40, 40, 40, 24, 20, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]))
 
@@ -85,3 +89,104 @@ def test_cropped_for_good_are_those_that_are_left_on_some_frame():
     np.testing.assert_array_equal(left.position[:, 0], [1, 2, 3])
     assert left.clip == model.clip
     np.testing.assert_array_equal(cropped(model, [Crop(matrix, True)]).position[:, 0], [0, 1, 3, 1])
+
+
+def ellipsoid(rng, remove=False, soft=0.0):
+    return Crop(box(rng).matrix, remove, "SPHERE", soft)
+
+
+def torus(n=48, m=24, large=0.7, small=0.3):
+    """A closed mesh around z that a ray may cross four times: points, triangles."""
+    a, b = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.arange(m) * 2 * np.pi / m, indexing="ij")
+    r = large + small * np.cos(b)
+    points = np.stack([r * np.cos(a), r * np.sin(a), small * np.sin(b)], -1).reshape(-1, 3)
+    i, j = (x.ravel() for x in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    corner = [((i + x) % n) * m + (j + y) % m for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    return points, np.concatenate([np.stack([corner[0], corner[1], corner[2]], 1), np.stack([corner[0], corner[2], corner[3]], 1)])
+
+
+def test_the_volume_of_a_mesh_knows_inside_and_depth():
+    points, triangles = torus()
+    high = np.abs(points).max(0)
+    volume = mesh_volume(points, triangles, -high, high)
+    at = np.random.default_rng(0).uniform(-high, high, (4000, 3))
+    truth = (0.3 - np.hypot(np.hypot(at[:, 0], at[:, 1]) - 0.7, at[:, 2])) / high.min()
+    got = volume.depth_at(at / high)
+    clear = np.abs(truth) > 0.05
+    assert (np.sign(got) == np.sign(truth))[clear].all() and (truth > 0.05).sum() > 500 and (truth < -0.05).sum() > 500
+    assert np.abs(got - truth)[truth > 0].max() < 0.06
+    assert (volume.depth_at(np.array([[1.5, 0, 0], [np.nan, 0, 0]])) == -1).all()
+    assert mesh_volume(points, triangles, -high, high).digest == volume.digest
+    # a mesh of round numbers, whose edges lie on the grid's lines
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    sides = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+                      [1, 5, 7], [1, 7, 3]])
+    cube = mesh_volume(corners, sides, corners.min(0), corners.max(0))
+    inner = np.random.default_rng(1).uniform(-0.97, 0.97, (500, 3))
+    assert np.abs(cube.depth_at(inner) - (1 - np.abs(inner).max(1))).max() < 0.05
+
+
+def test_soft_edges_and_shapes_by_hand():
+    x = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.75, 0, 0], [1.0, 0, 0], [1.01, 0, 0], [0.8, 0.8, 0]])
+    assert np.allclose(Crop(np.eye(4), soft=0.5).share(x), [1, 1, 0.5, 0, 0, 0.352])
+    assert np.allclose(Crop(np.eye(4), shape="SPHERE").share(x), [1, 1, 1, 1, 0, 0])
+    assert np.allclose(Crop(np.eye(4), shape="SPHERE", soft=1.0).share(x), [1, 0.5, 0.15625, 0, 0, 0])
+    both = [Crop(np.eye(4), soft=0.5), Crop(np.eye(4), True, "SPHERE", 0.5)]
+    assert np.allclose(crop_share(both, x), [0, 0, 0.25, 0, 0, 0.352])
+    nothing = np.full((4, 4), np.nan)
+    assert not Crop(nothing, soft=0.5).share(x).any() and not Crop(nothing, shape="SPHERE", soft=0.5).share(x).any()
+
+
+def test_every_backend_shows_shapes_alike():
+    rng = np.random.default_rng(8)
+    points, triangles = torus(24, 12)
+    high = np.abs(points).max(0)
+    ring = Crop(np.diag([*1 / high, 1]), shape=mesh_volume(points, triangles, -high, high), soft=0.3)
+    model = random_model(rng, 300, "paper", "line", "radial", motion=0.1)
+    plain = fg.render([(model, np.eye(4), 0.4)], CAMERA)["alpha"]
+    for crops in ([ring], [ring, ellipsoid(rng, True, 0.4)], [ellipsoid(rng, soft=0.7), box(rng, True)]):
+        pictures = [fg.render([(model, np.eye(4), 0.4, crops)], CAMERA, backend=backend) for backend in ("cpu", "reference")]
+        assert np.abs(pictures[0]["rgb"] - pictures[1]["rgb"]).max() < 2e-5
+        assert np.abs(pictures[0]["alpha"] - plain).max() > 0.05 and pictures[0]["alpha"].max() > 0.1
+        cut = Instance(model, np.eye(4), 0.4, ObjectSettings(crops)).viewed(CAMERA)
+        order = visibility.order([cut], CAMERA)
+        np.testing.assert_array_equal(order, visibility.order([cut], CAMERA, backend="reference"))
+        # a viewport multiplies by these shares what it draws
+        share = visibility.crop_shares([cut], order)
+        assert np.allclose(share, crop_share(crops, fg.slice_model(model, 0.4, cull=False).position[order]), atol=1e-6)
+    assert visibility.crop_shares([Instance(model, np.eye(4), 0.4).viewed(CAMERA)], order) is None
+
+
+@pytest.mark.parametrize(("kind", "low", "high"), [("SIZE", 0.1, 9), ("OPACITY", 0, 0.5), ("LIFETIME", 0.4, 9), ("SPEED", 0, 1.1),
+                                                   ("COLOUR", 0, 0.4), ("NEIGHBOURS", 1, 900)])
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_filtered_picture_is_that_of_what_is_left(kind, low, high, keep):
+    model = random_model(np.random.default_rng(3), 200, "paper", "line", "radial", motion=0.05, clip=fg.Clip(24, 24.0))
+    model = replace(model, position=np.r_[model.position[:140], np.repeat(model.position[:60], 1, 0)])  # neighbours for some
+    each = Filter(kind, low, high, keep, (0.5, 0.5, 0.5))
+    value = values(model, kind, each.colour)
+    left = ((value >= low) & (value <= high)) == keep
+    assert 10 < left.sum() < 190
+    look = ObjectSettings(filters=[each])
+    wanted = fg.render(model.take(left), CAMERA, 0.4)
+    for backend in ("cpu", "reference"):
+        got = fg.render([(model, np.eye(4), 0.4, look)], CAMERA, backend=backend)
+        assert np.abs(got["rgb"] - wanted["rgb"]).max() < 2e-5
+    cut = Instance(model, np.eye(4), 0.4, look).viewed(CAMERA)
+    orders = [visibility.order([cut], CAMERA, backend=backend) for backend in ("cpu", "reference")]
+    np.testing.assert_array_equal(*orders)
+    assert left[orders[0]].all() and len(orders[0])
+
+
+def test_what_filters_look_at():
+    """Three Gaussians: large and still; small, moving by 2 in a second; small, seen half of the time, far from the others."""
+    model = fg.GaussianModel(
+        position=np.array([[0, 0, 0], [0.001, 0, 0], [5, 5, 5.0]]), rotation=np.tile([1.0, 0, 0, 0], (3, 1)),
+        scale=np.log([[0.5, 0.1, 0.1], [0.01] * 3, [0.01] * 3]), opacity=np.zeros(3), features=np.eye(3),
+        motion=np.array([[[0, 0, 0]], [[4.0, 0, 0]], [[0, 0, 0]]]), basis=fg.Polynomial(1), mu_tau=np.array([0, 0.5, 0]),
+        temporal_kind=fg.Window(), temporal=np.array([[-1, 2, -4, -4], [-1, 2, -4, -4], [-1, 0.5, -8, -8]]), clip=fg.Clip(48, 24.0))
+    assert np.allclose(values(model, "SIZE"), [0.5, 0.01, 0.01]) and np.allclose(values(model, "OPACITY"), 0.5)
+    assert np.allclose(values(model, "SPEED"), [0, 2, 0]) and np.allclose(values(model, "LIFETIME"), [2, 2, 1], atol=0.1)
+    assert np.allclose(values(model, "COLOUR", (1, 0, 0)), [0, 1, 1]) and np.allclose(values(model, "NEIGHBOURS"), [1, 1, 0])
+    with pytest.raises(fg.FastGSError, match="'WEIGHT' is unknown"):
+        Filter("WEIGHT")

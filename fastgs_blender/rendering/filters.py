@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Filters: which Gaussians of a model are hidden for what they are, at all times alike."""
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..model.appearance import SH, SH_C0, momentary
+from ..model.gaussians import GaussianModel
+from ..model.slicing import sigmoid
+from ..util.errors import FastGSError
+
+TIMES = 17
+"""Moments of the clip at which speeds and lifetimes are looked at."""
+CELL = 0.02
+"""Edge of the cells in which neighbours are counted, by the size of the model without its outer tenth."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Some Gaussians: those of which a value lies from low to high.
+
+    kind    one of KINDS
+    keep    whether only they are shown, rather than all others
+    colour  sRGB [3], of the kind "COLOUR"
+    """
+
+    kind: str
+    low: float = -np.inf
+    high: float = np.inf
+    keep: bool = False
+    colour: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        object.__setattr__(self, "colour", tuple(float(value) for value in self.colour))
+        if self.kind not in KINDS:
+            raise FastGSError(f"the filter {self.kind!r} is unknown; there are {', '.join(KINDS)}.")
+
+
+def _size(model, _):
+    return np.exp(model.scale.astype(np.float64).max(1))
+
+
+def _opacity(model, _):
+    return sigmoid(model.opacity)
+
+
+def _speed(model, _):
+    fastest = np.zeros(len(model))
+    for t, seen in _moments(model):
+        _, velocity = model.basis.evaluate(model.motion, t, model.mu_tau.astype(np.float64))
+        fastest = np.maximum(fastest, np.where(seen, np.linalg.norm(velocity, axis=1), 0))
+    return fastest / max(model.clip.duration, 1e-9)
+
+
+def _lifetime(model, _):
+    return sum(seen for _, seen in _moments(model)) / TIMES * model.clip.duration
+
+
+def _moments(model):
+    """Yields times of the clip, and which Gaussians [N] can be seen then."""
+    for t in (np.arange(TIMES) + 0.5) / TIMES:
+        factor = model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+        yield t, sigmoid(model.opacity) * factor >= model.raster.alpha_cut
+
+
+def _colour(model, colour):
+    base = model.features[:, :3].astype(np.float64)
+    if isinstance(momentary(model.appearance), SH):
+        base = 0.5 + SH_C0 * base
+    return np.abs(base - colour).max(1)
+
+
+def _neighbours(model, _):
+    moved, _ = model.basis.evaluate(model.motion, 0.5, model.mu_tau.astype(np.float64))
+    position = np.nan_to_num(model.position + moved)
+    low, high = np.percentile(position, (5, 95), axis=0) if len(position) else (np.zeros(3), np.ones(3))
+    size = max(CELL * (high - low).max(), 1e-12)
+    cell = np.clip(np.floor((position - low) / size), -2**19, 2**19).astype(np.int64) + 2**19
+    step = np.array([1, 1 << 21, 1 << 42])
+    keys, own, count = np.unique(cell @ step, return_inverse=True, return_counts=True)
+    total = np.zeros(len(keys), np.int64)
+    for offset in itertools.product((-1, 0, 1), repeat=3):
+        at = np.minimum(np.searchsorted(keys, keys + offset @ step), max(len(keys) - 1, 0))
+        total += np.where(keys[at] == keys + offset @ step, count[at], 0)
+    return (total[own.ravel()] - 1).astype(np.float64)
+
+
+KINDS: dict[str, Callable] = {
+    "SIZE": _size, "OPACITY": _opacity, "SPEED": _speed, "LIFETIME": _lifetime, "COLOUR": _colour, "NEIGHBOURS": _neighbours}
+"""What filters look at, each as values [N] of a model.
+
+SIZE        the largest standard deviation, in the model's units
+OPACITY     without the temporal factor
+SPEED       the largest while it can be seen, in units per second
+LIFETIME    seconds in which it can be seen
+COLOUR      largest difference of a channel from the filter's colour; of harmonics and decoders their constant part counts
+NEIGHBOURS  how many others are in the cells around it, in the middle of the clip; few are what is called floaters
+"""
+
+_values: WeakKeyDictionary = WeakKeyDictionary()
+_hidden: WeakKeyDictionary = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def values(model: GaussianModel, kind: str, colour=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """What a filter of a kind looks at [N] float32, kept while the model lives."""
+    key = kind, tuple(colour) if kind == "COLOUR" else ()
+    with _lock:
+        found = _values.setdefault(model, {}).get(key)
+    if found is None:
+        with np.errstate(all="ignore"):
+            found = KINDS[kind](model, np.asarray(colour)).astype(np.float32)
+        with _lock:
+            known = _values.setdefault(model, {})
+            for old in [k for k in known if k[0] == kind]:  # of colours the last one is kept
+                del known[old]
+            known[key] = found
+    return found
+
+
+def hidden(model: GaussianModel, filters) -> np.ndarray:
+    """Which Gaussians the filters hide: [N] bool, or [0] where there are none; the last answer is kept while the model lives."""
+    if not filters:
+        return np.zeros(0, bool)
+    filters = tuple(filters)
+    with _lock:
+        known = _hidden.get(model)
+    if known is not None and known[0] == filters:
+        return known[1]
+    out = np.zeros(len(model), bool)
+    for each in filters:
+        value = values(model, each.kind, each.colour)
+        chosen = (value >= each.low) & (value <= each.high)
+        out |= ~chosen if each.keep else chosen
+    with _lock:
+        _hidden[model] = filters, out
+    return out

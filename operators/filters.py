@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that hide Gaussians for what they are, and make an object of them."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, IntProperty
+
+from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.filters import values
+from ..scene import objects
+from ..scene.splats.splat_object import sentence
+
+PRESETS = (
+    ('FLOATERS', "Floaters", "Hide Gaussians that have hardly any others around them", 0),
+    ('LARGE', "Large", "Hide the hundredth of the Gaussians that is largest", 1),
+    ('FAINT', "Faint", "Hide Gaussians of an opacity of less than a tenth", 2),
+    ('MOVING', "Moving Part", "Show only what moves", 3),
+    ('STATIC', "Static Part", "Show only what does not move", 4),
+    ('SHORT', "Short-Lived", "Hide what is seen for less than a tenth of the clip", 5),
+    ('COLOUR', "Colour", "Hide what has nearly a colour, such as that of a screen", 6),
+)
+STILL = 0.01
+"""A Gaussian moves if it ever crosses more than this share of the model's size in a second."""
+
+
+def _editable(context) -> bool:
+    return context.object is not None and objects.is_splat(context.object) and context.object.is_editable
+
+
+class FASTGS_OT_add_filter(bpy.types.Operator):
+    """Hide or show Gaussians of the active object by size, opacity, speed, lifetime, colour or neighbours"""
+
+    bl_idname = "fastgs.add_filter"
+    bl_label = "Add Filter"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    preset: EnumProperty(name="Filter", description="What the filter begins with; every value can be changed", items=PRESETS)
+
+    @classmethod
+    def poll(cls, context):
+        return _editable(context)
+
+    def execute(self, context):
+        obj = context.object
+        try:
+            kind, low, high, mode = _start(self.preset, objects.load_model(objects.abspath(obj)))
+        except fg.FastGSError as error:
+            self.report({'ERROR'}, sentence(error))
+            return {'CANCELLED'}
+        item = obj.fastgs.filters.add()
+        item.kind, item.low, item.high, item.mode = kind, low, high, mode
+        return {'FINISHED'}
+
+
+def _start(preset: str, model) -> tuple[str, float, float, str]:
+    """(kind, low, high, mode) of a new filter for a model."""
+    most = 1e6
+    if preset == 'FLOATERS':
+        return 'NEIGHBOURS', 0.0, 2.0, 'HIDE'
+    if preset == 'FAINT':
+        return 'OPACITY', 0.0, 0.1, 'HIDE'
+    if preset == 'COLOUR':
+        return 'COLOUR', 0.0, 0.2, 'HIDE'
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError("of a sequence this filter knows no values to begin with; add another one and choose its kind and range.")
+    if preset == 'LARGE':
+        return 'SIZE', float(np.percentile(values(model, "SIZE"), 99)) if len(model) else 1.0, most, 'HIDE'
+    if preset == 'SHORT':
+        return 'LIFETIME', 0.0, 0.1 * model.clip.duration, 'HIDE'
+    low, high = np.percentile(model.position, (5, 95), axis=0) if len(model) else (np.zeros(3), np.ones(3))
+    speed = STILL * float((high - low).max())
+    return ('SPEED', speed, most, 'KEEP') if preset == 'MOVING' else ('SPEED', 0.0, speed, 'KEEP')
+
+
+class _OnFilter:
+    bl_options = {'REGISTER', 'UNDO'}
+
+    index: IntProperty(name="Index", description="Which of the object's filters", min=0)
+
+    @classmethod
+    def poll(cls, context):
+        return _editable(context) and len(context.object.fastgs.filters) > 0
+
+
+class FASTGS_OT_remove_filter(_OnFilter, bpy.types.Operator):
+    """Remove this filter: what it hides is shown again"""
+
+    bl_idname = "fastgs.remove_filter"
+    bl_label = "Remove Filter"
+
+    def execute(self, context):
+        filters = context.object.fastgs.filters
+        if self.index >= len(filters):
+            return {'CANCELLED'}
+        filters.remove(self.index)
+        context.object.update_tag()
+        return {'FINISHED'}
+
+
+class FASTGS_OT_separate(_OnFilter, bpy.types.Operator):
+    """Make a new object that shows what this filter hides"""
+
+    bl_idname = "fastgs.separate"
+    bl_label = "Separate by Filter"
+
+    def execute(self, context):
+        obj = context.object
+        if self.index >= len(obj.fastgs.filters):
+            return {'CANCELLED'}
+        made = obj.copy()  # shows the same file, and the same proxy
+        for collection in obj.users_collection:
+            collection.objects.link(made)
+        item = made.fastgs.filters[self.index]
+        item.mode = 'KEEP' if item.mode == 'HIDE' else 'HIDE'
+        for other in context.selected_objects:
+            other.select_set(False)
+        made.select_set(True)
+        context.view_layer.objects.active = made
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_add_filter, FASTGS_OT_remove_filter, FASTGS_OT_separate)
