@@ -29,10 +29,12 @@ from .ftgs import FreeTimePly
 from .gltf import Gltf
 from .gsd import Gsd
 from .inria import Inria
+from .katsumata import Katsumata
 from .ksplat import Ksplat
 from .mediastorm import MediastormPly
 from .native import Native
 from .realtime4dgs import Realtime4DGS
+from .rotor import RotorGaussians
 from .sequences import NumberedFiles, ZippedFiles, numbered_files, stands_for_many
 from .sog import Sog
 from .splat import Splat
@@ -45,7 +47,7 @@ from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Realtime4DGS(), Tsog(), Splat4d())
+                               Realtime4DGS(), RotorGaussians(), Katsumata(), Tsog(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)

@@ -48,33 +48,33 @@ class Realtime4DGS(Format):
         degree = values[0]
         if type(degree) is not int or not 0 <= degree <= 3:
             raise FastGSError(f"its degree of spherical harmonics cannot be {degree!r}.")
-        position, *looks, scale, rotation, opacity = (_read(v) for v in values[1:7])
+        position, *looks, scale, rotation, opacity = (numbers_of(v) for v in values[1:7])
         n = len(position)
         shapes = {"xyz": (position, (n, 3)), "scaling": (scale, (n, 3)), "rotation": (rotation, (n, 4)), "opacity": (opacity, (n, 1))}
-        _check(shapes)
+        check_shapes(shapes)
         if len(values) == STATIC_TUPLE:
-            features = _coefficients(looks, n, 16)[:, :3 * (degree + 1) ** 2]
+            features = coefficients(looks, n, 16)[:, :3 * (degree + 1) ** 2]
             return GaussianModel(position, rotation, scale, opacity[:, 0], features, appearance=SH(degree))
-        t, scale_t = _read(values[13]), _read(values[14])
-        _check({"t": (t, (n, 1)), "scaling_t": (scale_t, (n, 1))})
+        t, scale_t = numbers_of(values[13]), numbers_of(values[14])
+        check_shapes({"t": (t, (n, 1)), "scaling_t": (scale_t, (n, 1))})
         degree_t = values[18]
         if type(degree_t) is not int or not 0 <= degree_t <= 2 or (degree_t and degree != 3):
             raise FastGSError(f"its temporal degree of spherical harmonics cannot be {degree_t!r} with degree {degree}.")
         if isinstance(values[17], torch_zip.Tensor) and 0 not in values[17].shape:
             warnings.warn(LossWarning(f"{path}: its environment map, the background, is left out."), stacklevel=3)
-        begin, end = _capture(path, t)
+        begin, end = capture_of(path, t)
         timeline, frames = Timeline(begin, end - begin), max(1, round((end - begin) * FPS))
         with np.errstate(all="ignore"):  # what is no number is found by usable()
             if values[16]:
-                rotation_r = _read(values[15])
-                _check({"rotation_r": (rotation_r, (n, 4))})
-                velocity, variance, scale, rotation = _conditional(scale, scale_t, rotation, rotation_r)
+                rotation_r = numbers_of(values[15])
+                check_shapes({"rotation_r": (rotation_r, (n, 4))})
+                velocity, variance, scale, rotation = conditional(scale, scale_t, _turns, rotation, rotation_r)
             else:
                 velocity, variance = np.zeros((n, 3)), np.exp(scale_t[:, 0].astype(np.float64))
             reach = np.sqrt(-2 * math.log(CUTOFF) * variance)
             time = t[:, 0].astype(np.float64)
             lives = straight(position, velocity, time, 0.5 * np.log(variance), timeline, (time - reach, time + reach))
-        bands = _coefficients(looks, n, 16 * (degree_t + 1))
+        bands = coefficients(looks, n, 16 * (degree_t + 1))
         features, look = bands[:, :3 * (degree + 1) ** 2], SH(degree)
         if degree_t:
             basis = Fourier(degree_t, 1.0, begin / (end - begin))
@@ -92,28 +92,36 @@ class Realtime4DGS(Format):
 
 def _with_static(arrays: dict, values, look) -> dict:
     """The arrays, joined by a set that does not change."""
-    position, *looks, scale, rotation, opacity = (_read(v) for v in values)
+    position, *looks, scale, rotation, opacity = (numbers_of(v) for v in values)
     n = len(position)
-    _check({"static_xyz": (position, (n, 3)), "static_scaling": (scale, (n, 3)), "static_rotation": (rotation, (n, 4)),
+    check_shapes({"static_xyz": (position, (n, 3)), "static_scaling": (scale, (n, 3)), "static_rotation": (rotation, (n, 4)),
             "static_opacity": (opacity, (n, 1))})
     own = look.look if isinstance(look, Changing) else look
     features = np.zeros((n, look.width), np.float32)
-    features[:, :own.width] = _coefficients(looks, n, 16)[:, :own.width]
+    features[:, :own.width] = coefficients(looks, n, 16)[:, :own.width]
     rest = straight(position, np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf), window=(-np.inf, np.inf))
     rest |= {"rotation": rotation, "scale": scale, "opacity": opacity[:, 0], "features": features}
     return {key: np.concatenate([value, rest[key]]) if isinstance(value, np.ndarray) else value for key, value in arrays.items()}
 
 
-def _conditional(ln_scale, ln_scale_t, left, right):
-    """Velocity [N, 3], temporal variance [N], ln scale [N, 3] and rotation [N, 4] of 4D Gaussians cut at one time."""
-    n = len(left)
+def _turns(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Rotations of space and time [N, 4, 4] by two quaternions."""
+    (a, b, c, d), (p, q, r, s) = (rotations.unit(v.astype(np.float64)).T for v in (left, right))
+    l_matrix = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
+    r_matrix = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
+    return np.einsum("ijn,jkn->nik", l_matrix, r_matrix)[:, ::-1, ::-1]
+
+
+def conditional(ln_scale, ln_scale_t, turns, *parts):
+    """Velocity [N, 3], temporal variance [N], ln scale [N, 3] and rotation [N, 4] of 4D Gaussians cut at one time.
+
+    turns(*parts), of some rows of parts [N, 4], gives their rotations of space and time [n, 4, 4], time last.
+    """
+    n = len(ln_scale)
     velocity, variance, scale, rotation = np.empty((n, 3)), np.empty(n), np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     for start in range(0, n, CHUNK):
         rows = slice(start, start + CHUNK)
-        (a, b, c, d), (p, q, r, s) = (rotations.unit(v[rows].astype(np.float64)).T for v in (left, right))
-        l_matrix = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-        r_matrix = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
-        turn = np.einsum("ijn,jkn->nik", l_matrix, r_matrix)[:, ::-1, ::-1]
+        turn = turns(*(part[rows] for part in parts))
         spread = turn * np.exp(np.concatenate([ln_scale[rows], ln_scale_t[rows]], 1).astype(np.float64))[:, None]
         sigma = spread @ spread.transpose(0, 2, 1)
         variance[rows] = sigma[:, 3, 3]
@@ -127,7 +135,7 @@ def _conditional(ln_scale, ln_scale_t, left, right):
     return velocity, variance, scale, rotation
 
 
-def _capture(path: Path, t: np.ndarray) -> tuple[float, float]:
+def capture_of(path: Path, t: np.ndarray) -> tuple[float, float]:
     """First and last second of the capture."""
     file = cfg_args.find(path)
     span = cfg_args.read(file).get("time_duration") if file else None
@@ -137,7 +145,7 @@ def _capture(path: Path, t: np.ndarray) -> tuple[float, float]:
     return (0.0, 1.0) if not len(known) or known[int(0.99 * (len(known) - 1))] <= 1.1 else (0.0, 10.0)
 
 
-def _coefficients(looks, n: int, count: int) -> np.ndarray:
+def coefficients(looks, n: int, count: int) -> np.ndarray:
     """Features [N, 3 count] of features_dc [N, 1, 3] and features_rest [N, M - 1, 3]; raises FastGSError."""
     dc, rest = looks
     if dc.shape != (n, 1, 3) or rest.ndim != 3 or rest.shape[::2] != (n, 3) or rest.shape[1] + 1 < count:
@@ -145,13 +153,13 @@ def _coefficients(looks, n: int, count: int) -> np.ndarray:
     return np.concatenate([dc, rest], 1)[:, :count].reshape(n, 3 * count)
 
 
-def _check(shapes) -> None:
+def check_shapes(shapes) -> None:
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
             raise FastGSError(f"its {name} has the shape {array.shape}, not {shape}; save the checkpoint again.")
 
 
-def _read(tensor) -> np.ndarray:
+def numbers_of(tensor) -> np.ndarray:
     if not isinstance(tensor, torch_zip.Tensor):
         raise FastGSError("something in it that should be numbers is none; save the checkpoint again.")
     with np.errstate(over="ignore", invalid="ignore"):
