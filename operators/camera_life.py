@@ -14,6 +14,7 @@ from ..scene.cameras import keys as camera_keys
 from ..scene.cameras.subjects import subject_of, target_camera
 from ..scene.cameras.tracking import region_track
 from ..scene.splats.splat_object import sentence
+from .camera_moves import can
 
 
 def active_splat(context) -> bpy.types.Object | None:
@@ -37,7 +38,7 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return active_splat(context) is not None
+        return can(cls, active_splat(context) is not None, "Select a model of 4D Gaussians first")
 
     def execute(self, context):
         obj, scene = active_splat(context), context.scene
@@ -104,7 +105,7 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return active_splat(context) is not None
+        return can(cls, active_splat(context) is not None, "Select a model of 4D Gaussians first")
 
     def execute(self, context):
         obj, scene = active_splat(context), context.scene
@@ -157,7 +158,7 @@ class FASTGS_OT_handheld(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return target_camera(context, False) is not None
+        return can(cls, target_camera(context, False) is not None, "The scene has no camera")
 
     def execute(self, context):
         camera, scene = target_camera(context, False), context.scene

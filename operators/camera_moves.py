@@ -16,6 +16,13 @@ from ..scene.cameras.subjects import capture_cameras, far_enough, subject_of, ta
 from ..scene.splats.splat_object import sentence
 
 
+def can(operator, possible: bool, reason: str) -> bool:
+    """Whether an operator can be called; its button's tooltip says why not."""
+    if not possible:
+        operator.poll_message_set(reason)
+    return possible
+
+
 class _Move:
     """Base class of the camera moves: range, ease, preview, and the limit to the region that the capture's cameras span."""
 
@@ -39,7 +46,7 @@ class _Move:
 
     @classmethod
     def poll(cls, context):
-        return context.mode == 'OBJECT'
+        return can(cls, context.mode == 'OBJECT', "Go to Object Mode first")
 
     def fitting(self, context) -> dict:
         """Values from the scene for properties that the user has not set."""
@@ -139,7 +146,7 @@ class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and target_camera(context, False) is not None
+        return super().poll(context) and can(cls, target_camera(context, False) is not None, "The scene has no camera")
 
     def move(self, context, camera):
         context.scene.frame_set(self.frame_start)
@@ -169,7 +176,8 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and sum(o.type == 'CAMERA' for o in context.selected_objects) > 1
+        chosen = sum(o.type == 'CAMERA' for o in context.selected_objects)
+        return super().poll(context) and can(cls, chosen > 1, "Select two cameras at least")
 
     def move(self, context, camera):
         chosen = [o for o in context.selected_objects if o.type == 'CAMERA' and (self.new_camera or o != camera)]

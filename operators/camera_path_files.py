@@ -18,6 +18,7 @@ from ..scene.cameras import space as camera_space
 from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
 from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
+from .camera_moves import can
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""
@@ -152,7 +153,7 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
 
     @classmethod
     def poll(cls, context):
-        return _source(context) is not None
+        return can(cls, _source(context) is not None, "Select a camera first; the scene has none")
 
     def check(self, context):
         if NAMES[self.format] == "colmap":  # a folder

@@ -219,4 +219,13 @@ def train_again(area, settings, job):
         if state.kind in ('FINISHED', 'FAILED'):
             break
         yield 0.1
-    return {"kinds": kinds, "another": new.id != job.id, "steps": state.values.get("iterations"), "text": state.text}
+    yield from until(lambda: bpy.context.window_manager.windows[0].modal_operators or new.reported, 2)
+    yield from press('ESC', area)  # the popup that tells of the end
+    yield from click(area, "fastgs.train_forget", 0.81)
+    yield 1.0
+    shot("asked")
+    listed = len(watch.look())
+    yield from press('RET', area)
+    yield from until(lambda: len(watch.look()) < listed, 10)
+    return {"kinds": kinds, "another": new.id != job.id, "steps": state.values.get("iterations"), "text": state.text,
+            "listed": [listed, len(watch.look())]}
