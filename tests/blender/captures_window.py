@@ -49,8 +49,7 @@ def from_browser_to_frusta(capture):
     area = area_of()
     turn = area.spaces.active.region_3d.view_rotation.copy()
     yield from press('NUMPAD_6', area)
-    yield 1.0
-    turned = turn.rotation_difference(area_of().spaces.active.region_3d.view_rotation).angle
+    turned = yield from until(lambda: turn.rotation_difference(area_of().spaces.active.region_3d.view_rotation).angle > 0.1, 10)
     with within(area):
         bpy.ops.object.empty_add(location=(0, 0, -9))  # the scene may be edited, too
     shot("correcting")

@@ -123,9 +123,11 @@ def from_scene_to_shot(environment, cache):
     shot("train-panel")
     yield from click(area, "fastgs.train")
     yield from until(lambda: progress.current and progress.current.made > 1, 100)
-    filming = [progress.current.done, progress.current.whole, area.spaces.active.region_3d.view_rotation.copy()]
+    filming = [progress.current.done, progress.current.whole]
+    view = area.spaces.active.region_3d
+    before = view.view_rotation.copy()
     yield from press('NUMPAD_6', area)  # the view turns meanwhile
-    turned = filming.pop().rotation_difference(area.spaces.active.region_3d.view_rotation).angle
+    turned = yield from until(lambda: before.rotation_difference(view.view_rotation).angle > 0.1 and progress.current is not None, 10)
     shot("filming")
     if not (yield from until(watch.found, 200)):
         raise AssertionError("nothing is trained")
