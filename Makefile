@@ -33,6 +33,7 @@ test: lint test-library test-addon test-lts
 
 lint: .venv/ready
 	@$(PY) -m ruff check .
+	@$(PY) -m mypy --no-error-summary
 
 test-library: .venv/ready
 	@$(PY) -m pytest tests/library -n 2
@@ -74,4 +75,4 @@ extension: .venv/ready
 	@$(PY) tools/build_extension.py
 
 clean:
-	rm -rf .venv .venv313 .venvs build dist wheels demo *.egg-info .ruff_cache tests/.pytest_cache .hypothesis
+	rm -rf .venv .venv313 .venvs build dist wheels demo *.egg-info .ruff_cache .mypy_cache tests/.pytest_cache .hypothesis

@@ -10,6 +10,8 @@ import sys
 import textwrap
 import traceback
 import warnings
+from collections.abc import Iterator
+from typing import Any
 
 from . import __version__
 from .commands import COMMANDS
@@ -26,7 +28,7 @@ stopped.  Results go to standard output, progress and remarks to standard error.
 class Paragraphs(argparse.HelpFormatter):
     """Wraps each paragraph by itself; indented lines stay as they are."""
 
-    def _fill_text(self, text, width, indent):
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
         parts = []
         for paragraph in inspect.cleandoc(text).split("\n\n"):
             lines: list[str] = []
@@ -54,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     for module in COMMANDS:
         name = module.__name__.rpartition(".")[2]
         command = commands.add_parser(
-            name, parents=[common], help=module.__doc__.splitlines()[0], description=module.__doc__, formatter_class=Paragraphs)
+            name, parents=[common], help=(module.__doc__ or "").splitlines()[0], description=module.__doc__, formatter_class=Paragraphs)
         module.add_arguments(command)
         command.set_defaults(run=module.run, command=name)
     return top
@@ -90,23 +92,23 @@ def main(argv: list[str] | None = None) -> int:
 
 
 @contextlib.contextmanager
-def _losses_as_remarks():
+def _losses_as_remarks() -> Iterator[None]:
     """Print a LossWarning as a remark to the user, not as a warning about our program."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", LossWarning)
         usual = warnings.showwarning
 
-        def show(message, category, *rest):
+        def show(message: Warning | str, category: type[Warning], *rest: Any) -> None:
             if issubclass(category, LossWarning):
                 note(f"lost: {message}")
             else:
                 usual(message, category, *rest)
 
-        warnings.showwarning = show
+        warnings.showwarning = show  # type: ignore[assignment]
         yield
 
 
-def _tell(sentence, code, debug):
+def _tell(sentence: str, code: int, debug: bool) -> int:
     if debug:
         sys.stderr.write(printable(traceback.format_exc()))
     complain(sentence)

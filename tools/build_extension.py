@@ -97,7 +97,7 @@ def copy_content(stage: Path):
     stage.mkdir()
     for item in CONTENT:
         if (ROOT / item).is_dir():
-            shutil.copytree(ROOT / item, stage / item, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+            shutil.copytree(ROOT / item, stage / item, ignore=shutil.ignore_patterns("__pycache__", ".*", "py.typed"))
         else:
             shutil.copy(ROOT / item, stage / item)
     copy_pages(stage)

@@ -39,10 +39,10 @@ class Camera:
     world_to_camera: np.ndarray
     orthographic: bool = False
     near: float = 0.0
-    window: tuple[int, int, int, int] | None = None
+    window: tuple[int, int, int, int] = None  # type: ignore[assignment]
     far: float = np.inf
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         set_ = object.__setattr__
         for name in ("width", "height"):
             set_(self, name, whole(getattr(self, name), f"a camera's {name} in pixels", -1 << 31, 1 << 31))

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
         raise FastGSError(f"{path}: it cannot be written ({reason}); choose another place.") from error
 
 
-def _views(path, entries) -> list[View]:
+def _views(path: str | Path, entries: Any) -> list[View]:
     if isinstance(entries, dict) and isinstance(entries.get("format"), str) and entries["format"].startswith("fast-gs "):
         raise FastGSError(f"{path}: this describes a {entries['format'][:40]}, and not cameras as 3DGS trainers write them; both kinds of "
                           "file are called cameras.json; fastgs cameras writes one of this kind from it.")
@@ -81,7 +82,7 @@ def _views(path, entries) -> list[View]:
     return [_view(path, i, entry) for i, entry in enumerate(entries)]
 
 
-def _view(path, i, entry) -> View:
+def _view(path: str | Path, i: int, entry: Any) -> View:
     where = f"{path}: camera {i}"
     if not isinstance(entry, dict):
         raise FastGSError(f"{where} must be a table of named values, not {type(entry).__name__}.")
@@ -109,13 +110,13 @@ def _view(path, i, entry) -> View:
     return View(_name(entry, i), camera)
 
 
-def _name(entry, i) -> str:
+def _name(entry: Any, i: int) -> str:
     """img_name, else id, where it is a text or a number, else the entry's number."""
     found = next((entry[key] for key in ("img_name", "id") if isinstance(entry.get(key), (str, int))), i)
     return str(found)
 
 
-def choose(views: list[View], name: str, path) -> View:
+def choose(views: list[View], name: str, path: str | Path) -> View:
     """The view of that name or, where there is none, of that number; raises FastGSError if it is not there."""
     for view in views:
         if view.name == name:
@@ -130,5 +131,5 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     """The camera with another image size: the horizontal field of view stays, nothing is stretched."""
     s = width / camera.width
     return replace(
-        camera, width=width, height=height, fx=camera.fx * s, fy=camera.fy * s, window=None,
+        camera, width=width, height=height, fx=camera.fx * s, fy=camera.fy * s, window=(0, 0, width, height),
         cx=camera.cx * s, cy=height / 2 + (camera.cy - camera.height / 2) * s)

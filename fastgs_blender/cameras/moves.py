@@ -7,8 +7,10 @@ are unit quaternions, w x y z, camera to world, in whatever axes the caller's ca
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util import rotations
 from ..util.errors import FastGSError
@@ -46,7 +48,7 @@ def check_range(first: int, last: int) -> None:
                           "choose a shorter one.")
 
 
-def ease(u, amount: float) -> np.ndarray:
+def ease(u: ArrayLike, amount: float) -> np.ndarray:
     """Share of the way at the share u of the time: `amount` of the time, half at each end, is spent starting and stopping.
 
     0 is constant speed; the speed rises and falls smoothly and never jumps within the move.
@@ -55,14 +57,15 @@ def ease(u, amount: float) -> np.ndarray:
     if ramp == 0:
         return u
     # the speed is (1 - cos(pi u / ramp)) / 2 while it rises, so the way is its integral
-    def rise(v):
+    def rise(v: Any) -> Any:
         return 0.5 * (v - ramp / np.pi * np.sin(np.pi * v / ramp))
 
     way = np.where(u < ramp, rise(u), np.where(u > 1 - ramp, (1 - ramp) - rise(1 - u), u - 0.5 * ramp))
     return way / (1 - ramp)
 
 
-def orbit(s, centre, radius: float, elevation: float, start: float, turns: float, focal: float, rise: float = 0.0) -> Path:
+def orbit(s: ArrayLike, centre: ArrayLike, radius: float, elevation: float, start: float, turns: float, focal: float,
+          rise: float = 0.0) -> Path:
     """Around `centre` [3] at a distance, looking at it; z is up, angles in radians, `turns` may be negative.
 
     elevation  above the horizon at the start; it changes by `rise` along the way
@@ -78,7 +81,8 @@ def orbit(s, centre, radius: float, elevation: float, start: float, turns: float
     return Path(np.asarray(centre) + radius * out, rotations.one_sign(rotations.from_matrices(matrix)), np.full(s.shape, float(focal)))
 
 
-def dolly(s, position, rotation, direction, distance: float, focal: float, subject: float | None = None) -> Path:
+def dolly(s: ArrayLike, position: ArrayLike, rotation: np.ndarray, direction: ArrayLike, distance: float, focal: float,
+          subject: float | None = None) -> Path:
     """Straight on from `position` [3] along `direction` [3] by `distance`, the view turned as it is.
 
     subject  distance of what keeps its size in the picture while the camera comes nearer (a dolly zoom); None: the lens stays.
@@ -94,7 +98,7 @@ def dolly(s, position, rotation, direction, distance: float, focal: float, subje
     return Path(np.asarray(position) + distance * s[..., None] * direction, np.broadcast_to(rotation, s.shape + (4,)).copy(), lens)
 
 
-def through(s, poses: Path, closed: bool = False) -> Path:
+def through(s: ArrayLike, poses: Path, closed: bool = False) -> Path:
     """A spline through the poses in their order, at a speed that is even along the way.
 
     Position and logarithm of the focal length are cubic splines with continuous second derivatives, direction is a spherical
@@ -117,7 +121,7 @@ def through(s, poses: Path, closed: bool = False) -> Path:
     return Path(at[:, :3], _squad(u, rotation, closed), np.exp(at[:, 3]))
 
 
-def order_by_place(position, closed: bool = False, first: int = 0) -> np.ndarray:
+def order_by_place(position: ArrayLike, closed: bool = False, first: int = 0) -> np.ndarray:
     """The order [N] of a short way through all places [N, 3]: from each to the nearest that is left, then 2-opt (Croes 1958).
 
     A closed way begins at `first`, an open one at that of its ends which is nearer to `first`.  Same places keep their order.
@@ -131,26 +135,26 @@ def order_by_place(position, closed: bool = False, first: int = 0) -> np.ndarray
         tour.append(left.pop(int(np.argmin(away[tour[-1], left]))))
     if not closed:
         tour.append(count)
-    tour = np.array(tour)
+    way = np.array(tour)
     least = 1e-9 * max(away.max(), 1e-30)
     improved = True
     while improved:
         improved = False
-        for i in range(len(tour) - 2):
-            here, then = tour[i], tour[i + 1]
-            ends, after = tour[i + 2:], np.roll(tour, -1)[i + 2:]
+        for i in range(len(way) - 2):
+            here, then = way[i], way[i + 1]
+            ends, after = way[i + 2:], np.roll(way, -1)[i + 2:]
             saved = away[here, then] + away[ends, after] - away[here, ends] - away[then, after]
             best = int(np.argmax(saved))
             if saved[best] > least:
-                tour[i + 1:i + 3 + best] = tour[i + 1:i + 3 + best][::-1].copy()
+                way[i + 1:i + 3 + best] = way[i + 1:i + 3 + best][::-1].copy()
                 improved = True
     if closed:
-        return np.roll(tour, -int(np.flatnonzero(tour == first)[0]))
-    tour = np.roll(tour, -int(np.flatnonzero(tour == count)[0]))[1:]
-    return tour if away[first, tour[0]] <= away[first, tour[-1]] else tour[::-1]
+        return np.roll(way, -int(np.flatnonzero(way == first)[0]))
+    way = np.roll(way, -int(np.flatnonzero(way == count)[0]))[1:]
+    return way if away[first, way[0]] <= away[first, way[-1]] else way[::-1]
 
 
-def inside(path: Path, cameras, margin: float) -> np.ndarray:
+def inside(path: Path, cameras: ArrayLike, margin: float) -> np.ndarray:
     """How far [M] each position lies outside the region that the captured cameras [C, 3] span, 0 within.
 
     The region is the convex hull of their places, grown by `margin` to all sides.
@@ -159,7 +163,7 @@ def inside(path: Path, cameras, margin: float) -> np.ndarray:
     return np.maximum(beyond - margin, 0)
 
 
-def held_inside(path: Path, cameras, margin: float) -> Path:
+def held_inside(path: Path, cameras: ArrayLike, margin: float) -> Path:
     """The path with its positions moved to the nearest place of the region (see inside)."""
     near = _nearest(path.position, np.asarray(cameras, np.float64))
     away = path.position - near
@@ -167,7 +171,7 @@ def held_inside(path: Path, cameras, margin: float) -> Path:
     return replace(path, position=near + away * np.minimum(1, margin / np.maximum(distance, 1e-30)))
 
 
-def _second_derivatives(points, closed):
+def _second_derivatives(points: np.ndarray, closed: bool) -> np.ndarray:
     """Of the cubic spline through points [K, D] at whole numbers: natural at its ends, or without ends."""
     n = len(points)
     if closed:
@@ -183,14 +187,14 @@ def _second_derivatives(points, closed):
     return second
 
 
-def _cubic(u, points, second):
+def _cubic(u: np.ndarray, points: np.ndarray, second: np.ndarray) -> np.ndarray:
     i = np.clip(u.astype(int), 0, len(points) - 2)
     b = (u - i)[:, None]
     a = 1 - b
     return a * points[i] + b * points[i + 1] + ((a**3 - a) * second[i] + (b**3 - b) * second[i + 1]) / 6
 
 
-def _squad(u, q, closed):
+def _squad(u: np.ndarray, q: np.ndarray, closed: bool) -> np.ndarray:
     """Spherical quadrangle spline through q [K, 4] at whole numbers."""
     onward, back = np.roll(q, -1, 0), np.roll(q, 1, 0)
     if closed:
@@ -208,7 +212,7 @@ def _squad(u, q, closed):
     return rotations.one_sign(rotations.slerp(between, beside, 2 * b * (1 - b)))
 
 
-def _nearest(points, cameras):
+def _nearest(points: np.ndarray, cameras: np.ndarray) -> np.ndarray:
     """The nearest places [M, 3] of the cameras' convex hull (Frank-Wolfe with pairwise steps, which ends in few)."""
     if len(points) > BLOCK:
         return np.concatenate([_nearest(points[i:i + BLOCK], cameras) for i in range(0, len(points), BLOCK)])

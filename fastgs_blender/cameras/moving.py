@@ -116,7 +116,7 @@ def _upright(cameras: Sequence[Camera]) -> np.ndarray:
     return np.stack([right, np.cross(up, right), up])
 
 
-def _cameras(base: Camera, position, turned, focal) -> list[Camera]:
+def _cameras(base: Camera, position: np.ndarray, turned: np.ndarray, focal: np.ndarray) -> list[Camera]:
     """Cameras like `base` at positions [M, 3], with camera-to-world rotations [M, 3, 3] in OpenCV axes and focal lengths [M]."""
     found = []
     for place, turn, fx in zip(position, turned, focal, strict=True):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -27,7 +28,7 @@ def layout_modules() -> list[ModuleType]:
     return [importlib.import_module(f".layouts.{name}", __name__) for name in LAYOUTS]
 
 
-def identify(path, layout: str | None = None) -> ModuleType:
+def identify(path: str | os.PathLike, layout: str | None = None) -> ModuleType:
     """The layout of a capture, or the one of that name (its module's or the one users know); raises FastGSError."""
     path = _existing(path)
     if layout is not None:
@@ -54,7 +55,7 @@ def recognised(path: Path) -> ModuleType | None:
     return None
 
 
-def open_capture(path, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
+def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
                  layout: str | None = None) -> Capture:
     """The capture in a folder (or in a file of a layout that has one).
 
@@ -70,7 +71,7 @@ def open_capture(path, *, scale: float | None = None, frames: slice | None = Non
         return identify(path, layout).load(path, options)
 
 
-def _existing(path) -> Path:
+def _existing(path: str | os.PathLike) -> Path:
     path = file_path(path, "the name of a capture")
     try:
         if not path.exists():

@@ -86,7 +86,7 @@ class Capture:
     notes: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.shots)
 
     @property
@@ -121,7 +121,7 @@ class Capture:
     def centres(self, shots: Iterable[Shot] | None = None) -> np.ndarray:
         """Camera centres [n, 3] of the shots (default: those to train on), each different one once."""
         chosen = [shot for shot in (self.training if shots is None else shots) if shot.camera is not None]
-        matrices = np.array([shot.camera.world_to_camera for shot in chosen]).reshape(-1, 4, 4)
+        matrices = np.array([shot.camera.world_to_camera for shot in chosen if shot.camera is not None]).reshape(-1, 4, 4)
         return np.unique(-np.einsum("nij,ni->nj", matrices[:, :3, :3], matrices[:, :3, 3]), axis=0)
 
     @property

@@ -57,7 +57,7 @@ def sight(path: str | Path) -> Sight:
     return _sight_of_model(path)
 
 
-def _sight_of_capture(path) -> Sight:
+def _sight_of_capture(path: Path) -> Sight:
     from ..captures import open_capture
 
     capture = open_capture(path)
@@ -65,6 +65,7 @@ def _sight_of_capture(path) -> Sight:
         raise FastGSError(f"{path}: it does not say where its cameras are; fastgs train finds them, and its folder knows them then.")
     moving: dict[str, list[View]] = {}
     for shot in capture.shots:
+        assert shot.camera is not None
         moving.setdefault(shot.view, []).append(View(f"{shot.view}-{shot.frame:05d}", shot.camera))
     views = [View(name, frames[0].camera) for name, frames in moving.items()]
     still = {name for name, frames in moving.items() if len({view.camera.world_to_camera.tobytes() for view in frames}) == 1}
@@ -72,7 +73,7 @@ def _sight_of_capture(path) -> Sight:
                  {name: frames for name, frames in moving.items() if name not in still})
 
 
-def _sight_of_file(path) -> Sight:
+def _sight_of_file(path: Path) -> Sight:
     from ..cameras.cameras_json import load_cameras
     from ..cameras.moving import focus
     from ..cameras.paths import inria, load_path
@@ -84,7 +85,7 @@ def _sight_of_file(path) -> Sight:
     return Sight(path, views, focus([view.camera for view in views]), len(views) if len(views) > 1 else None, path_of.fps, path_of.axes)
 
 
-def _sight_of_model(path) -> Sight:
+def _sight_of_model(path: Path) -> Sight:
     from .. import formats
     from ..cameras.viewpoints import camera_of
     from ..model.framing import is_subject, without_backdrop
@@ -101,7 +102,7 @@ def _sight_of_model(path) -> Sight:
 def overview(model: GaussianModel, width: int, height: int) -> Camera:
     """A camera outside the model that sees all of its centres at t = 0, looking along the axis that the model calls forward."""
     low, high = bounds(model)
-    if low is None:
+    if low is None or high is None:
         raise FastGSError("the model has no Gaussians to look at.")
     # rows: the camera's right, down and forward in the axes of the model
     right_down_forward = {"RDF": np.eye(3), "RFU": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "RUB": np.diag([1, -1, -1])}

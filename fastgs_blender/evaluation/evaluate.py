@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..captures.capture import Capture
+from ..cameras.camera import Camera
+from ..captures.capture import Capture, Shot
 from ..captures.pixels.store import FrameStore
 from ..model.gaussians import GaussianModel
 from ..rendering import colour
@@ -30,7 +32,9 @@ MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_norma
 """What is measured of each frame, and averaged; None where a measure does not apply."""
 
 
-def evaluate(model, capture, store=None, *, views=None, frames=None, out=None, images: int = 10, backend: str = "auto", lpips: bool = True,
+def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = None, *, views: Sequence[str] | None = None,
+             frames: Sequence[int] | None = None, out: str | Path | None = None, images: int = 10, backend: str = "auto",
+             lpips: bool = True,
              progress: Callable | None = None) -> dict:
     """Measure a model against the pictures of a capture.
 
@@ -54,7 +58,8 @@ def evaluate(model, capture, store=None, *, views=None, frames=None, out=None, i
     shots = chosen(capture, views, frames, known)
     store = _filled(FrameStore(capture, 0), shots) if store is None else store
     clock, notes = _clock(model, capture, beyond=frames is not None)
-    covered = [shot for shot in shots if clock(shot) is not None]
+    times = {id(shot): t for shot in shots if (t := clock(shot)) is not None}
+    covered = [shot for shot in shots if id(shot) in times]
     if not covered:
         raise FastGSError(f"the model's clip has none of the frames to evaluate of {capture.path}; choose others with --frames.")
     if len(covered) < len(shots):
@@ -76,22 +81,25 @@ def evaluate(model, capture, store=None, *, views=None, frames=None, out=None, i
     if out is not None and not available():
         notes.append("no film is written, as PyAV is not installed (pip install av)")
 
-    _picture(model, covered[0].camera, clock(covered[0]), backend)  # compiles what is still to be compiled
-    rows, files, seconds = [], [], 0.0
-    for view, group in groupby(covered, key=lambda shot: shot.view):
-        group = list(group)
+    _picture(model, covered[0].camera, times[id(covered[0])], backend)  # compiles what is still to be compiled
+    rows: list[dict[str, Any]] = []
+    files: list[Path] = []
+    seconds = 0.0
+    for view, shots_of_view in groupby(covered, key=lambda shot: shot.view):
+        group = list(shots_of_view)
         with ExitStack() as stack:
             gallery = _Gallery(stack, Path(out), view, group, images, capture.clip.fps, files) if out is not None else None
             before = None
             for shot in group:
                 truth, foreground, valid = _truth(capture, store, shot)
                 began = time.perf_counter()
-                picture = _picture(model, shot.camera, clock(shot), backend)
+                t = times[id(shot)]
+                picture = _picture(model, shot.camera, t, backend)
                 spent = time.perf_counter() - began
                 seconds += spent
                 if valid is not None:
                     picture = picture * valid[..., None]
-                row = {"view": view, "frame": shot.frame, "t": clock(shot), "trained_on": _trained_on(known, model, shot, clock(shot)),
+                row = {"view": view, "frame": shot.frame, "t": t, "trained_on": _trained_on(known, model, shot, t),
                        "milliseconds": round(1000 * spent, 3), **_measures(picture, truth, foreground, valid, perceptual, flip)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
                     both = None if valid is None or before[3] is None else valid & before[3]
@@ -121,7 +129,7 @@ def evaluate(model, capture, store=None, *, views=None, frames=None, out=None, i
     }
 
 
-def _check(model, capture) -> None:
+def _check(model: object, capture: object) -> None:
     if not isinstance(model, GaussianModel) or not isinstance(capture, Capture):
         raise FastGSError("evaluate() needs a model, as fg.load(path) reads it, and a capture, as fg.open_capture(path) does, not "
                           f"{shown(model)} and {shown(capture)}.")
@@ -132,7 +140,7 @@ def _filled(store: FrameStore, shots: list) -> FrameStore:
     return store
 
 
-def make_folder(folder: Path):
+def make_folder(folder: Path) -> None:
     """Make a folder for results; raises FastGSError where that cannot be."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -140,7 +148,8 @@ def make_folder(folder: Path):
         raise FastGSError(f"{folder}: the folder for the results cannot be made ({error.strerror}); choose another with --out.") from error
 
 
-def chosen(capture, views=None, frames=None, known: TrainingRecord | None = None) -> list:
+def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequence[int] | None = None,
+           known: TrainingRecord | None = None) -> list:
     """The shots of those views and frames (default: all), view by view in the order of time.
 
     views  default: those that the model was not trained on, as `known` says; without it those that the capture holds out
@@ -171,12 +180,12 @@ def chosen(capture, views=None, frames=None, known: TrainingRecord | None = None
     return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
 
 
-def _trained_on(known: TrainingRecord | None, model, shot, t: float) -> bool | None:
+def _trained_on(known: TrainingRecord | None, model: GaussianModel, shot: Shot, t: float) -> bool | None:
     count = model.clip.frame_count
     return None if known is None else known.saw(shot.view, t * count, count)
 
 
-def _clock(model, capture, beyond: bool = False):
+def _clock(model: GaussianModel, capture: Capture, beyond: bool = False) -> tuple[Callable[[Shot], float | None], list[str]]:
     """Gives (model time of a shot or None outside of the model's clip, notes); beyond: times outside of the clip are given too.
 
     A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame; one of every
@@ -187,7 +196,7 @@ def _clock(model, capture, beyond: bool = False):
         return (lambda shot: shot.t), []
     step = max(round(whole.fps / part.fps), 1)
 
-    def time_of(shot):
+    def time_of(shot: Shot) -> Any:
         frame = (whole.start_frame + shot.t * whole.frame_count - part.start_frame) / step
         return frame / part.frame_count if beyond or -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
 
@@ -195,13 +204,13 @@ def _clock(model, capture, beyond: bool = False):
     return time_of, ["the model's clip is {}, the capture's {}: frames are matched by their numbers".format(*clips)]
 
 
-def _picture(model, camera, t, backend) -> np.ndarray:
+def _picture(model: GaussianModel, camera: Camera, t: float, backend: str) -> np.ndarray:
     """What the model shows over black, as display colours [h, w, 3]."""
     image = render(model, camera, t, ("rgb", "alpha"), backend)
     return image["rgb"] if model.colour_space == "srgb" else colour.linear_to_srgb(image["rgb"])
 
 
-def _truth(capture, store, shot):
+def _truth(capture: Capture, store: FrameStore, shot: Shot) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
     """What a shot should look like, [h, w, 3]; the masks [h, w] of its foreground and of its valid pixels, None where there is none.
 
     Transparent pictures are judged over black, as models are.  What is not valid (beyond the lens' picture, or ruled out by the
@@ -214,14 +223,16 @@ def _truth(capture, store, shot):
     if mask is not None and shot.mask is None:
         rgb = rgb * mask[..., None]
     elif mask is not None and capture.mask_means == "valid":
-        mask, valid = None, (mask >= metrics.FOREGROUND) & (True if valid is None else valid)
+        inside = mask >= metrics.FOREGROUND
+        mask, valid = None, inside if valid is None else inside & valid
     if valid is not None:
         rgb = rgb * valid[..., None]
         mask = None if mask is None else mask * valid
     return rgb, mask, valid
 
 
-def _measures(picture, truth, foreground, valid, perceptual, flip) -> dict:
+def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, perceptual: Any,
+              flip: Any) -> dict:
     values = dict.fromkeys(MEASURES)
     values["psnr"] = metrics.psnr(picture, truth, valid)
     if foreground is not None:
@@ -238,7 +249,7 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else value
 
 
-def _means(rows) -> dict:
+def _means(rows: list[dict[str, Any]]) -> dict:
     """The mean of each measure over the rows that have it; None where none has."""
     means = {}
     for name in MEASURES:
@@ -255,9 +266,10 @@ class _Gallery:
         self._name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in view).lstrip(".") or "view"
         picked = np.unique(np.linspace(0, len(shots) - 1, min(images, len(shots))).round().astype(int)) if images > 0 else []
         self._picked = {id(shots[i]) for i in picked}
-        self._film, self._filming = None, len(shots) > 1 and available()
+        self._film: Callable | None = None
+        self._filming = len(shots) > 1 and available()
 
-    def add(self, shot, picture, truth, row):
+    def add(self, shot: Shot, picture: np.ndarray, truth: np.ndarray, row: dict[str, Any]) -> None:
         label = f"{shot.view}  frame {shot.frame}"
         if id(shot) in self._picked:
             psnr = "" if row["psnr"] is None else f"  {row['psnr']:.2f} dB"
@@ -272,7 +284,7 @@ class _Gallery:
                 self._size = sheet.shape
                 self._film = self._stack.enter_context(film(path, sheet.shape[1], sheet.shape[0], self._fps))
                 self._files.append(path)
-            if sheet.shape == self._size:
+            if self._film is not None and sheet.shape == self._size:
                 self._film(sheet)
 
 

@@ -94,7 +94,7 @@ def fingerprint(path: str | os.PathLike) -> str:
             listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
             return hashlib.sha256(listed.encode("utf-8", "surrogateescape")).hexdigest()
         with open_file(path) as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+            return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def identify(path: str | os.PathLike) -> Format:

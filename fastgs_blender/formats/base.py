@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def _tame(model: GaussianModel) -> None:
         model.temporal = _clipped(model.temporal, low, -low)
 
 
-def _clipped(array, low, high, only=None):
+def _clipped(array: np.ndarray, low: Any, high: Any, only: Any = None) -> np.ndarray:
     """The array with its values clipped; those alone for which only(values) holds.  The same array if nothing changes."""
     with np.errstate(invalid="ignore"):
         outside = (array < low) | (array > high)

@@ -76,18 +76,18 @@ class SH(Appearance):
     recorded: ClassVar[tuple[str, ...]] = ("degree",)
     degree: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if isinstance(self.degree, bool) or not isinstance(self.degree, Integral) or not 0 <= self.degree <= 4:
             raise FastGSError(f"spherical harmonics of degree 0 to 4 are supported, not {self.degree!r}.")
 
     @property
-    def width(self) -> int:
+    def width(self) -> int:  # type: ignore[override]
         return 3 * (self.degree + 1) ** 2
 
-    def features_of(self, rgb):
+    def features_of(self, rgb: np.ndarray) -> np.ndarray:
         return super().features_of((rgb - 0.5) / SH_C0)
 
-    def plain_colours(self, features):
+    def plain_colours(self, features: np.ndarray) -> np.ndarray:
         """The mean over all directions."""
         return 0.5 + SH_C0 * features[:, :3]
 
@@ -110,7 +110,7 @@ class Features(Appearance):
     w2: np.ndarray = field(default_factory=lambda: np.zeros((3, 6), np.float32))
     activation: str = "sigmoid"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for key, shape in (("w1", (6, 12)), ("w2", (3, 6))):
             value = np.ascontiguousarray(getattr(self, key), np.float32)
             if value.shape != shape or not np.isfinite(value).all():
@@ -119,7 +119,7 @@ class Features(Appearance):
         if self.activation not in ACTIVATIONS:
             raise FastGSError(f"the decoder's activation must be one of {', '.join(ACTIVATIONS)}, not {self.activation!r}.")
 
-    def features_of(self, rgb):
+    def features_of(self, rgb: np.ndarray) -> np.ndarray:
         """Base and direction: the first shows it as long as w2 is 0, the second gives the decoder a start."""
         features = super().features_of(rgb)
         features[:, 3:6] = rgb
@@ -128,7 +128,7 @@ class Features(Appearance):
             features[:, :3] = np.log(inside / (1 - inside))
         return features
 
-    def plain_colours(self, features):
+    def plain_colours(self, features: np.ndarray) -> np.ndarray:
         """The base, without what the decoder adds."""
         return self.activated(features[:, :3])
 
@@ -153,20 +153,20 @@ class Changing(Appearance):
     look: RGB | SH = field(default_factory=RGB)
     basis: Basis = field(default_factory=Static)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not isinstance(self.look, (RGB, SH)) or not isinstance(self.basis, Basis):
             raise FastGSError(f"colours that change in time need RGB or SH and a basis of time, not {self.look!r} and {self.basis!r}.")
 
     @property
-    def width(self) -> int:
+    def width(self) -> int:  # type: ignore[override]
         return self.look.width * (1 + self.basis.terms)
 
-    def features_of(self, rgb):
+    def features_of(self, rgb: np.ndarray) -> np.ndarray:
         features = np.zeros((len(rgb), self.width))
         features[:, :self.look.width] = self.look.features_of(rgb)
         return features
 
-    def plain_colours(self, features):
+    def plain_colours(self, features: np.ndarray) -> np.ndarray:
         """Those of its look, of features at one time or of constant terms."""
         return self.look.plain_colours(features[:, :self.look.width])
 
@@ -176,7 +176,7 @@ APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features, Changing)}
 
 def momentary(appearance: Appearance) -> RGB | SH | Features:
     """The appearance of a model at one time: that of the features which features_at() gives."""
-    return appearance.look if isinstance(appearance, Changing) else appearance
+    return appearance.look if isinstance(appearance, Changing) else appearance  # type: ignore[return-value]
 
 
 def features_at(appearance: Appearance, features: np.ndarray, t: float, mu_tau: np.ndarray) -> np.ndarray:
@@ -197,8 +197,7 @@ def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:
 
     Bands l = 0..4, within a band m = -l..l, with the Condon-Shortley signs of Sloan 2013 as 3DGS uses them.
     """
-    d = np.asarray(direction)
-    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    x, y, z = np.moveaxis(np.asarray(direction), -1, 0)
     out = [np.full_like(x, SH_C0)]
     if degree > 0:
         out += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]

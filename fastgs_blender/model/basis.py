@@ -11,6 +11,7 @@ from math import comb
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 
@@ -41,11 +42,11 @@ class Basis:
         """K, the number of coefficients per axis, the constant term not counted."""
         raise NotImplementedError
 
-    def weights(self, t) -> np.ndarray:
+    def weights(self, t: ArrayLike) -> np.ndarray:
         """Weights [..., K] float64 at times t [...]."""
         raise NotImplementedError
 
-    def rates(self, t) -> np.ndarray:
+    def rates(self, t: ArrayLike) -> np.ndarray:
         """Derivatives of the weights by t, [..., K] float64."""
         raise NotImplementedError
 
@@ -54,17 +55,17 @@ class Basis:
         """The highest frequency that the basis holds, in cycles per unit of t (0: no such limit)."""
         return 0.0
 
-    def evaluate(self, coefficients, t, mu_tau):
+    def evaluate(self, coefficients: np.ndarray, t: float, mu_tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sum of the weighted coefficients and its derivative by t.
 
         coefficients [N, K, D], t a number, mu_tau [N]; returns two arrays [N, D] float64.
         """
         c = np.asarray(coefficients, np.float64)
-        time = t - np.asarray(mu_tau, np.float64) if self.centred else float(t)
+        time: ArrayLike = t - np.asarray(mu_tau, np.float64) if self.centred else float(t)
         form = "nk,nkd->nd" if self.centred else "k,nkd->nd"
         return np.einsum(form, self.weights(time), c), np.einsum(form, self.rates(time), c)
 
-    def recentred(self, constant, coefficients, delta) -> tuple[np.ndarray, np.ndarray]:
+    def recentred(self, constant: np.ndarray, coefficients: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Constant [N, D] and coefficients [N, K, D] of the same motion when mu_tau [N] moves by delta [N]."""
         if not self.centred:
             return constant, coefficients
@@ -116,6 +117,7 @@ class Basis:
         """A basis in t that holds motion in this basis in u for every (begin, length) of spans; FastGSError where there is none."""
         raise FastGSError(f"the segments cannot be joined: motion in the basis {self.name!r} cannot be moved in time.")
 
-    def retimed(self, whole: Basis, begin: float, length: float, constant, coefficients) -> tuple[np.ndarray, np.ndarray]:
+    def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
+                coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Constant [N, D] and coefficients [N, K', D] in `whole` of motion in u with constant [N, D] and coefficients [N, K, D]."""
         raise NotImplementedError

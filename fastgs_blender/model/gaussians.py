@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Raster:
     near: float = 0.2
     antialiased: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         numbers = (self.blur, self.alpha_max, self.alpha_cut, self.near)
         good = (all(isinstance(v, Real) and np.isfinite(v) for v in numbers) and isinstance(self.antialiased, (bool, np.bool_))
                 and self.blur >= 0 and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
@@ -65,7 +65,7 @@ class Clip:
     fps: float = 30.0
     start_frame: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         whole = all(isinstance(v, Integral) for v in (self.frame_count, self.start_frame)) and abs(self.start_frame) <= 1_000_000_000
         if not (whole and 1 <= self.frame_count <= 10_000_000 and isinstance(self.fps, Real) and np.isfinite(self.fps) and self.fps > 0):
             raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {in_words(self)}.")
@@ -106,10 +106,10 @@ class GaussianModel:
     scale: np.ndarray
     opacity: np.ndarray
     features: np.ndarray
-    motion: np.ndarray | None = None
-    rotation_motion: np.ndarray | None = None
-    mu_tau: np.ndarray | None = None
-    temporal: np.ndarray | None = None
+    motion: np.ndarray = None  # type: ignore[assignment]
+    rotation_motion: np.ndarray = None  # type: ignore[assignment]
+    mu_tau: np.ndarray = None  # type: ignore[assignment]
+    temporal: np.ndarray = None  # type: ignore[assignment]
     basis: Basis = field(default_factory=Static)
     rotation_basis: Basis = field(default_factory=Static)
     temporal_kind: Always | Radial | Window | WindowedRadial = field(default_factory=Always)
@@ -121,7 +121,7 @@ class GaussianModel:
     provenance: dict[str, str] = field(default_factory=dict)
     surroundings: Surroundings = field(default_factory=Surroundings)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self._check_kinds()
         n = len(np.atleast_1d(self.position))
         for name, shape in self.shapes(n).items():
@@ -136,7 +136,7 @@ class GaussianModel:
         if self.colour_space not in ("srgb", "linear"):
             raise FastGSError(f"the model's colour space must be srgb or linear, not {self.colour_space!r}.")
 
-    def _check_kinds(self):
+    def _check_kinds(self) -> None:
         """The kernels take widths and codes from the kinds and read the arrays by them."""
         for basis in (self.basis, self.rotation_basis):
             if not isinstance(basis, Basis) or not 0 <= basis.terms <= MAX_TERMS:
@@ -174,11 +174,11 @@ class GaussianModel:
         """The model to slice at t, and the time to slice it at: as of any source, see sequence.py."""
         return self, t
 
-    def take(self, index) -> GaussianModel:
+    def take(self, index: Any) -> GaussianModel:
         """The model of some of its Gaussians (indices or a mask)."""
         return replace(self, **{name: a[index] for name, a in self.arrays.items()})
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         kinds = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)
                           if f.name in ("basis", "rotation_basis", "temporal_kind", "appearance", "clip"))
         return f"GaussianModel(N={len(self)}, {kinds})"

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.arguments import numbers
 from ..util.errors import FastGSError
-from .basis import MAX_TERMS, Basis
+from .basis import MAX_TERMS, Basis, Family
 
 LEAST_GAP = 1e-9
 """The shortest time between two keyframes."""
@@ -30,7 +31,7 @@ class Keyframes(Basis):
     times: tuple[float, ...] = (0.0, 1.0)
     interpolation: str = "linear"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "times", tuple(numbers(self.times, "keyframe times", "(number of keyframes,)").ravel().tolist()))
         if self.interpolation not in ("linear", "catmull-rom"):
             raise FastGSError(f"keyframes are interpolated linear or catmull-rom, not {self.interpolation!r}.")
@@ -38,14 +39,14 @@ class Keyframes(Basis):
             raise FastGSError(f"keyframe times must be 1 to {MAX_TERMS} finite numbers that increase by at least {LEAST_GAP:g}.")
 
     @property
-    def terms(self):
+    def terms(self) -> int:
         return len(self.times)
 
     @property
-    def max_frequency(self):
+    def max_frequency(self) -> float:
         return 0.5 / float(np.min(np.diff(self.times))) if len(self.times) > 1 else 0.0
 
-    def _blend(self, t, rate):
+    def _blend(self, t: ArrayLike, rate: bool) -> np.ndarray:
         x, n = np.array(self.times), len(self.times)
         t = np.asarray(t, np.float64)
         flat = t.reshape(-1)
@@ -76,20 +77,20 @@ class Keyframes(Basis):
             w[flat != inside] = 0.0
         return w.reshape(t.shape + (n,))
 
-    def weights(self, t):
+    def weights(self, t: ArrayLike) -> np.ndarray:
         return self._blend(t, rate=False)
 
-    def rates(self, t):
+    def rates(self, t: ArrayLike) -> np.ndarray:
         return self._blend(t, rate=True)
 
     @classmethod
-    def trained(cls, last):
+    def trained(cls, last: float) -> dict[str, tuple[Family, int]]:
         return {"keyframes": (lambda n: cls(tuple(np.linspace(0, last, max(n, 2))), "catmull-rom"), 11)}
 
-    def frequency_index(self):
+    def frequency_index(self) -> np.ndarray:
         return np.ones(self.terms)
 
-    def curvature(self):
+    def curvature(self) -> np.ndarray:
         """A key has no acceleration of its own.  Rows are the second differences at the inner keys, divided by the keys' distances
         and weighted so that they add up to the mean over time."""
         if self.terms < 3:
@@ -101,10 +102,10 @@ class Keyframes(Basis):
         return rows / ((2 * np.pi) ** 2 * (self.times[-1] - self.times[0]))
 
     @classmethod
-    def fits(cls, first, last):
+    def fits(cls, first: float, last: float) -> dict[str, list[Family]]:
         return {"keyframes": [lambda n: cls(tuple(np.linspace(first, last, n + 1)), "catmull-rom")]}
 
-    def whole(self, spans):
+    def whole(self, spans: list[tuple[float, float]]) -> Basis:
         """The tables of all segments side by side."""
         if self.interpolation != "linear":
             raise FastGSError("the segments cannot be joined: smooth keyframes of different segments disturb each other; "
@@ -112,6 +113,8 @@ class Keyframes(Basis):
         times = np.unique(np.round(np.concatenate([begin + length * np.array(self.times) for begin, length in spans]), 12))
         return replace(self, times=tuple(times[np.diff(times, prepend=-np.inf) > 2 * LEAST_GAP].tolist()))
 
-    def retimed(self, whole, begin, length, constant, coefficients):
+    def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
+                coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Beside its own span each table goes on with its nearest value."""
+        assert isinstance(whole, Keyframes)
         return constant, np.einsum("jk,nkd->njd", self.weights((np.array(whole.times) - begin) / length), coefficients)

@@ -10,7 +10,7 @@ import itertools
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -53,11 +53,11 @@ class Cache:
 
     def __init__(self, limit: int = MEMORY):
         self.limit = limit
-        self._models: OrderedDict[Hashable, tuple[object, GaussianModel]] = OrderedDict()
-        self._making: dict[Hashable, threading.Lock] = {}
+        self._models: OrderedDict[tuple, tuple[object, GaussianModel]] = OrderedDict()
+        self._making: dict[tuple, threading.Lock] = {}
         self._lock = threading.Lock()
 
-    def get(self, key: Hashable, state: object, make: Callable[[], GaussianModel] | None) -> GaussianModel:
+    def get(self, key: tuple, state: object, make: Callable[[], GaussianModel] | None) -> GaussianModel:
         """The model of a key, made if it is not there or was made in another state; raises NotRead where make is None."""
         with self._lock:
             known = self._models.get(key)
@@ -75,7 +75,7 @@ class Cache:
                 self._put(key, known)
         return known[1]
 
-    def _put(self, key, known) -> None:
+    def _put(self, key: tuple, known: tuple[object, GaussianModel]) -> None:
         with self._lock:
             self._models[key] = known
             self._models.move_to_end(key)
@@ -87,7 +87,7 @@ class Cache:
     def nbytes(self, owner: int | None = None) -> int:
         """Bytes of all models, or of those of one owner."""
         with self._lock:
-            return sum(model.nbytes for key, (_, model) in self._models.items() if owner in (None, key[0]))
+            return sum(model.nbytes for key, (_, model) in self._models.items() if owner is None or owner == key[0])
 
     def forget(self, owner: int) -> None:
         """Drop the models of an owner, the first part of their keys."""
@@ -181,7 +181,7 @@ class Sequence:
         steps = range(1, AHEAD + 1) if 0 < abs(step) <= STRIDE else ()
         self._ahead = [_reader.submit(self.frame, (i + step * k) % len(self.at)) for k in steps]
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Sequence({self.about}, {len(self.at)} frames, {self.clip!r})"
 
 
@@ -199,7 +199,7 @@ def match(a: GaussianModel, b: GaussianModel) -> bool:
 
 def blended(a: GaussianModel, b: GaussianModel, share: float) -> GaussianModel:
     """What lies between two models that match: linear in places, ln of sizes, opacities and colours; rotations the shorter way."""
-    def mixed(first, second):
+    def mixed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return first + np.float32(share) * (second - first)
 
     turn = np.where(np.sum(a.rotation * b.rotation, 1, keepdims=True) < 0, -b.rotation, b.rotation)

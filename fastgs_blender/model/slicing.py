@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util import rotations
 from ..util.arguments import real, shown
@@ -40,7 +41,7 @@ class Slice:
     velocity: np.ndarray
 
 
-def sigmoid(x):
+def sigmoid(x: ArrayLike) -> np.ndarray:
     """1 / (1 + exp(-x)) without overflow."""
     return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float64)))
 
@@ -85,12 +86,13 @@ def freeze(model: GaussianModel, t: float) -> GaussianModel:
         fg.save(fg.freeze(model, t=0.25), "still.ply")
     """
     s = slice_model(model, t)
-    features, mu_tau = s.features, None
-    if isinstance(model.appearance, Features):
-        mu_tau = np.full(len(s.index), -1.0)  # a static model is looked at at t = 0: the factor t - mu_tau is then 1
+    count = len(s.index)
+    # a static model is looked at at t = 0: with time features, the factor t - mu_tau is then 1
+    mu_tau = np.full(count, -1.0 if isinstance(model.appearance, Features) else 0.0)
     odds = np.clip(s.opacity, 1e-7, 1 - 1e-7)
     return replace(
         model, position=s.position, rotation=s.rotation, scale=np.log(s.scale), opacity=np.log(odds / (1 - odds)),
-        features=features, appearance=momentary(model.appearance), motion=None, rotation_motion=None, mu_tau=mu_tau, temporal=None,
-        basis=Static(), rotation_basis=Static(), temporal_kind=Always(), clip=replace(model.clip, frame_count=1),
+        features=s.features, appearance=momentary(model.appearance), motion=np.zeros((count, 0, 3)), mu_tau=mu_tau,
+        rotation_motion=np.zeros((count, 0, 4)), temporal=np.zeros((count, 0)), basis=Static(), rotation_basis=Static(),
+        temporal_kind=Always(), clip=replace(model.clip, frame_count=1),
     )

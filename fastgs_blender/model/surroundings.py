@@ -2,8 +2,10 @@
 """Surroundings: what a file knows about the place around its Gaussians, so that viewers show the subject, from a good side, at once."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +32,7 @@ class Backdrop:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radius: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "centre", _numbers(self.centre, 3, "centre of the backdrop"))
         object.__setattr__(self, "radius", _positive(self.radius, "radius of the backdrop"))
 
@@ -62,11 +64,11 @@ class Viewpoint:
     distance: float = 0.0
     name: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         set_ = object.__setattr__
         for key in ("width", "height"):
             value = getattr(self, key)
-            if not isinstance(value, Integral) or not 1 <= value <= LARGEST_SIDE:
+            if not isinstance(value, Integral) or not 1 <= int(value) <= LARGEST_SIDE:
                 raise FastGSError(f"a viewpoint's {key} must be from 1 to {LARGEST_SIDE} pixels, not {value!r:.40}.")
             set_(self, key, int(value))
         for key in ("fx", "fy"):
@@ -92,7 +94,7 @@ class Surroundings:
     cameras: tuple[Viewpoint, ...] = ()
     view: Viewpoint | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if len(self.cameras) > MOST_CAMERAS:
             raise FastGSError(f"a model's file keeps at most {MOST_CAMERAS} cameras of its capture, not {len(self.cameras)}.")
@@ -104,7 +106,7 @@ def together(parts: list[Surroundings]) -> Surroundings:
     """
     cameras = list(dict.fromkeys(camera for part in parts for camera in part.cameras))
     backdrops = sorted((part.backdrop for part in parts if part.backdrop is not None), key=lambda backdrop: backdrop.radius)
-    holding = (each for each in backdrops if all(each.distance(camera.position) < WITHIN for camera in cameras))
+    holding = (each for each in backdrops if all(each.distance(np.array(camera.position)) < WITHIN for camera in cameras))
     view = next((part.view for part in parts if part.view is not None), None)
     return Surroundings(next(holding, None), evenly(cameras), view)
 
@@ -116,14 +118,14 @@ def evenly(cameras: list) -> tuple:
     return tuple(cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_CAMERAS).round().astype(int))
 
 
-def _numbers(values, count: int, what: str) -> tuple[float, ...]:
-    good = len(values) == count and all(isinstance(v, Real) and abs(v) <= FARTHEST for v in values)  # neither is NaN
+def _numbers(values: Sequence[Any], count: int, what: str) -> tuple[float, ...]:
+    good = len(values) == count and all(isinstance(v, Real) and abs(float(v)) <= FARTHEST for v in values)  # neither is NaN
     if not good:
         raise FastGSError(f"the {what} must be {count} finite number{'s' if count > 1 else ''}.")
     return tuple(float(v) for v in values)
 
 
-def _positive(value, what: str) -> float:
+def _positive(value: object, what: str) -> float:
     number = _numbers((value,), 1, what)[0]
     if not number > 0:
         raise FastGSError(f"the {what} must be positive, not {number:g}.")

@@ -8,7 +8,7 @@ factor is at least exp(-visible).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,11 +28,11 @@ class Always:
     width: ClassVar[int] = 0
     logarithms: ClassVar[tuple[bool, ...]] = ()
 
-    def factor(self, t, mu_tau, parameters):
+    def factor(self, t: float, mu_tau: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, P]."""
         return np.ones(len(mu_tau))
 
-    def span(self, visible, mu_tau, parameters):
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Begin and end [N] of the time in which the factor is at least exp(-visible [N]); the clip's where there is no end."""
         return np.zeros(len(mu_tau)), np.ones(len(mu_tau))
 
@@ -50,12 +50,12 @@ class Radial:
     width: ClassVar[int] = 1
     logarithms: ClassVar[tuple[bool, ...]] = (True,)
 
-    def factor(self, t, mu_tau, parameters):
+    def factor(self, t: float, mu_tau: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 1]."""
         delta = t - np.asarray(mu_tau, np.float64)
         return np.exp(-np.exp(np.asarray(parameters[:, 0], np.float64)) * delta**2)
 
-    def span(self, visible, mu_tau, parameters):
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As Always.span."""
         reach = np.sqrt(visible * np.exp(-parameters[:, 0].astype(np.float64)))
         return mu_tau - reach, mu_tau + reach
@@ -76,13 +76,13 @@ class Window:
     width: ClassVar[int] = 4
     logarithms: ClassVar[tuple[bool, ...]] = (False, False, True, True)
 
-    def factor(self, t, mu_tau, parameters):
+    def factor(self, t: float, mu_tau: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 4]."""
         begin, end, before, after = np.asarray(parameters, np.float64).T
         early, late = np.maximum(begin - t, 0), np.maximum(t - end, 0)
         return np.exp(-((early / np.exp(before)) ** 2) - (late / np.exp(after)) ** 2)
 
-    def span(self, visible, mu_tau, parameters):
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As Always.span."""
         begin, end, before, after = parameters.T.astype(np.float64)
         return begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
@@ -103,13 +103,13 @@ class WindowedRadial:
     width: ClassVar[int] = 4
     logarithms: ClassVar[tuple[bool, ...]] = (True, False, False, True)
 
-    def factor(self, t, mu_tau, parameters):
+    def factor(self, t: float, mu_tau: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, 4]."""
         _, begin, end, soft = np.asarray(parameters, np.float64).T
         outside = np.maximum(np.maximum(begin - t, t - end), 0)
         return Radial().factor(t, mu_tau, parameters) * np.exp(-((outside / np.exp(soft)) ** 2))
 
-    def span(self, visible, mu_tau, parameters):
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As Always.span; where both fade, a little more than that."""
         _, begin, end, soft = parameters.T.astype(np.float64)
         low, high = Radial().span(visible, mu_tau, parameters)
@@ -120,7 +120,7 @@ class WindowedRadial:
 KINDS = {cls.name: cls for cls in (Always, Radial, Window, WindowedRadial)}
 
 
-def temporal_by_name(name: str):
+def temporal_by_name(name: str) -> Any:
     """The kind of that name; raises FastGSError for an unknown one."""
     if name not in KINDS:
         raise FastGSError(f"the temporal opacity {name!r} is unknown; this version knows {', '.join(KINDS)}.")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..cameras.camera import Camera
 from ..model.appearance import Features
@@ -26,8 +28,8 @@ DECODER_LIMIT = 1e12
 """Weights of a decoder beyond which its colours may not fit into float32."""
 
 
-def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", "alpha"), backend: str = "auto",
-           progress=None, settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
+def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterable[str] = ("rgb", "alpha"), backend: str = "auto",
+           progress: Any = None, settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
@@ -80,7 +82,8 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes=("rgb", 
     return out
 
 
-def _blended(backend, instances, camera, needs, progress, settings) -> Blended:
+def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
+             settings: PassSettings) -> Blended:
     """The instances drawn by a backend: what the passes that were asked for are computed from."""
     objects = list(dict.fromkeys(instance.identity for instance in instances)) if "shares" in needs else []
     quantities = settings.quantities(needs, instances)
@@ -99,12 +102,13 @@ def _blended(backend, instances, camera, needs, progress, settings) -> Blended:
     return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None)
 
 
-def _instances(model, camera, t) -> list[ViewedInstance]:
+def _instances(model: Source | list, camera: Camera, t: ArrayLike) -> list[ViewedInstance]:
     """What render() was given, as instances before the camera; those that cannot be computed with, or are empty, are left out."""
     alone = isinstance(model, (GaussianModel, Sequence))
     if not alone and (isinstance(model, (str, Path)) or not isinstance(model, Iterable)):
         raise FastGSError(f"render() needs a model, as fg.load(path) reads it, or a list of them with their places, not {shown(model)}.")
-    found = [_instance((model, np.eye(4), t))] if alone else [_instance(each) for each in model]
+    given: Any = [(model, np.eye(4), t)] if alone else model
+    found = [_instance(each) for each in given]
     viewed = [instance.viewed(camera) for instance in found if len(instance.model)]
     for instance in viewed:
         if not instance.in_range:
@@ -116,7 +120,7 @@ def _instances(model, camera, t) -> list[ViewedInstance]:
     return [instance for instance in viewed if instance.in_range]
 
 
-def _instance(given) -> Instance:
+def _instance(given: Any) -> Instance:
     """The Instance of (model, placement [4, 4], t), perhaps with boxes or ObjectSettings as a fourth member."""
     if isinstance(given, Instance):
         return given

@@ -58,7 +58,7 @@ class ObjectSettings:
     max_size: float = 0.0
     filters: tuple[Filter, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "crops", tuple(self.crops))
         object.__setattr__(self, "filters", tuple(self.filters))
         object.__setattr__(self, "tint", tuple(float(value) for value in self.tint))
@@ -95,7 +95,7 @@ class Instance:
     index: int = 0
     place: Hashable = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         placement = numbers(self.placement, "a model's placement", "(4, 4)").copy()
         if placement.shape != (4, 4) or not np.isfinite(placement).all():
             raise FastGSError("a model's placement must be a 4 x 4 matrix of finite numbers.")

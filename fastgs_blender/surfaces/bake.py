@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,7 @@ class BakeReport:
                 f"99 % of them by at most {self._percent(self.tail_residual)}, worst at {self.worst}")
 
 
-def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: np.ndarray | None = None,
+def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, frames: np.ndarray | None = None,
          frame_count: int | None = None, fps: float = 24.0, start_frame: int = 0, count: int = 100_000, tolerance: float = 0.005,
          tail_tolerance: float = 0.01, max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None,
          patch: np.ndarray | None = None, samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
@@ -156,7 +157,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours=GREY, *, frames: 
         if not real(value, f"the {name}") > 0:
             raise FastGSError(f"the {name} must be positive, not {value}.")
     given = samples is not None
-    samples = samples if given else _spread(surface, count)
+    samples = _spread(surface, count) if samples is None else samples
     progress(0.15)
     painted = colours if isinstance(colours, Painted) else surface.painted(colours, samples, given)
     visible = painted.rgba[:, 3] >= 1 / 255
@@ -195,11 +196,12 @@ def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 1
     return _spread(_checked(positions, triangles)[0], count)
 
 
-def _spread(surface, count):
+def _spread(surface: MovingSurface, count: int) -> SurfaceSamples:
     return surface.spread(whole(count, "the number of Gaussians", 1, 50_000_000))
 
 
-def _checked(positions, triangles, frames=None, frame_count=None, part=None, patch=None):
+def _checked(positions: Any, triangles: Any, frames: Any = None, frame_count: int | None = None, part: Any = None,
+             patch: Any = None) -> tuple[MovingSurface, np.ndarray, int]:
     """The surface, its frame numbers [S] and the clip's length; FastGSError where they do not fit together."""
     positions, triangles = numbers(positions, "positions", "(times, vertices, 3)", np.float32), np.asarray(triangles)
     if positions.ndim != 3 or positions.shape[2] != 3 or not len(positions):
@@ -224,7 +226,7 @@ def _checked(positions, triangles, frames=None, frame_count=None, part=None, pat
     return surface, frames, frame_count
 
 
-def _numbers(name, values, triangles):
+def _numbers(name: str, values: Any, triangles: Any) -> np.ndarray:
     if values is None:
         return np.zeros(len(triangles), np.int64)
     if np.shape(values) != (len(triangles),):

@@ -6,6 +6,7 @@ import os
 from dataclasses import asdict
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,32 +29,31 @@ def file_path(value: object, what: str = "the name of a file") -> Path:
     return Path(os.fsdecode(value))
 
 
-def real(value: object, what: str, low: float = -np.inf, high: float = np.inf) -> float:
+def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> float:
     """A finite number from low to high."""
-    if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(value) or not low <= value <= high:
+    if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(float(value)) or not low <= float(value) <= high:
         bounds = "" if np.isinf(low) else f" of {low:g} or more" if np.isinf(high) else f" from {low:g} to {high:g}"
         raise FastGSError(f"{what} must be a finite number{bounds}, not {shown(value)}.")
     return float(value)
 
 
-def whole(value: object, what: str, low: int, high: int) -> int:
+def whole(value: Any, what: str, low: int, high: int) -> int:
     """A whole number from low to high; 64.0 is one, 64.5 is not."""
-    number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)
-    if not number or value != int(value) or not low <= value <= high:  # type: ignore[operator,call-overload]
+    number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(float(value))
+    if not number or value != int(value) or not low <= value <= high:
         raise FastGSError(f"{what} must be a whole number from {low} to {high}, not {shown(value)}.")
-    return int(value)  # type: ignore[call-overload]
+    return int(value)
 
 
-def numbers(value: object, what: str, shape: str, kind: type = np.float64) -> np.ndarray:
+def numbers(value: Any, what: str, shape: str, kind: Any = np.float64) -> np.ndarray:
     """An array of numbers; `shape` says in words which shape is wanted."""
     try:
-        found = np.asarray(value, kind)
+        return np.asarray(value, kind)
     except (TypeError, ValueError) as error:
         raise FastGSError(f"{what} must be numbers of the shape {shape}, not {shown(value)}.") from error
-    return found
 
 
-def in_words(values: object) -> str:
+def in_words(values: Any) -> str:
     """The names and values of a dictionary, or of a dataclass' fields, for a sentence."""
-    table = values if isinstance(values, dict) else asdict(values)  # type: ignore[call-overload]
+    table = values if isinstance(values, dict) else asdict(values)
     return ", ".join(f"{name} {shown(value)}" for name, value in table.items())

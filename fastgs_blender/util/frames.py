@@ -5,6 +5,7 @@ Decimal numbers, so that 0:1:0.1 has eleven frames and each is where it says.
 """
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
@@ -21,10 +22,10 @@ class Frames:
     numbers: tuple[Decimal, ...]
     decimals: int = 0
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.numbers)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Decimal]:
         return iter(self.numbers)
 
     def label(self, frame: Decimal, digits: int = 4) -> str:
@@ -48,7 +49,7 @@ def parse_frames(text: str) -> Frames:
         raise FastGSError(rule)
     if any(part != round(part, DECIMALS) for part in parts):
         raise FastGSError(f"frame numbers have at most {DECIMALS} decimals, unlike those of {text!r}.")
-    decimals = max(0, *(-round(part, DECIMALS).normalize().as_tuple().exponent for part in (start, step)))
+    decimals = max(0, *(-int(round(part, DECIMALS).normalize().as_tuple().exponent) for part in (start, step)))
     if (stop - start) / step >= MOST:
         raise FastGSError(f"the range {text!r} has more than {MOST} frames; give a shorter one.")
     count = int((stop - start) / step) + 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 SECONDS = 20.0
 """Seconds between two plain lines."""
@@ -47,17 +48,17 @@ class Progress:
 class Lines(Progress):
     """A line on standard error every SECONDS, and at the end: no escapes, no carriage returns."""
 
-    def __init__(self, *arguments, **options):
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.begun = self.shown = self.clock()
         self.first = self.last = self.n
 
-    def to(self, done, total=None):
+    def to(self, done: int, total: int | None = None) -> None:
         super().to(done, total)
         if self.clock() - self.shown >= SECONDS:
             self._show()
 
-    def close(self):
+    def close(self) -> None:
         if self.last != self.n:
             self._show()
 
@@ -74,7 +75,7 @@ class Lines(Progress):
 class Bar(Progress):
     """tqdm's bar on standard error."""
 
-    def __init__(self, *arguments, **options):
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         from tqdm import tqdm
 
@@ -82,27 +83,27 @@ class Bar(Progress):
 
         class Shown(tqdm):
             @property
-            def format_dict(self):
+            def format_dict(self) -> dict[str, Any]:
                 return super().format_dict | ({} if progress.rate is None else {"rate": progress.rate()})
 
         self.bar = Shown(total=self.total, initial=self.n, unit=self.unit, desc=self.what, mininterval=0.5, dynamic_ncols=True,
                          bar_format="{desc} {percentage:3.0f}%|{bar}| {n}/{total} [{elapsed}<{remaining}{postfix}]")
 
-    def to(self, done, total=None):
+    def to(self, done: int, total: int | None = None) -> None:
         super().to(done, total)
         self.bar.total = self.total
         self.bar.update(done - self.bar.n)
 
-    def note(self, text):
+    def note(self, text: str) -> None:
         super().note(text)
         self.bar.set_postfix_str(text, refresh=False)
 
-    def say(self, line):
+    def say(self, line: str) -> None:
         self.bar.clear()
         super().say(line)
         self.bar.refresh()
 
-    def close(self):
+    def close(self) -> None:
         self.bar.close()
 
 

@@ -13,7 +13,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from .errors import FastGSError
 
@@ -23,7 +23,7 @@ DAMAGED = "the file is damaged or of another kind, so copy or export it again"
 
 
 @contextmanager
-def reading(path, advice: str = DAMAGED) -> Iterator[None]:
+def reading(path: str | os.PathLike, advice: str = DAMAGED) -> Iterator[None]:
     """Turn whatever fails in the block into FastGSError that names `path`, gives the reason and ends with the advice.
 
     A FastGSError passes through as it is: it says more.  Libraries that parse files raise nearly anything on damaged ones, which
@@ -49,7 +49,7 @@ def _reason(error: Exception) -> str:
     return name if not text else f"{name}: {text[:200]}" if isinstance(error, LookupError) else text[:200]
 
 
-def open_file(path) -> BinaryIO:
+def open_file(path: str | os.PathLike) -> BinaryIO:
     """A regular file, opened for reading bytes; raises FastGSError for anything else.
 
     A pipe or a device would make its reader wait for ever; opening it without blocking, and looking before reading, does not.
@@ -68,7 +68,7 @@ def open_file(path) -> BinaryIO:
             raise
 
 
-def read_bytes(path, limit: int) -> bytes:
+def read_bytes(path: str | os.PathLike, limit: int) -> bytes:
     """All bytes of a regular file of at most `limit` bytes; raises FastGSError."""
     with reading(path), open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -77,13 +77,13 @@ def read_bytes(path, limit: int) -> bytes:
         return file.read(size)  # not of the limit: a buffer of that size would be made first
 
 
-def read_text(path, limit: int = LARGEST_JSON) -> str:
+def read_text(path: str | os.PathLike, limit: int = LARGEST_JSON) -> str:
     """The text of a UTF-8 file, with or without a byte order mark; raises FastGSError."""
     with reading(path):
         return read_bytes(path, limit).decode("utf-8-sig")
 
 
-def parse_json(text: str | bytes):
+def parse_json(text: str | bytes) -> Any:
     """The JSON value of a text from outside; raises ValueError, also where it is nested deeper than Python can follow."""
     try:
         return json.loads(text)
@@ -91,7 +91,8 @@ def parse_json(text: str | bytes):
         raise ValueError("it is nested too deeply") from error
 
 
-def read_json(path, limit: int = LARGEST_JSON, advice: str = "it is not JSON, or cut short; copy or export it again"):
+def read_json(path: str | os.PathLike, limit: int = LARGEST_JSON,
+              advice: str = "it is not JSON, or cut short; copy or export it again") -> Any:
     """The JSON value in a file; raises FastGSError."""
     with reading(path, advice):
         return parse_json(read_bytes(path, limit).decode("utf-8-sig"))

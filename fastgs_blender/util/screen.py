@@ -19,10 +19,11 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
     everything  all lines of all values; else what fits on a screen, and a last line that says how much is left out
     hidden      rows that the caller has left out already
     """
-    rows = [(printable(name).replace("\n", " "), str(value)) for name, value in rows]
-    width = max((len(name) for name, _ in rows), default=0)
-    lines, left_out = [], hidden
-    for name, value in rows:
+    texts = [(printable(name).replace("\n", " "), str(value)) for name, value in rows]
+    width = max((len(name) for name, _ in texts), default=0)
+    lines: list[str] = []
+    left_out = hidden
+    for name, value in texts:
         wrapped = _wrapped(value, COLUMNS - width - 2)
         if not everything:
             left_out += len(wrapped[MOST:])

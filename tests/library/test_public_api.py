@@ -65,3 +65,20 @@ def test_the_examples_run(tmp_path, monkeypatch):
             shutil.rmtree("run", ignore_errors=True) if "fg.train" in code else None
             exec(code, {**names, "model": model, "camera": camera})  # noqa: S102 (our own docstrings)
     assert Path("copy.ply").exists() and Path("cameras.json").exists() and len(fg.load("run/model.safetensors"))
+
+
+def test_everything_public_is_annotated():
+    """For type checkers of other projects: py.typed promises it; `make lint` checks that the annotations are right."""
+    assert (ROOT / "fastgs_blender" / "py.typed").exists()
+    bare = []
+    for name in fg.__all__:
+        what = getattr(fg, name)
+        own = vars(what) if inspect.isclass(what) else {}
+        functions = [getattr(each, "fget", None) or getattr(each, "__func__", each) for key, each in own.items() if not key.startswith("_")]
+        for function in (each for each in ([what] if inspect.isfunction(what) else functions) if inspect.isfunction(each)):
+            signature = inspect.signature(function)
+            missing = [key for key, parameter in signature.parameters.items() if parameter.annotation is parameter.empty and key not in
+                       ("self", "cls")]
+            if missing or signature.return_annotation is signature.empty:
+                bare.append(f"{name}.{function.__name__}{missing}")
+    assert not bare

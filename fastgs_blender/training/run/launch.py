@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ... import formats
 from ...model.gaussians import GaussianModel
+from ...training.core.settings import Settings
 from ...util.arguments import file_path
 from ...util.errors import FastGSError
 from .files import MODEL
@@ -42,7 +43,7 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     return formats.load(Path(out) / MODEL)
 
 
-def source_of(capture, layout, scale, frames: slice | None, held_out) -> Source:
+def source_of(capture: str | Path | None, layout: Any, scale: float | None, frames: slice | None, held_out: Sequence[str] | None) -> Source:
     """The Source of open_capture()'s arguments."""
     from .plan import Source
 
@@ -51,7 +52,8 @@ def source_of(capture, layout, scale, frames: slice | None, held_out) -> Source:
                   None if held_out is None else tuple(held_out))
 
 
-def launch(source: Source, out, wanted: Mapping[str, Any], resume: bool, overwrite: bool, quiet: bool, note: Callable[[str], None]) -> dict:
+def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: bool, overwrite: bool, quiet: bool,
+           note: Callable[[str], None]) -> dict:
     """Begin or continue a run and train it to its end; returns the report, in the first process of several, else {}.
 
     wanted  the settings that were asked for by name; note: told remarks on the capture
@@ -64,7 +66,7 @@ def launch(source: Source, out, wanted: Mapping[str, Any], resume: bool, overwri
     from . import session
     from .plan import plan_from_dict
 
-    def new(chosen):
+    def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
 
     with joined() as group:

@@ -90,7 +90,7 @@ def _sound(name: str, value: object) -> bool:
     return isinstance(texts, list) and all(isinstance(text, str) and "\0" not in text for text in texts)
 
 
-def read_plan(out) -> Plan | None:
+def read_plan(out: str | Path) -> Plan | None:
     """The plan of the run in a folder, None where there is none; raises FastGSError where it cannot be read."""
     path = Path(out) / RUN
     if not path.exists():
@@ -98,7 +98,7 @@ def read_plan(out) -> Plan | None:
     return replace(plan_from_dict(read_json(path, advice=DAMAGED), str(path)), fresh=False)
 
 
-def begin(out, wanted: dict, source: Source, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Plan:
+def begin(out: str | Path, wanted: dict, source: Source, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Plan:
     """The plan of the run in a folder; the caller holds the folder's lock.
 
     wanted, source  the options that were asked for by name; make(wanted) gives the settings of a new run
@@ -141,7 +141,7 @@ def _words(value: object) -> str:
     return "its default" if value is None else ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def write(out, plan: Plan) -> None:
+def write(out: str | Path, plan: Plan) -> None:
     """Record the plan, and remove from the folder what an earlier run left there if this one starts from the beginning."""
     out = Path(out)
     if plan.fresh:
@@ -152,7 +152,7 @@ def write(out, plan: Plan) -> None:
     checkpoint.write_json(out / RUN, {name: value for name, value in plan.to_dict().items() if name != "fresh"})
 
 
-def forget(out) -> None:
+def forget(out: str | Path) -> None:
     """Remove the plan of a run that has failed before its first checkpoint: there is nothing to resume."""
     out = Path(out)
     if not (out / CHECKPOINT).exists() and not any((out / SEGMENTS).glob("*/*")):
