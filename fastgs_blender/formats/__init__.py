@@ -22,6 +22,7 @@ from ..util.outputs import complete, replacing
 from ..util.reading import open_file, reading
 from .base import Format, usable
 from .compressed_ply import CompressedPly
+from .deformed import DeformableGaussians, HexPlaneGaussians
 from .dynamic3d import Dynamic3DGaussians
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
@@ -47,7 +48,7 @@ from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Realtime4DGS(), RotorGaussians(), Katsumata(), Tsog(), Splat4d())
+                               Realtime4DGS(), RotorGaussians(), Katsumata(), DeformableGaussians(), HexPlaneGaussians(), Tsog(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)

@@ -185,6 +185,23 @@ class Sequence:
         return f"Sequence({self.about}, {len(self.at)} frames, {self.clip!r})"
 
 
+class Computed(Sequence):
+    """A clip whose models are computed at any time t, by compute(t): a network's, or a formula's that no basis of time holds.
+
+    state  state() -> a value that changes when the files do that it is computed from
+    """
+
+    def __init__(self, clip: Clip, compute: Callable[[float], GaussianModel], state: Callable[[], object] = lambda: None,
+                 about: str = "the model"):
+        self._compute = compute
+        super().__init__(clip, np.arange(clip.frame_count), lambda i: compute(clip.t_of_frame(i)), lambda i: state(), about)
+
+    def moment(self, t: float, hold: bool = False, read: bool = True) -> tuple[GaussianModel, float]:
+        """As Sequence.moment(); exact between frames, which `hold` does not change."""
+        t = float(t)
+        return cache.get((self._owner, "t", t), self._state(0), (lambda: self._compute(t)) if read else None), 0.0
+
+
 def match(a: GaussianModel, b: GaussianModel) -> bool:
     """Whether two models of a moment are the same Gaussians in the same order, as far as their places tell."""
     kinds = [(m.appearance, m.axes, m.colour_space, m.raster) for m in (a, b)]
