@@ -70,6 +70,7 @@ api-docs: .venv/ready
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
 	@$(PY) benchmarks/viewport.py
+	@$(PY) benchmarks/features.py
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py

@@ -7,9 +7,10 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, notices, objects, settings, sky, snapshot, unshown, world
+from ..scene import camera, exposure, notices, objects, settings, sky, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -37,7 +38,8 @@ def _render_layer(engine, depsgraph):
     views = _views(scene.render)
     now = _moment(engine, depsgraph, area, views)
     settings_now = passes.settings(scene)
-    neighbours = [_moment_at(engine, depsgraph, area, views, frames) for frames in (-1, 1)] if _has(wanted, "vector") else []
+    vectors, shutter = [-1, 1] if _has(wanted, "vector") else [], exposure.times(scene)
+    taken = _moments(engine, depsgraph, area, views, vectors + shutter)
     for text in unshown.all_of(scene, layer):
         notices.warn(engine, text)
     status = Status(engine, f"{scene.name}, {layer.name}")
@@ -55,10 +57,12 @@ def _render_layer(engine, depsgraph):
     for index, view in enumerate(views):
         eye = now.cameras[view]
         status(f"Rendering {view}".strip())
-        before, after = (each.moment(view) for each in neighbours) if neighbours else (None, None)
+        moments = [each.moment(view) for each in taken]
+        before, after = moments[:2] if vectors else (None, None)
         found = replace(settings_now, before=before, after=after)
+        blur = exposure.exposure(scene, moments[len(vectors):], now.lens)
         images = worker.run(
-            lambda progress, eye=eye, found=found: passes.images(instances, eye, wanted, background(eye), progress, found),
+            lambda progress, eye=eye, found=found, blur=blur: passes.images(instances, eye, wanted, background(eye), progress, found, blur),
             engine.test_break,
             lambda fraction, index=index: status.progress((index + fraction) / len(views)))
         _, _, width, height = area.window
@@ -88,10 +92,12 @@ def _background(engine, scene, layer, status):
 
 @dataclass(frozen=True, eq=False)
 class _Taken:
-    """A scene at one moment, copied out of the depsgraph: its splats, and the camera of each of the frame's pictures by its name."""
+    """A scene at one moment, copied out of the depsgraph: its splats, the camera of each of the frame's pictures by its name, and the
+    lens of the camera."""
 
     shown: snapshot.Snapshot
     cameras: dict[str, fg.Camera]
+    lens: Aperture | None
 
     def moment(self, view: str) -> Moment:
         """The moment as the library takes it, for one of the pictures."""
@@ -100,19 +106,24 @@ class _Taken:
 
 def _moment(engine, depsgraph, area, views) -> _Taken:
     """The scene as the depsgraph stands."""
-    return _Taken(snapshot.take(depsgraph), {view: _camera(engine, depsgraph, area, view) for view in views})
+    cameras = {view: _camera(engine, depsgraph, area, view) for view in views}
+    return _Taken(snapshot.take(depsgraph), cameras, exposure.aperture(_camera_object(engine, depsgraph), depsgraph.scene))
 
 
-def _moment_at(engine, depsgraph, area, views, frames: float) -> _Taken:
-    """The scene so many frames later; the depsgraph comes back to where it was."""
+def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_Taken]:
+    """The scene so many frames later, for each of the numbers; the depsgraph comes back to where it was."""
     scene = depsgraph.scene
     frame, subframe = scene.frame_current, scene.frame_subframe
-    there = frame + subframe + frames
-    engine.frame_set(math.floor(there), there - math.floor(there))
+    taken = []
     try:
-        return _moment(engine, depsgraph, area, views)
+        for later in frames:
+            there = frame + subframe + later
+            engine.frame_set(math.floor(there), there - math.floor(there))
+            taken.append(_moment(engine, depsgraph, area, views))
     finally:
-        engine.frame_set(frame, subframe)
+        if frames:
+            engine.frame_set(frame, subframe)
+    return taken
 
 
 def _has(wanted, name: str) -> bool:
@@ -130,13 +141,18 @@ def _views(render) -> list[str]:
 def _camera(engine, depsgraph, area, view):
     if view:
         engine.active_view_set(view)
-    obj = engine.camera_override or depsgraph.scene.camera
-    if obj is None:
-        raise fg.FastGSError("the scene has no camera; add one to render.")
-    obj = obj.evaluated_get(depsgraph)
+    obj = _camera_object(engine, depsgraph)
     if not view:
         return camera.camera_of(obj, area, depsgraph)
     return camera.camera_of(obj, area, depsgraph, engine.camera_model_matrix(obj), engine.camera_shift_x(obj))
+
+
+def _camera_object(engine, depsgraph):
+    """The camera to render from, evaluated.  Raises FastGSError where there is none."""
+    obj = engine.camera_override or depsgraph.scene.camera
+    if obj is None:
+        raise fg.FastGSError("the scene has no camera; add one to render.")
+    return obj.evaluated_get(depsgraph)
 
 
 def _tell(engine, layer, shown, left_out):

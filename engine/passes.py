@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering import cryptomatte
+from ..fastgs_blender.rendering.exposure import Exposure
 from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, Pass, PassSettings
 from ..fastgs_blender.rendering.quantities import Mist
 from ..scene import colour
@@ -61,15 +62,16 @@ def settings(scene) -> PassSettings:
 
 
 def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, progress=lambda fraction: None,
-           settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
+           settings: PassSettings = DEFAULTS, exposure: Exposure | None = None) -> dict[str, np.ndarray]:
     """All pictures of one view by the names of Blender's passes, [h, w] or [h, w, channels], the top row first.
 
     instances   list of rendering.instances.Instance
     background  scene-linear colour [3] under the splats, or None for transparent film
     progress    called with 0..1; what it raises cancels the render
     settings    PassSettings
+    exposure    Exposure, or None for a sharp picture
     """
-    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings)
+    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings, exposure)
     named = {_name(p): p.shown(found[p.name]) for p in wanted}
     return named | {COMBINED: colour.film(found["rgb"], found["alpha"], background)}
 

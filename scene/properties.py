@@ -195,6 +195,12 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('FIRST', "First Hit", "Depth of the nearest splat, however faint it is", 2),
         ),
         default='EXPECTED')
+    blur_steps: IntProperty(
+        name="Steps", description="Into how many steps motion blur divides the time in which the shutter is open, at the most. Where "
+        "little moves, fewer are taken; a power of two is used", default=32, min=2, soft_max=256, max=4096)
+    lens_samples: IntProperty(
+        name="Lens Samples", description="Points of the lens through which the scene is seen for depth of field, at the most. Where the "
+        "picture is sharp, fewer are taken; a power of two is used", default=64, min=2, soft_max=1024, max=16384)
     show_splats: BoolProperty(
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
         "Rendered shading, with the scene's meshes", default=True, update=updates.viewports)

@@ -32,11 +32,8 @@ def meshes(scene, view_layer) -> str | None:
 
 def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
-    camera = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
     holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and (obj.is_holdout or _held_out(obj, view_layer))]
     told = (
-        (camera is not None and camera.dof.use_dof, "Depth of Field of the camera is not rendered yet."),
-        (scene.render.use_motion_blur, "Motion Blur is not rendered yet."),
         (bool(holdouts), f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."),
     )
     return [text for true, text in told if true]

@@ -69,6 +69,47 @@ class FASTGS_PT_film(_Engine, bpy.types.Panel):
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
+class FASTGS_PT_motion_blur(_Engine, bpy.types.Panel):
+    bl_label = "Motion Blur"
+    bl_context = "render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.render, "use_motion_blur", text="")
+
+    def draw(self, context):
+        layout, render = self.layout, context.scene.render
+        layout.use_property_split = True
+        layout.active = render.use_motion_blur
+        col = layout.column()
+        col.prop(render, "motion_blur_position", text="Position")
+        col.prop(render, "motion_blur_shutter")
+        col.prop(context.scene.fastgs, "blur_steps")
+
+
+class FASTGS_PT_shutter_curve(_Engine, bpy.types.Panel):
+    bl_label = "Shutter Curve"
+    bl_parent_id = "FASTGS_PT_motion_blur"
+    bl_context = "render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        self.layout.active = context.scene.render.use_motion_blur
+        self.layout.template_curve_mapping(context.scene.render, "motion_blur_shutter_curve")
+
+
+class FASTGS_PT_depth_of_field(_Engine, bpy.types.Panel):
+    bl_label = "Depth of Field"
+    bl_context = "render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(context.scene.fastgs, "lens_samples")
+        layout.label(text="The camera's own settings say what is sharp", icon='INFO')
+
+
 class FASTGS_PT_passes(_Engine, bpy.types.Panel):
     bl_label = "Passes"
     bl_context = "view_layer"
@@ -116,4 +157,7 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
         props.data_path, props.value = "scene.render.engine", 'FASTGS'
 
 
-CLASSES = (FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_passes, FASTGS_PT_ray_visibility, FASTGS_PT_other_engine)
+CLASSES = (
+    FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_motion_blur, FASTGS_PT_shutter_curve, FASTGS_PT_depth_of_field, FASTGS_PT_passes,
+    FASTGS_PT_ray_visibility, FASTGS_PT_other_engine,
+)

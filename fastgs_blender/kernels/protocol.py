@@ -20,6 +20,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
+from ..rendering.exposure import Exposure
 from ..rendering.instances import ViewedInstance
 from ..rendering.layout import Buffers, Layout
 
@@ -64,6 +65,10 @@ class PictureBackend(Protocol):
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> Array:
         """Premultiplied colour [h, w, 3] of what draw() gave: the sum over the layout's groups, features through their decoders."""
+
+    def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
+               progress: Callable[[float], None]) -> tuple[Array | None, Array]:
+        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours) and alpha [h, w]."""
 
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
                       ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:

@@ -17,6 +17,7 @@ from ..model.sequence import Sequence, Source
 from ..util.arguments import real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
+from .exposure import Exposure
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
 from .passes import DEFAULTS, PASSES, Blended, PassSettings
@@ -29,7 +30,7 @@ DECODER_LIMIT = 1e12
 
 
 def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterable[str] = ("rgb", "alpha"), backend: str = "auto",
-           progress: Any = None, settings: PassSettings = DEFAULTS) -> dict[str, np.ndarray]:
+           progress: Any = None, settings: PassSettings = DEFAULTS, exposure: Exposure | None = None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
@@ -50,6 +51,7 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterabl
     backend   "cpu" (numba), "reference" (NumPy, slow), "auto"
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
     settings  PassSettings: the mist's distances, and the frames before and after for vectors
+    exposure  Exposure: motion blur and depth of field, of rgb and alpha.  The other passes show time t through the lens' middle
 
     Returns float32 arrays, the top row first, of the camera's window.  Same inputs, same bytes, for any number of threads.
 
@@ -65,18 +67,25 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterabl
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
     entries = [PASSES[name] for name in passes]
-    needs = {part for entry in entries for part in entry.needs} | {"alpha"}
+    sharp = [entry for entry in entries if not (entry.exposed and exposure)]
+    needs = {part for entry in sharp for part in entry.needs} | {"alpha"}
     kernels = load_backend(backend)
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
-    blended = _blended(kernels, instances, camera, needs, progress, settings) if instances else None
+    blended, blurred = None, None
+    if instances and sharp:
+        blended = _blended(kernels, instances, camera, needs, progress, settings)
+    if instances and len(sharp) < len(entries):
+        rgb, alpha = kernels.expose(exposure, instances, camera, "rgb" in passes, progress)
+        blurred = Blended(camera, None if rgb is None else kernels.numpy(rgb), kernels.numpy(alpha), {}, {}, [], None)
     out = {}
     for entry in entries:
-        if blended is None:
+        source = blended if entry in sharp else blurred
+        if source is None:
             size = camera.window[3], camera.window[2]
             image = np.full(size if entry.channels == 1 else (*size, entry.channels), entry.empty)
         else:
-            image = entry.image(blended)
+            image = entry.image(source)
         out[entry.name] = np.ascontiguousarray(image, np.float32)
     progress(1.0)
     return out

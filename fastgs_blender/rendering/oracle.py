@@ -17,6 +17,7 @@ from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import crop_share
 from .culling import order_in_numpy
+from .exposure import Exposure, Film
 from .instances import LIMIT, ViewedInstance
 from .layout import DEPTH_FROM, PROBES, Buffers, Layout
 from .looks import Look, graded, size_factor
@@ -228,6 +229,18 @@ class Oracle:
             return buffers.channels[..., group.offset:group.offset + 3]
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
+
+    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress):
+        """The average of as many samples as the exposure allows."""
+        _, _, width, height = camera.window
+        film, samples = Film(height, width, {instance.model.colour_space for instance in instances}), exposure.samples(exposure.levels)
+        for i, sample in enumerate(samples):
+            moved, eye = exposure.scene(instances, camera, sample.time, sample.point)
+            layout = Layout(moved, False)
+            buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)))
+            film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1])
+        rgb, alpha = film.picture()
+        return (rgb if colours else None), alpha
 
     front_to_back = staticmethod(order_in_numpy)
 

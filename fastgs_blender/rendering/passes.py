@@ -88,6 +88,7 @@ class Pass:
     switch    the property of Blender's view layer that switches it on: one of Blender's own, or with the prefix "fastgs." one of
               the extension's, which is made from this table
     description   what that switch of the extension's says to users
+    exposed   whether it is an average over the exposure; the others show the picture's own time through the middle of the lens
     title     what panels call it, if not as Blender names the pass
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
               if nothing else is said
@@ -105,6 +106,7 @@ class Pass:
     kind: str = "VALUE"
     switch: str = ""
     description: str = ""
+    exposed: bool = False
     title: str = ""
     level: int = 0
 
@@ -162,10 +164,10 @@ def _cryptomatte(level: int) -> Pass:
 
 
 PASSES = {entry.name: entry for entry in (
-    Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exr=("R", "G", "B"),
+    Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, exr=("R", "G", "B"),
          blender="Combined", letters="RGBA", kind="COLOR", switch="use_pass_combined"),
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
-    Pass("alpha", lambda b: b.alpha, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha",
+    Pass("alpha", lambda b: b.alpha, exposed=True, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",

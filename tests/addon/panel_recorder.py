@@ -33,6 +33,10 @@ class Layout:
         assert name in data.bl_rna.properties, name
         self._note("prop", name, icon)
 
+    def template_curve_mapping(self, data, name):
+        assert name in data.bl_rna.properties, name
+        self._note("curve", name, 'NONE')
+
     def separator(self):
         """Space that says nothing."""
 

@@ -12,6 +12,7 @@ from ...rendering.layout import Buffers, Layout
 from ...rendering.looks import graded_picture
 from . import initial, resample, steps, training, visible
 from .decoder import decode_features
+from .expose import expose
 from .jit import announce
 from .rasterise import rasterise
 from .splats import project_instances
@@ -37,9 +38,11 @@ class CPU:
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
                             lambda f: progress(0.35 + 0.6 * f))
-        channels = picture.channels
-        sums = {name: channels[..., where] for name, where in layout.places.items()}
-        return Buffers(channels[..., :layout.channels], picture.alpha, sums, picture.probes)
+        return picture.buffers(layout)
+
+    def expose(self, exposure, instances, camera, colours, progress):
+        announce()
+        return expose(exposure, instances, camera, colours, self.colour, progress)
 
     def colour(self, buffers, layout, camera):
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))

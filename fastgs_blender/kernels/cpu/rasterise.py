@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...rendering.layout import PROBES
+from ...rendering.layout import PROBES, Buffers, Layout
 from ...util.threads import ranges, run
 from . import raster, raster_backward
 from .tile_lists import TileLists, list_tiles, tile_cursors
@@ -30,18 +30,27 @@ class Picture:
     alpha: np.ndarray
     probes: dict[str, np.ndarray]
 
+    def buffers(self, layout: Layout) -> Buffers:
+        """The picture by what its channels mean."""
+        sums = {name: self.channels[..., where] for name, where in layout.places.items()}
+        return Buffers(self.channels[..., :layout.channels], self.alpha, sums, self.probes)
 
-def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None) -> Picture:
-    """Blend splats (raster.py) in the given order into the camera's window; probes: which of layout.PROBES to compute."""
+
+def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None) -> Picture:
+    """Blend splats (raster.py) in the given order into the camera's window.
+
+    probes  which of layout.PROBES to compute
+    tiles   (first, last) of the runs of tiles to draw; None: all.  The others stay empty
+    """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
     extra = np.empty((height, len(probes) * width), np.float32)
     listing = TileLists.of(order, geometry, attributes, camera)
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, probes), extra, progress)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, probes), extra, progress, tiles)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)})
 
 
-def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None):
+def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, tiles=None):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
     x0, y0, right, bottom = listing.window
     out = np.zeros((bottom - y0, right - x0, channels), np.float32)
@@ -51,7 +60,9 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
         lists = list_tiles(listing.segments, listing.counts, first, last)
         rest = (*listing.frame, *lists, geometry, attributes, out, alpha, extra)
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
-        run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last), share)
+        pieces = _tiles(first, last) if tiles is None else [
+            piece for a, b in tiles if a < last and b > first for piece in _tiles(max(a, first), min(b, last))]
+        run(lambda a, b, rest=rest: kernel(a, b, *rest), pieces, share)
     return out, alpha, lists
 
 
