@@ -4,6 +4,7 @@ import bpy
 
 from . import (
     align_world,
+    brush,
     camera_life,
     camera_moves,
     camera_path_files,
@@ -43,6 +44,7 @@ CLASSES = (
     *align_world.CLASSES,
     *clip.CLASSES,
     *crop.CLASSES,
+    *brush.CLASSES,
     *export_splats.CLASSES,
     *filters.CLASSES,
     *composite.CLASSES,

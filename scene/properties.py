@@ -165,6 +165,8 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         type=FASTGS_PG_filter, name="Filters", description="Which Gaussians are hidden for what they are",
         override=_OWN | {'USE_INSERTION'})
 
+    mask: StringProperty(
+        name="Hidden by Hand", description="Which Gaussians the brush has hidden, packed", options={'HIDDEN'}, **_SHOWN)
     exposure: _look("Exposure", "Brightness, in stops", 0.0, *RANGES["exposure"], soft_min=-10.0, soft_max=10.0)
     gamma: _look("Gamma", "Brightness of the middle tones; black and white stay", 1.0, *RANGES["gamma"], soft_min=0.2, soft_max=5.0)
     contrast: _look("Contrast", "Spread of the tones around middle grey", 1.0, *RANGES["contrast"], soft_max=3.0)

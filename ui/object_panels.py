@@ -137,8 +137,8 @@ def draw_crop(layout, context):
         layout.operator("fastgs.apply_crop", icon='FILE_TICK')
 
 
-def draw_filters(layout, context):
-    """Draw the filters that hide Gaussians for what they are."""
+def draw_filters(layout, context, brush: bool):
+    """Draw the filters that hide Gaussians for what they are, and the brush that hides them by hand in a 3D view."""
     layout.use_property_decorate = False
     for index, item in enumerate(context.object.fastgs.filters):
         col = layout.column(align=True)
@@ -154,6 +154,14 @@ def draw_filters(layout, context):
         row.prop(item, "low")
         row.prop(item, "high")
     layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
+    if brush:
+        col = layout.column()
+        col.operator_context = 'INVOKE_REGION_WIN'
+        col.operator("fastgs.brush", icon='BRUSH_DATA')
+    if context.object.fastgs.mask:
+        row = layout.row(align=True)
+        row.operator("fastgs.show_hidden", icon='HIDE_OFF')
+        row.operator("fastgs.invert_hidden", icon='ARROW_LEFTRIGHT')
 
 
 class _Splat:
@@ -219,7 +227,7 @@ class FASTGS_PT_object_filters(_Properties, bpy.types.Panel):
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_filters(self.layout, context)
+        draw_filters(self.layout, context, False)
 
 
 class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
@@ -271,7 +279,7 @@ class FASTGS_PT_sidebar_filters(_Sidebar, bpy.types.Panel):
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_filters(self.layout, context)
+        draw_filters(self.layout, context, True)
 
 
 CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,

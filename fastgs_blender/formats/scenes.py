@@ -9,7 +9,8 @@ import numpy as np
 from ..model.appearance import SH, SH_C0, Features
 from ..model.gaussians import GaussianModel
 from ..model.slicing import freeze, sigmoid
-from ..rendering.crops import kept_by
+from ..rendering.crops import crop_share
+from ..rendering.filters import hidden
 from ..rendering.instances import Instance
 from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
@@ -46,15 +47,17 @@ def _seen(instance: Instance) -> tuple[GaussianModel, list[str]]:
     keep = sigmoid(model.opacity) >= settings.opacity_cut
     if settings.backdrop == "HIDDEN" and backdrop is not None:
         keep &= backdrop.distance(model.position) <= 1
+    if settings.filters or settings.mask:
+        keep &= ~hidden(model, settings.filters, settings.mask)
     model = freeze(model.take(keep), instance.t)
-    if settings.crops:
-        model = model.take(kept_by(settings.crops, model.position))
+    share = crop_share(settings.crops, model.position)
+    model, share = model.take(share > 0), share[share > 0]
     if isinstance(model.appearance, Features):
         lost.append("its features and decoder become one colour a Gaussian")
     model, _ = plain_harmonics(model, 4)
     row = look_numbers(settings, model.colour_space)
     size = np.exp(model.scale.astype(np.float64).max(1, initial=-np.inf)) if len(model) else np.zeros(0)
-    opacity = np.clip(sigmoid(model.opacity) * row[Look.OPACITY], 1e-7, 1 - 1e-7)
+    opacity = np.clip(sigmoid(model.opacity) * row[Look.OPACITY] * share, 1e-7, 1 - 1e-7)
     model = replace(model, scale=model.scale + np.log(np.maximum(size_factor(size, row), 1e-9))[:, None],
                     opacity=np.log(opacity) - np.log1p(-opacity))
     if row[Look.GRADED]:

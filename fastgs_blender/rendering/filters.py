@@ -14,6 +14,7 @@ from ..model.appearance import SH, SH_C0, momentary
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util.errors import FastGSError
+from .masks import unpack_mask
 
 TIMES = 17
 """Moments of the clip at which speeds and lifetimes are looked at."""
@@ -124,20 +125,20 @@ def values(model: GaussianModel, kind: str, colour=(0.0, 0.0, 0.0)) -> np.ndarra
     return found
 
 
-def hidden(model: GaussianModel, filters) -> np.ndarray:
-    """Which Gaussians the filters hide: [N] bool, or [0] where there are none; the last answer is kept while the model lives."""
-    if not filters:
+def hidden(model: GaussianModel, filters, mask: str = "") -> np.ndarray:
+    """Which Gaussians filters and a mask hide: [N] bool, or [0] where there are none; the last answer is kept while the model lives."""
+    if not filters and not mask:
         return np.zeros(0, bool)
-    filters = tuple(filters)
+    asked = tuple(filters), mask
     with _lock:
         known = _hidden.get(model)
-    if known is not None and known[0] == filters:
+    if known is not None and known[0] == asked:
         return known[1]
-    out = np.zeros(len(model), bool)
+    out = unpack_mask(mask, len(model))
     for each in filters:
         value = values(model, each.kind, each.colour)
         chosen = (value >= each.low) & (value <= each.high)
         out |= ~chosen if each.keep else chosen
     with _lock:
-        _hidden[model] = filters, out
+        _hidden[model] = asked, out
     return out

@@ -34,6 +34,7 @@ class ObjectSettings:
 
     crops     shapes that cut the model, see crops.py
     filters   which Gaussians are hidden for what they are, see filters.py
+    mask      which Gaussians are hidden by hand, as masks.pack_mask() writes it; "": none
     exposure, gamma, contrast, saturation, hue, tint
               of the colours, scene linear: stops; powers; a factor on what is not grey; radians; factors on red, green and blue
     opacity, opacity_cut
@@ -57,6 +58,7 @@ class ObjectSettings:
     min_size: float = 0.0
     max_size: float = 0.0
     filters: tuple[Filter, ...] = ()
+    mask: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crops", tuple(self.crops))
@@ -160,8 +162,8 @@ class ViewedInstance(Instance):
 
     @cached_property
     def hidden(self) -> np.ndarray:
-        """Which Gaussians its filters hide: [N] bool, or [0] where there are none."""
-        return hidden(self.model, self.settings.filters)
+        """Which Gaussians its filters and its mask hide: [N] bool, or [0] where there are none."""
+        return hidden(self.model, self.settings.filters, self.settings.mask)
 
     @cached_property
     def look(self) -> np.ndarray:

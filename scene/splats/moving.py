@@ -11,6 +11,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ...fastgs_blender.rendering.crops import kept_by
+from ...fastgs_blender.rendering.filters import hidden
 from ...fastgs_blender.util.errors import FastGSError
 from .. import model_space, objects, snapshot
 from ..colour import rec709_to_working
@@ -78,9 +79,11 @@ def _move(obj, depsgraph):
     if chosen.part is not None:
         shown = show(chosen.part, t, stored.get(LARGER, 1.0))
         seen = np.full(len(chosen.index), at is not None)
-        crops = snapshot.settings_of(obj, depsgraph).crops
-        if crops:
-            seen &= kept_by(crops, shown.position.astype(np.float64))
+        settings = snapshot.settings_of(obj, depsgraph)
+        if settings.crops:
+            seen &= kept_by(settings.crops, shown.position.astype(np.float64))
+        if settings.filters or settings.mask:
+            seen &= ~hidden(model, settings.filters, settings.mask)[chosen.index]
         _write(obj, chosen.index, shown, seen)
 
 

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hides Gaussians of a splat object under a brush, and shows them again; the object holds the mask, so that undo and files have it."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.masks import Box, Stroke, pack_mask, under, unpack_mask
+from . import objects, snapshot
+
+
+def model_of(obj) -> fg.GaussianModel:
+    """The model of an object.  Raises FastGSError where it cannot be read, or is a sequence, whose frames have no Gaussians in common."""
+    path = objects.abspath(obj)
+    model = objects.load_model(path)
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError(f"{path}: Gaussians of a sequence cannot be hidden by hand; turn it into one model with fastgs convert.")
+    return model
+
+
+def mask_of(obj) -> np.ndarray:
+    """Which of an object's Gaussians [N] are hidden by hand."""
+    return unpack_mask(obj.fastgs.mask, len(model_of(obj)))
+
+
+def set_mask(obj, bits: np.ndarray) -> None:
+    """Hide these Gaussians [N] of an object, and no others by hand."""
+    obj.fastgs.mask = pack_mask(bits)
+
+
+def brush(obj, depsgraph, camera: fg.Camera, shape: Box | Stroke, hide: bool = True) -> int:
+    """Hide what an original object shows under a shape of the camera's picture, or show what was hidden there; returns how many."""
+    bits = mask_of(obj)
+    found = [(item, instance) for item, instance in snapshot.take(depsgraph, rendered=False).pairs()[0] if item.name == obj.name]
+    for _, instance in found:
+        settings = instance.settings if hide else replace(instance.settings, mask="")
+        index = under(replace(instance, settings=settings).viewed(camera), camera, shape)
+        changed = index[bits[index] != hide]
+        bits[changed] = hide
+    count = int(np.count_nonzero(bits != mask_of(obj)))
+    if count:
+        set_mask(obj, bits)
+    return count
