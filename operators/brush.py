@@ -32,7 +32,10 @@ class FASTGS_OT_brush(bpy.types.Operator):
 
     shape: EnumProperty(
         name="Shape", description="What is drawn",
-        items=(('CIRCLE', "Circle", "A round brush that is dragged over the Gaussians", 0), ('BOX', "Box", "A rectangle", 1)), default='CIRCLE')
+        items=(
+            ('CIRCLE', "Circle", "A round brush that is dragged over the Gaussians", 0),
+            ('BOX', "Box", "A rectangle", 1),
+        ), default='CIRCLE')
     radius: FloatProperty(
         name="Radius", description="Radius of the circle, in pixels", default=40.0, min=1.0, max=2000.0, subtype='PIXEL')
     show: BoolProperty(name="Show", description="Show again what was hidden, instead of hiding", options={'SKIP_SAVE'})
