@@ -14,6 +14,7 @@ from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.motion import Basis
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
+from . import model_texels
 from .atlas import Atlas
 from .textures import WIDTH
 
@@ -48,6 +49,7 @@ class InstanceTexel(IntEnum):
     EYE        the camera's centre (orthographic: its direction) in the model's space; antialiased
     GEOMETRY   first texel, in rows of WIDTH and the rest; texels of a Gaussian; what the colour texels hold
     COLOUR     first texel, likewise; texels of a Gaussian; degree of the harmonics
+    CHANGES    of the colours: how their basis comes, its terms, first run of its weights, number of runs
     TIME       t, code of the temporal opacity, how the motion's basis comes, texels of an axis of the motion
     BASES      first run of the motion's weights, number of runs; how the rotation's basis comes, its terms
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
@@ -60,12 +62,13 @@ class InstanceTexel(IntEnum):
     EYE = 3
     GEOMETRY = 4
     COLOUR = 5
-    TIME = 6
-    BASES = 7
-    GROUP = 8
-    RASTER = 9
-    FIRST = 10
-    LOOK = 11
+    CHANGES = 6
+    TIME = 7
+    BASES = 8
+    GROUP = 9
+    RASTER = 10
+    FIRST = 11
+    LOOK = 12
 
 
 HEAD = InstanceTexel.LOOK + LOOK_NUMBERS // 4
@@ -119,12 +122,14 @@ def _instance_row(instance, atlas, first, group, far):
     to_camera, to_model = instance.model_to_camera, instance.camera_to_model
     moving, move_first, move_weights = _basis(model.basis, instance.t, 4)
     turning, turn_first, turn_weights = _basis(model.rotation_basis, instance.t, 1)
+    changing, change_first, change_weights = _basis(model_texels.changes_of(model), instance.t, 1)
     eye = to_model[:3, 2 if instance.camera.orthographic else 3]
     head = [
         *to_camera[:3],
         (*eye, raster.antialiased),
         (place.geometry // WIDTH, place.geometry % WIDTH, layout.geometry, layout.colours),
         (place.colour // WIDTH, place.colour % WIDTH, layout.colour, layout.degree),
+        (changing, layout.changes, change_first, len(change_weights)),
         (instance.t, model.temporal_kind.code, moving, layout.groups),
         (move_first, len(move_weights), turning, layout.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
@@ -133,7 +138,7 @@ def _instance_row(instance, atlas, first, group, far):
         *instance.look.reshape(-1, 4),
     ]
     assert len(head) == HEAD
-    return [*head, *move_weights, *((w[0], 0, 0, 0) for w in turn_weights)]
+    return [*head, *move_weights, *((w[0], 0, 0, 0) for w in (*turn_weights, *change_weights))]
 
 
 def _basis(basis: Basis, t: float, size: int):

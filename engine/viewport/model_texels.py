@@ -7,6 +7,7 @@ Geometry (32 bits), in this order:
     one texel for each term of the rotation | for x, then y, then z: the motion's terms in groups of four
 
 Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four coefficients | base | direction | time.
+Colours that change in time have as much again for each term of their basis.
 The shaders (glsl/splat.py) read it.
 """
 from __future__ import annotations
@@ -15,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.appearance import SH, SH_C0, Features, momentary
+from ...fastgs_blender.model.appearance import SH, SH_C0, Changing, Features, momentary
 from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.model.motion import Basis, Static
 
 RGB, HARMONICS, FEATURES = range(3)
 """What a model's colour texels hold."""
@@ -31,6 +33,7 @@ class TexelLayout:
     temporal        whether there is a texel of temporal parameters
     colours         RGB, HARMONICS or FEATURES
     degree          of the harmonics
+    changes         terms of the colours' basis
     """
 
     terms: int
@@ -39,6 +42,7 @@ class TexelLayout:
     temporal: bool
     colours: int
     degree: int
+    changes: int = 0
 
     @property
     def geometry(self) -> int:
@@ -48,19 +52,29 @@ class TexelLayout:
     @property
     def colour(self) -> int:
         """Texels of one Gaussian's colour."""
+        return self.moment * (1 + self.changes)
+
+    @property
+    def moment(self) -> int:
+        """Texels of one Gaussian's constant colour, and of each of its terms."""
         return {RGB: 1, HARMONICS: 3 * -(-((self.degree + 1) ** 2) // 4), FEATURES: 3}[self.colours]
 
 
 def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
     colours, degree = RGB, 0
-    look = momentary(model.appearance)
+    look, changes = momentary(model.appearance), changes_of(model).terms
     if isinstance(look, Features):
         colours = FEATURES
-    elif isinstance(look, SH) and look.degree:
+    elif isinstance(look, SH) and (look.degree or changes):
         colours, degree = HARMONICS, look.degree
     return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
-                       colours, degree)
+                       colours, degree, changes)
+
+
+def changes_of(model: GaussianModel) -> Basis:
+    """The basis of a model's colours: Static() where they do not change in time."""
+    return model.appearance.basis if isinstance(model.appearance, Changing) else Static()
 
 
 def write_geometry(model: GaussianModel, out: np.ndarray) -> None:
@@ -90,19 +104,19 @@ def write_geometry(model: GaussianModel, out: np.ndarray) -> None:
 
 
 def write_colour(model: GaussianModel, out: np.ndarray) -> None:
-    """Write the colour texels into out [N, layout.colour, 4].  Colours that change in time stay at their constant terms."""
+    """Write the colour texels into out [N, layout.colour, 4]."""
     p = layout_of(model)
     n = len(model)
     if not n:
         return
     out[:] = 0
     look = momentary(model.appearance)
-    features = np.nan_to_num(model.features[:, :look.width], nan=0, posinf=0, neginf=0)
+    features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
     if p.colours == HARMONICS:
-        out.reshape(n, -1)[:, :features.shape[1]] = features
+        out.reshape(n, 1 + p.changes, -1)[..., :look.width] = features.reshape(n, 1 + p.changes, look.width)
     elif p.colours == FEATURES:
         out[:, :, :3] = features.reshape(n, 3, 3)
     elif isinstance(look, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)
     else:
-        out[:, 0, :3] = features
+        out[..., :3] = features.reshape(n, 1 + p.changes, 3)

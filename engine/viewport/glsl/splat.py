@@ -122,9 +122,9 @@ float harmonic(int b, vec3 d) {
   return 0.0;
 }
 
-/* oracle.colours: max(0, 0.5 + sum_b Y_b c_b) with the coefficients from texel `at` on, three texels for four of them */
+/* oracle.colours: sum_b Y_b c_b with the coefficients from texel `at` on, three texels for four of them */
 vec3 harmonics(int at, int degree, vec3 d) {
-  vec3 sum = vec3(0.5);
+  vec3 sum = vec3(0.0);
   int count = (degree + 1) * (degree + 1);
   for (int b = 0; b < count; b += 4) {
     vec4 p = colour_texel(at), q = colour_texel(at + 1), r = colour_texel(at + 2);
@@ -132,7 +132,33 @@ vec3 harmonics(int at, int degree, vec3 d) {
     if (b + 2 < count) { sum += harmonic(b + 2, d) * vec3(q.zw, r.x) + harmonic(b + 3, d) * r.yzw; }
     at += 3;
   }
-  return max(sum, vec3(0.0));
+  return sum;
+}
+
+/* a constant colour, or one of the terms by which it changes */
+vec3 plain_colour(int at, bool harmonic_colours, int degree, vec3 d) {
+  return harmonic_colours ? harmonics(at, degree, d) : colour_texel(at).xyz;
+}
+
+/* appearance.features_at, then oracle.colours: f_0 + sum_k w_k(t) f_k, of which harmonics are a linear function */
+vec3 colour_now(int o, int at, int texels, int degree, bool harmonic_colours, vec3 d, int weights, float delta) {
+  vec4 changes = instance_texel(o, INSTANCE_CHANGES);
+  int mode = whole(changes.x), terms = whole(changes.y), first = whole(changes.z), used = whole(changes.w);
+  int step = texels / (1 + terms);
+  vec3 sum = plain_colour(at, harmonic_colours, degree, d);
+  if (mode == BASIS_WEIGHTS) {
+    for (int j = 0; j < used; j++) {
+      sum += instance_texel(o, weights + j).x * plain_colour(at + (1 + first + j) * step, harmonic_colours, degree, d);
+    }
+  }
+  if (mode == BASIS_POWERS) {
+    float power = delta;
+    for (int j = 0; j < terms; j++) {
+      sum += power * plain_colour(at + (1 + j) * step, harmonic_colours, degree, d);
+      power *= delta;
+    }
+  }
+  return harmonic_colours ? max(sum + vec3(0.5), vec3(0.0)) : sum;
 }
 """
 
@@ -254,13 +280,9 @@ void main()
   v_second = colour_texel(at + 1).xyz;
   v_third = colour_texel(at + 2).xyz * delta;
 #else
-  if (whole(where_geometry.w) == COLOURS_HARMONICS) {
-    vec3 d = orthographic ? eye.xyz : p - eye.xyz;
-    v_first = harmonics(at, whole(where_colour.w), d / max(length(d), 1e-30));
-  }
-  else {
-    v_first = colour_texel(at).xyz;
-  }
+  vec3 d = orthographic ? eye.xyz : p - eye.xyz;
+  v_first = colour_now(o, at, whole(where_colour.z), whole(where_colour.w), whole(where_geometry.w) == COLOURS_HARMONICS,
+                       d / max(length(d), 1e-30), INSTANCE_TEXELS + used + whole(group.y), delta);
   v_first = graded(v_first, grading, instance_texel(o, INSTANCE_LOOK + 2), instance_texel(o, INSTANCE_LOOK + 3),
                    instance_texel(o, INSTANCE_LOOK + 4));
 #endif

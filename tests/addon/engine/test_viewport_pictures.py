@@ -110,6 +110,15 @@ def test_every_appearance(module, fg, moving, camera, drawn, look, orthographic)
     agree(module, [(moving(appearance), np.eye(4), 0.4)], camera(orthographic), drawn)
 
 
+@pytest.mark.parametrize("look", ["rgb", "sh0", "sh2"])
+@pytest.mark.parametrize("basis", ["paper", "cubic", "smooth keys"])
+def test_colours_that_change_in_time(module, fg, moving, camera, drawn, look, basis):
+    look = fg.RGB() if look == "rgb" else fg.SH(int(look[2]))
+    model = moving(fg.Changing(look, moving(look, basis).basis), "paper", temporal=fg.Always())
+    first, later = (agree(module, [(model, np.eye(4), t)], camera(), drawn)[1] for t in (0.1, 0.6))
+    assert np.abs(first - later).max() > 0.2
+
+
 @pytest.mark.parametrize("basis", ["paper", "cosine", "cubic", "keys", "smooth keys"])
 @pytest.mark.parametrize("t", [-0.1, 0.37, 1.2])
 def test_every_basis_of_time(module, fg, moving, camera, drawn, basis, t):
