@@ -6,12 +6,18 @@
 * upload        bytes handed to the GPU for a frame of playback
 * main thread   time of a drawn frame up to the submission of its draw calls: Python, matrices, uploads; not the GPU
                 (or the software rasteriser) behind them; by the clock, and as processor time where the machine is busy
+* scrubbing     a redraw at another time until the GPU has done it, in Rendered and in Solid shading with a mesh in the window, with all
+                splats and with the share that is drawn by default; Solid must not take more than 1.3 times as long
+* still         a redraw in which nothing has changed, in Solid shading
+* playback      frames a second, drawn one after the other as fast as they come
+* stages        what diagnostics report: each stage of a picture until the GPU has done it
 
 Needs a Python with Blender's bpy, and an EGL driver.
 """
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import statistics
@@ -107,8 +113,8 @@ def playback(fg, n: int, frames: int) -> dict:
     thread, textures_of_all = worker.Worker(), atlas.Atlas()
     shown = view.View(textures_of_all, thread)
     display = view.Display(np.eye(3))
-    watches = [Stopwatch(batch) for _, batch in (shaders.splats(True, False), shaders.resolve(True, False))]
-    pairs = [shaders.splats(True, False)[0], shaders.resolve(True, False)[0]]
+    watches = [Stopwatch(batch) for _, batch in (shaders.splats(True, False), shaders.resolve(True, False, False))]
+    pairs = [shaders.splats(True, False)[0], shaders.resolve(True, False, False)[0]]
     shaders.splats = lambda *kind: (pairs[0], watches[0])
     shaders.resolve = lambda *kind: (pairs[1], watches[1])
     offscreen = gpu.types.GPUOffScreen(*SIZE, format='RGBA16F')
@@ -140,6 +146,71 @@ def playback(fg, n: int, frames: int) -> dict:
             "processor": [1e3 * x for x in processor[2:]], "upload": sent[2:], "order": [1e3 * x for x in order]}
 
 
+def shadings(fg, n: int, frames: int) -> dict:
+    """Redraws in Rendered and in Solid shading, alternating, as milliseconds until the GPU has done them."""
+    import gpu
+
+    atlas, view, eye, worker, spaces, timing, properties = (module(name) for name in (
+        "engine.viewport.atlas", "engine.viewport.view", "engine.viewport.eye", "engine.viewport.worker", "engine.viewport.spaces",
+        "engine.viewport.timing", "scene.properties"))
+    snapshot, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
+    share = properties.FASTGS_PG_scene.bl_rna.properties["viewport_density"].default
+    path = Path(tempfile.mkdtemp()) / "capture.safetensors"
+    fg.save(capture(fg, n), path)
+    window = np.array([[1.2, 0, 0, 0], [0, 1.2 * SIZE[0] / SIZE[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
+    pose = np.eye(4)
+    pose[2, 3] = -4
+    camera, depths = eye.eye(*SIZE, pose, window)
+    thread, display = worker.Worker(), view.Display(np.eye(3))
+    views = {name: view.View(atlas.Atlas(), thread) for name in ("Rendered", "Solid")}
+    around = {"Rendered": None, "Solid": view.Around(depths, (), True, lambda: spaces.scene_depth(*SIZE, depths))}
+    offscreen = gpu.types.GPUOffScreen(*SIZE, format='RGBA16F')
+    out = {}
+
+    def moment(at):
+        return snapshot.Snapshot([snapshot.FileInstance("capture", str(path), np.eye(4), retime)], float(at), 30.0)
+
+    with offscreen.bind():
+        framebuffer = gpu.state.active_framebuffer_get()
+
+        def redraw(name, at, density=1.0, **options):
+            framebuffer.clear(color=(0, 0, 0, 0), depth=depths.a + depths.b / 4.0)
+            timing.wait_for_gpu(framebuffer)
+            start = time.perf_counter()
+            views[name].draw(moment(at), camera, display, density, around=around[name], deep=True, **options)
+            timing.wait_for_gpu(framebuffer)
+            return 1e3 * (time.perf_counter() - start)
+
+        def settle(name):
+            while views[name].waiting:
+                time.sleep(0.001)
+
+        for name in views:
+            redraw(name, 0, wait=True)
+        for density, label in ((1.0, "all"), (share, f"{share:g} of all")):
+            for number in range(frames):
+                for name in views:
+                    took = redraw(name, number + 1, density)
+                    settle(name)
+                    out.setdefault(f"scrubbing {name}, {label}", []).append(took)
+        time.sleep(2 * view.RESTING)
+        redraw("Solid", frames, share)
+        settle("Solid")
+        redraw("Solid", frames, share)
+        out["still, Solid"] = [redraw("Solid", frames, share) for _ in range(9)]
+        for name in views:
+            start = time.perf_counter()
+            for number in range(frames):
+                redraw(name, number, share, playing=True)
+            out[f"playback {name}"] = [frames / (time.perf_counter() - start)]
+        settle("Rendered"), settle("Solid")
+        for stage, value in timing.measure(moment(1), camera, 3).items():
+            out[f"stage: {stage}"] = [value]
+    thread.stop()
+    path.unlink()
+    return {name: statistics.median(values) for name, values in out.items()} | {"share": share}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=300_000)
@@ -161,8 +232,15 @@ def main():
         "main thread, ms, median": statistics.median(own), "main thread, ms, 95 %": float(np.percentile(own, 95)),
         "main thread, processor ms": statistics.median(played["processor"]), "first frame, ms": played["first frame"],
     }
+    importlib.reload(module("engine.viewport.shaders"))  # without the stopwatches
+    shown = shadings(fg, arguments.gaussians, max(arguments.frames // 4, 3))
+    share = shown.pop("share")
+    for label in ("all", f"{share:g} of all"):
+        shown[f"scrubbing, Solid / Rendered, {label}"] = shown[f"scrubbing Solid, {label}"] / shown[f"scrubbing Rendered, {label}"]
+    figures |= {(f"{name}, ms" if not name.startswith("playback") and "/" not in name else
+                 f"{name}, frames a second" if name.startswith("playback") else name): value for name, value in shown.items()}
     for name, value in figures.items():
-        print(f"{name:28} {value:,.2f}" if isinstance(value, float) else f"{name:28} {value:,}")
+        print(f"{name:44} {value:,.2f}" if isinstance(value, float) else f"{name:44} {value:,}")
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=1))
     sys.stdout.flush()

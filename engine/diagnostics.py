@@ -14,12 +14,13 @@ from ..fastgs_blender.util.errors import printable
 from ..fastgs_blender.util.threads import thread_count
 from ..scene import objects, settings
 from . import compiling
+from .viewport import spaces
 
 PACKAGES = ("numpy", "numba", "llvmlite", "safetensors", "OpenEXR", "torch")
 
 
 def text() -> str:
-    """Versions, machine, graphics card, renderer, splat objects and the last lines of the log, one fact a line."""
+    """Versions, machine, graphics card, renderer, splat objects, the viewport's stages and the last lines of the log, one fact a line."""
     lines = [
         f"FAST-GS for Blender {__version__}",
         f"Blender {bpy.app.version_string}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} processors",
@@ -32,6 +33,7 @@ def text() -> str:
         if objects.is_splat(obj):
             state = objects.error_of(obj) or f"{obj.fastgs.gaussian_count:,} Gaussians"
             lines.append(f'object "{obj.name}": {obj.fastgs.filepath}: {state}')
+    lines += _stages()
     return printable("\n".join([*lines, "log:", *(settings.recent.lines or ["(empty)"])]) + "\n")
 
 
@@ -40,6 +42,15 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "-"
+
+
+def _stages() -> list[str]:
+    """How long the stages of a viewport's picture take here; a viewport must have drawn splats."""
+    try:
+        lines = spaces.timed()
+    except Exception as error:  # a driver's, which is what such a report is about
+        return [f"viewport: could not be timed ({type(error).__name__}: {error})"]
+    return lines or ["viewport: has not drawn splats"]
 
 
 def _graphics() -> str:

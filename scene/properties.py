@@ -207,8 +207,8 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
         "Rendered shading, with the scene's meshes", default=True, update=updates.viewports)
     viewport_density: FloatProperty(
-        name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the animation plays, "
-        "the most important ones first", subtype='FACTOR', min=0.01, max=1.0, default=1.0, update=updates.viewports)
+        name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the time changes, the most "
+        "important ones first", subtype='FACTOR', min=0.01, max=1.0, default=0.8, update=updates.viewports)
     viewport_pixels: EnumProperty(
         name="Pixel Size", description="Draw splats in viewports at a lower resolution",
         items=(

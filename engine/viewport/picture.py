@@ -79,14 +79,15 @@ class Picture:
         self.groups: list[Group] = []
         self.camera = None
         self.deep = False
-        self._drawn = self._sky = None
+        self._drawn = self._sky = self._shown = None
         self._targets = []
         self._no_depth = None
 
     @property
     def nbytes(self) -> int:
         """Bytes of the targets."""
-        return sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
+        shown = 0 if self._shown is None else 8 * self._shown[0][1][0] * self._shown[0][1][1]
+        return shown + sum(8 * self.size[0] * self.size[1] * len(textures) for textures, _ in self._targets)
 
     def draw(self, camera: Camera, instances: list[ViewedInstance], atlas: Atlas, order: Order, depth: SceneDepth | None = None,
              deep: bool = False, gone=frozenset()) -> None:
@@ -140,15 +141,35 @@ class Picture:
             self._sky = background, upload(np.minimum(texels, HALF), half=True)
         elif not sky:
             self._sky = None
-        options = working, (0, 0, 0) if sky else background, border, opacity, frame, outside, depths
+        window = tuple(gpu.state.viewport_get()[2:])
+        eye = self.camera.world_to_camera.tobytes(), self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy
+        wanted = self._drawn, window, background, sky and eye, working.tobytes(), border, opacity, frame, outside
+        if self._shown is None or self._shown[0] != wanted:
+            textures, framebuffer = self._shown[1:] if self._shown and self._shown[0][1] == window else _target(window, False, False)
+            with framebuffer.bind():
+                framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
+                self._finish(working, (0, 0, 0) if sky else background, border, opacity, frame, outside)
+            self._shown = wanted, textures, framebuffer
+        self._show(depths if self.groups else None)
+
+    def _show(self, depths):
+        """Put the finished picture into the active framebuffer."""
+        inputs = {"t_shown": self._shown[1]["t_first"]}
+        if depths is not None:
+            table = resolve_table(self.camera, self.size, Group("linear"), np.eye(3), depths=depths)
+            inputs |= {"t_resolve": upload(table), "t_own": self._targets[0][0]["t_own"]}
+        with _drawing('ALPHA_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
+            _fill(*shaders.show(depths is not None), inputs)
+
+    def _finish(self, *options):
+        """Make scene-linear colour of all groups, in the active framebuffer; for the options see resolve()."""
         if not self.groups:  # the background alone
             self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *options, size=(1, 1))
-            return
-        if len(self.groups) == 1:
+        elif len(self.groups) == 1:
             self._resolve(self.groups[0], self._targets[0][0], *options, own=self.deep)
-            return
-        for number, (space, textures) in enumerate(self._sums().items()):
-            self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
+        else:
+            for number, (space, textures) in enumerate(self._sums().items()):
+                self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
 
     def _sums(self):
         """For each colour space, what its groups look like together, with the weight that they have in the picture."""
@@ -163,14 +184,13 @@ class Picture:
                 self._resolve(group, textures, np.eye(3), own=True, raw=True)
         return {space: textures for space, (textures, _) in sums.items()}
 
-    def _resolve(self, group, textures, working, background=None, border=WHOLE, opacity=1.0, frame=WHOLE, outside=1.0,
-                 depths=None, first=True, own=False, summed=False, raw=False, size=None):
+    def _resolve(self, group, textures, *options, first=True, own=False, summed=False, raw=False, size=None):
         sky = self._sky if first and not raw else None
-        values = resolve_table(self.camera, size or self.size, group.colour_space, group.instance, working, background, border, opacity,
-                               frame, outside, depths, sky and sky[0].values.shape[1::-1], first, summed, raw)
-        shader, batch = shaders.resolve(group.instance is not None, own, depths is not None, sky is not None)
-        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
-            _fill(shader, batch, {"t_resolve": upload(values), **textures} | ({"t_sky": sky[1]} if sky else {}))
+        values = resolve_table(self.camera, size or self.size, group, *options, sky=sky and sky[0].values.shape[1::-1], first=first,
+                               summed=summed, raw=raw)
+        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
+            _fill(*shaders.resolve(group.instance is not None, own, sky is not None),
+                  {"t_resolve": upload(values), **textures} | ({"t_sky": sky[1]} if sky else {}))
 
     def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
         """Take away from the active framebuffer, which holds overlays with their depth, what lies behind the splats of a deep picture.
@@ -185,7 +205,7 @@ class Picture:
 
     def free(self) -> None:
         """Free the targets."""
-        self._targets, self.groups, self.size, self._drawn, self._no_depth, self._sky = [], [], None, None, None, None
+        self._targets, self.groups, self.size, self._drawn, self._no_depth, self._sky, self._shown = [], [], *[None] * 5
 
     def _kind(self, number):
         return self.groups[number].instance is not None, self.deep or len(self.groups) > 1

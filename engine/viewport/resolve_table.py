@@ -8,7 +8,6 @@ import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
 from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
-from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
 from .frame_table import Depths
 
@@ -52,18 +51,20 @@ class ResolveTexel(IntEnum):
     TO_WORLD = SKY + 1
 
 
-def resolve_table(camera: Camera, size, colour_space: str, decoder: ViewedInstance | None, working: np.ndarray, background, border,
-                  opacity: float, frame, outside: float, depths: Depths | None, sky, first: bool, summed: bool, raw: bool) -> np.ndarray:
+def resolve_table(camera: Camera, size, group, working: np.ndarray, background=None, border=(0, 0, 1, 1), opacity: float = 1.0,
+                  frame=(0, 0, 1, 1), outside: float = 1.0, depths: Depths | None = None, sky=None, first: bool = True,
+                  summed: bool = False, raw: bool = False) -> np.ndarray:
     """float32 [1, texels, 4].
 
     size       width and height of the picture
-    decoder    the instance whose decoder makes the colours, or None
+    group      of instances, see picture.Group
     sky        width and height of the panorama behind the splats, or None
     first      whether this also brings the background and the coverage
     summed     whether the colours are sums of groups, which bring their weight along
     raw        whether the colours are to be summed, and stay as they are
     For the rest see Picture.resolve().
     """
+    colour_space, decoder = group.colour_space, group.instance
     values = np.zeros((1, ResolveTexel.TO_WORLD + 3, 4), np.float32)
     row, at = values[0], ResolveTexel
     appearance = decoder and decoder.model.appearance

@@ -39,12 +39,8 @@ def splats(features: bool, own: bool):
 
 
 @cache
-def resolve(features: bool, own: bool, deep: bool, sky: bool):
-    """(shader, batch) that turns blended splats into scene-linear colour.
-
-    deep  it writes their depth too, which needs `own`
-    sky   the background is a panorama
-    """
+def resolve(features: bool, own: bool, sky: bool):
+    """(shader, batch) that turns blended splats into scene-linear colour; `sky`: the background is a panorama."""
     info = _whole("fastgs_resolve_iface")
     names = ["t_resolve", "t_first"]
     if features:
@@ -53,13 +49,23 @@ def resolve(features: bool, own: bool, deep: bool, sky: bool):
     if own:
         info.define("OWN")
         names.append("t_own")
-    if deep:
-        _deep(info)
     if sky:
         info.define("SKY")
         names.append("t_sky")
     _samplers(info, names)
     return _finish(info, glsl.RESOLVE_VERTEX, glsl.RESOLVE_FRAGMENT)
+
+
+@cache
+def show(deep: bool):
+    """(shader, batch) that puts a finished picture into the window; `deep`: with its depth."""
+    info = _whole("fastgs_show_iface")
+    names = ["t_shown"]
+    if deep:
+        _deep(info)
+        names += ["t_resolve", "t_own"]
+    _samplers(info, names)
+    return _finish(info, glsl.RESOLVE_VERTEX, glsl.SHOW_FRAGMENT)
 
 
 @cache
@@ -73,7 +79,7 @@ def covering():
 
 def clear():
     """Free the shaders."""
-    for made in (splats, resolve, covering):
+    for made in (splats, resolve, show, covering):
         made.cache_clear()
 
 

@@ -197,6 +197,18 @@ def memory() -> int:
     return atlas.nbytes + sum(view.picture.nbytes for view in _views.values())
 
 
+def timed() -> list[str]:
+    """Of each viewport that shows splats: how long the stages of its picture take, as lines of text."""
+    lines = []
+    for view in _views.values():
+        found = view.timed()
+        if found is not None:
+            camera, count, stages = found
+            lines.append(f"viewport of {camera.width} x {camera.height} with {count:,} splats in order, median milliseconds: "
+                         + ", ".join(f"{stage} {value:.1f}" for stage, value in stages.items()))
+    return lines
+
+
 def trouble() -> str | None:
     """What keeps viewports from showing all splats, as a sentence; None where nothing does."""
     found = _wish and sky.sky.get(_wish[1])

@@ -15,7 +15,7 @@ import numpy as np
 from ... import fastgs_blender as fg
 from ...scene import objects
 from ...scene.snapshot import Snapshot
-from . import fallback, sorting
+from . import fallback, sorting, timing
 from .atlas import Atlas, TooLarge
 from .frame_table import Depths
 from .picture import Order, Picture, SceneDepth
@@ -71,6 +71,7 @@ class View:
         self._order: tuple[sorting.Sorted, Order] | None = None
         self._asked = self._seen = None
         self._depth: tuple[tuple, SceneDepth | None] | None = None
+        self._last: tuple[Snapshot, fg.Camera] | None = None
         self._moved = 0.0
         self._density, self._rough = 1.0, False
 
@@ -128,7 +129,7 @@ class View:
         state = seen, snapshot.state, around and around.state
         if self._seen is not None and state != self._seen:
             self._moved = time.monotonic()
-        self._seen = state
+        self._seen, self._last = state, (snapshot, camera)
         still = self.resting and not playing
         self._density = 1.0 if still else density
         key = snapshot.state, seen, self._density, self.fallback.needed, objects.reloads()
@@ -152,12 +153,18 @@ class View:
         if not self.fallback.needed and self._order is not None:
             self.picture.cover(depths, window, floor, marks)
 
+    def timed(self) -> tuple[fg.Camera, int, dict[str, float]] | None:
+        """(camera, splats in order, milliseconds of each stage, see timing.measure) of what was drawn last; None where nothing was."""
+        if self._last is None or self._order is None or self.fallback.needed:
+            return None
+        return self._last[1], self._order[1].count, timing.measure(*self._last)
+
     def free(self) -> None:
         """Free what is on the GPU."""
         self.worker.forget(self)
         self.picture.free()
         self.fallback.free()
-        self._answer = self._order = self._asked = self._depth = None
+        self._answer = self._order = self._asked = self._depth = self._last = None
 
     def _ask(self, snapshot, camera, display, key, wait):
         if key == self._asked:

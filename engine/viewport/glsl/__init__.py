@@ -6,8 +6,9 @@ Written to be translated to Vulkan and Metal too: no integer textures, no arrays
 """
 from .covering import FRAGMENT as COVERING_FRAGMENT
 from .resolve import FRAGMENT as RESOLVE_FRAGMENT
+from .resolve import SHOW as SHOW_FRAGMENT
 from .resolve import VERTEX as RESOLVE_VERTEX
 from .splat import FRAGMENT as SPLAT_FRAGMENT
 from .splat import VERTEX as SPLAT_VERTEX
 
-__all__ = ["COVERING_FRAGMENT", "RESOLVE_FRAGMENT", "RESOLVE_VERTEX", "SPLAT_FRAGMENT", "SPLAT_VERTEX"]
+__all__ = ["COVERING_FRAGMENT", "RESOLVE_FRAGMENT", "RESOLVE_VERTEX", "SHOW_FRAGMENT", "SPLAT_FRAGMENT", "SPLAT_VERTEX"]

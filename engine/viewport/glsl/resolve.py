@@ -73,12 +73,6 @@ void main()
 #ifdef OWN
   vec4 own = texelFetch(t_own, pixel, 0);
   alpha = own.a;
-#ifdef DEEP
-  if (alpha <= 0.0) { discard; }
-  vec4 depths = row(RESOLVE_DEPTHS);
-  float z = own.y / alpha;
-  gl_FragDepth = clamp(depths.x + (size.z > 0.5 ? depths.y * z : depths.y / z), 0.0, 1.0);
-#endif
   if (kind.z < 0.5) { weight = own.x; } /* else a sum of groups, which brings its weight along */
 #endif
   vec3 rgb = vec3(0.0);
@@ -109,5 +103,21 @@ void main()
   else {
     out_colour = vec4(rgb * whole_picture.y, 0.0);
   }
+}
+"""
+
+SHOW = constants.RESOLVE + """
+/* puts a finished picture into the window; the depth test hides what lies behind that of the window */
+void main()
+{
+  vec4 shown = texelFetch(t_shown, ivec2(v_uv * vec2(textureSize(t_shown, 0))), 0);
+#ifdef DEEP
+  vec4 size = texelFetch(t_resolve, ivec2(RESOLVE_SIZE, 0), 0), depths = texelFetch(t_resolve, ivec2(RESOLVE_DEPTHS, 0), 0);
+  vec4 own = texelFetch(t_own, min(ivec2(v_uv * size.xy), ivec2(size.xy) - ivec2(1)), 0);
+  if (own.a <= 0.0) { discard; }
+  float z = own.y / own.a;
+  gl_FragDepth = clamp(depths.x + (size.z > 0.5 ? depths.y * z : depths.y / z), 0.0, 1.0);
+#endif
+  out_colour = shown;
 }
 """

@@ -118,12 +118,25 @@ def test_a_wall_between_hides_what_is_behind_it(window, two, still, surfaces):
     assert len(window.read) == (2 if surfaces else 0)
 
 
-def test_a_still_picture_costs_nothing(window, two, drawn, still):
+def test_a_still_picture_costs_nothing(parts, window, two, drawn, still, monkeypatch):
+    """Nothing is blended, no colour is computed, no depth is read: the finished picture is put into the window."""
     first = window(two, wall=4.0)
     assert len(drawn) == len(window.read) == 1
+    monkeypatch.setattr(parts.shaders, "resolve", lambda *kind: pytest.fail("colours are computed again"))
     for _ in range(5):
         np.testing.assert_array_equal(window(two, wall=4.0), first)
     assert len(drawn) == len(window.read) == 1
+
+
+def test_diagnostics_time_each_stage(module, parts, window, two, view, monkeypatch):
+    assert view.timed() is None
+    window(two, over=False)
+    camera, count, stages = view.timed()
+    assert (camera.width, camera.height) == SIZE and count > 1000
+    assert tuple(stages) == module("engine.viewport.timing").STAGES and all(0 < value < 60_000 for value in stages.values())
+    monkeypatch.setitem(parts.spaces._views, (1, True), view)
+    text = module("engine.diagnostics").text()
+    assert "viewport of 96 x 64 with" in text and "blending splats" in text and "reading the depth back" in text
 
 
 def test_nothing_is_read_while_the_view_moves(window, two, drawn, still, view):
