@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..model import surroundings
 from ..model.appearance import SH, SH_C0, Features
 from ..model.gaussians import GaussianModel
 from ..model.slicing import freeze, sigmoid
@@ -87,7 +88,8 @@ def placed(model: GaussianModel, place: np.ndarray) -> GaussianModel:
     if not sizes.min() > 1e-12 * max(sizes.max(), 1e-30):
         raise FastGSError("a transform flattens its Gaussians; give it a scale other than 0.")
     turn = left @ right
-    out = replace(turned(replace(model, position=np.zeros_like(model.position)), turn), position=model.position @ linear.T + place[:3, 3])
+    out = replace(turned(replace(model, position=np.zeros_like(model.position)), turn), position=model.position @ linear.T + place[:3, 3],
+                  surroundings=model.surroundings.moved(place))
     if np.allclose(sizes, sizes[0], rtol=1e-6):
         return replace(out, scale=model.scale + np.log(sizes.mean()))
     own = rotations.to_matrices(rotations.unit(model.rotation.astype(np.float64)))
@@ -106,5 +108,7 @@ def together(models: list[GaussianModel]) -> GaussianModel:
     width = SH(degree).width
     features = [np.pad(m.features, ((0, 0), (0, width - m.features.shape[1]))) for m in models]
     arrays = {name: np.concatenate([getattr(m, name) for m in models]) for name in ("position", "rotation", "scale", "opacity")}
+    # the sphere of one model's backdrop says nothing of another's Gaussians
+    around = models[0].surroundings if len(models) == 1 else replace(surroundings.together([m.surroundings for m in models]), backdrop=None)
     return replace(models[0], **arrays, features=np.concatenate(features), mu_tau=None, motion=None, rotation_motion=None, temporal=None,
-                   appearance=SH(degree))
+                   appearance=SH(degree), surroundings=around)

@@ -29,7 +29,9 @@ def turned(model: GaussianModel, turn: np.ndarray) -> GaussianModel:
         return model
     signs = np.diag(turn).astype(np.float32) if _only_signs(turn) else None
     position = model.position * signs if signs is not None else model.position.astype(np.float64) @ turn.T
-    changed = {"position": position, "rotation": _turned_rotation(model.rotation, turn)}
+    place = np.eye(4)
+    place[:3, :3] = turn
+    changed = {"position": position, "rotation": _turned_rotation(model.rotation, turn), "surroundings": model.surroundings.moved(place)}
     if isinstance(model.appearance, SH) and model.appearance.degree:
         count = (model.appearance.degree + 1) ** 2
         matrix = sh_turn(turn, model.appearance.degree)

@@ -126,7 +126,6 @@ class Sequence:
         first = self.frame(0)
         self._count, self.axes, self.colour_space, self.provenance = len(first), first.axes, first.colour_space, first.provenance
         self.surroundings = first.surroundings
-        self.surroundings = first.surroundings
 
     def __len__(self) -> int:
         """The number of Gaussians on the first frame."""

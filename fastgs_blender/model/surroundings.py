@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
+from ..util import rotations
 from ..util.errors import FastGSError
 
 FARTHEST = 1e15
@@ -99,6 +100,27 @@ class Surroundings:
         if len(self.cameras) > MOST_CAMERAS:
             raise FastGSError(f"a model's file keeps at most {MOST_CAMERAS} cameras of its capture, not {len(self.cameras)}.")
 
+    def moved(self, place: np.ndarray) -> Surroundings:
+        """The surroundings of a model that a matrix [4, 4] moves; without what a stretch or a mirror leaves no sense to."""
+        place = np.asarray(place, np.float64)
+        if self == Surroundings() or np.array_equal(place, np.eye(4)):
+            return self
+        size = float(np.cbrt(abs(np.linalg.det(place[:3, :3]))))
+        turn = place[:3, :3] / max(size, 1e-30)
+        if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-5:
+            return Surroundings()
+        backdrop = self.backdrop and Backdrop(_moved(place, self.backdrop.centre), self.backdrop.radius * size)
+        if np.linalg.det(turn) < 0:
+            return Surroundings(backdrop)
+        own = rotations.from_matrices(turn)
+
+        def one(view: Viewpoint) -> Viewpoint:
+            w, x, y, z = rotations.unit(rotations.multiply(own, np.array(view.rotation)))
+            rotation = float(w), float(x), float(y), float(z)
+            return replace(view, position=_moved(place, view.position), rotation=rotation, distance=view.distance * size)
+
+        return Surroundings(backdrop, tuple(map(one, self.cameras)), self.view and one(self.view))
+
 
 def together(parts: list[Surroundings]) -> Surroundings:
     """What is known around several models of one capture together: evenly chosen cameras, the first good view, and the smallest of the
@@ -116,6 +138,11 @@ def evenly(cameras: list) -> tuple:
     if len(cameras) <= MOST_CAMERAS:
         return tuple(cameras)
     return tuple(cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_CAMERAS).round().astype(int))
+
+
+def _moved(place: np.ndarray, point: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = place[:3, :3] @ np.array(point) + place[:3, 3]
+    return float(x), float(y), float(z)
 
 
 def _numbers(values: Sequence[Any], count: int, what: str) -> tuple[float, ...]:

@@ -153,6 +153,8 @@ class ViewedInstance(Instance):
 
     def in_ball(self, position: np.ndarray) -> np.ndarray:
         """Which constant positions [N, 3] lie in the ball: [N] bool."""
+        if np.isinf(self.ball[3]):
+            return np.ones(len(position), bool)
         return ~(((position.astype(np.float64) - self.ball[:3]) ** 2).sum(1) > self.ball[3])
 
     @property

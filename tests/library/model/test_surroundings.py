@@ -14,6 +14,7 @@ from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
 from fastgs_blender.captures.generated import look_at
 from fastgs_blender.cli import main
 from fastgs_blender.formats.annotate import annotate
+from fastgs_blender.formats.scenes import placed
 from fastgs_blender.model.framing import is_subject, without_backdrop
 from fastgs_blender.model.surroundings import MOST_CAMERAS, Backdrop, Surroundings, Viewpoint, together
 from fastgs_blender.rendering import visibility
@@ -112,6 +113,25 @@ def test_parts_of_one_capture_together():
     assert together([first, moved]).backdrop is None
     assert together([replace(first, backdrop=Backdrop(radius=12.0)), moved]).backdrop.radius == 12.0
     assert len(both.cameras) == MOST_CAMERAS and (both.cameras[0], both.cameras[-1]) == (views[0], views[99])
+
+
+def test_they_move_with_the_model(model):
+    """What a camera of the file sees is what it saw before the model was turned, moved and scaled, its backdrop left out."""
+    turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = 3 * turn * np.sign(np.linalg.det(turn)), (1, 2, 3)
+    eye = viewpoint_of(camera(3.0), "eye", 3.0)
+    still = fg.freeze(replace(model, surroundings=Surroundings(Backdrop((0, 0, 0), RADIUS), (eye,), eye)), 0.0)
+    moved = placed(still, place)
+    near = replace(still.raster, near=0.0)
+    pictures = [fg.render([Instance(replace(each, raster=near), np.eye(4), 0.0, ObjectSettings(backdrop="HIDDEN"))],
+                          camera_of(each.surroundings.view))["rgb"] for each in (still, moved)]
+    assert np.ptp(pictures[0]) > 0.2
+    np.testing.assert_allclose(*pictures, atol=2e-3)
+    assert moved.surroundings.cameras[0].distance == pytest.approx(9.0) and moved.surroundings.backdrop.radius == pytest.approx(3 * RADIUS)
+    assert placed(still, np.diag([1.0, 2.0, 1.0, 1.0])).surroundings == Surroundings()
+    mirrored = placed(still, np.diag([-1.0, 1.0, 1.0, 1.0])).surroundings
+    assert mirrored == Surroundings(still.surroundings.backdrop)
 
 
 def test_the_command_annotates_a_file_in_place(model, tmp_path, capsys):
