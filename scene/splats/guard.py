@@ -24,6 +24,7 @@ SINGLE = ('The points of "{}" stand for its splats and cannot be changed one by 
 CONVERTED = ('"{}" shows splats and stays what it is: they are no mesh. Clear its file in Object properties > 4D Gaussians to have its '
              "points as a mesh.")
 JOINED = '"{}" cannot be joined with others, because splats are no mesh; they stay apart. Parent them (Ctrl P) to move them as one.'
+SHARED = '"{}" shows another file than the object whose data it was given, so it keeps points of its own.'
 MODIFIER = 'The modifier "{}" changes the points of "{}" in other render engines, not its splats.'
 
 
@@ -60,16 +61,19 @@ def watch(scene, depsgraph) -> None:
     splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
     if not (splats or _records):
         return
-    for update in list(depsgraph.updates):
-        obj = update.id.original
-        if update.is_updated_geometry and isinstance(obj, bpy.types.Object) and obj.type == 'MESH' and _ours(obj):
-            _look_at(obj)
+    changed = [update.id.original for update in depsgraph.updates if update.is_updated_geometry]
+    for obj in changed:
+        if isinstance(obj, bpy.types.Object) and _ours(obj):
+            if obj.type == 'MESH':
+                _look_at(obj)
+            elif obj.session_uid in _records:
+                _make_again(obj)
     _remember()
 
 
 def _ours(obj) -> bool:
     """Whether an object may be changed here, and nobody is at work in its mesh."""
-    return obj.mode == 'OBJECT' and obj.is_editable and obj.data.is_editable
+    return obj.mode == 'OBJECT' and obj.is_editable and obj.data is not None and obj.data.is_editable
 
 
 def _look_at(obj):
@@ -84,7 +88,7 @@ def _look_at(obj):
     if obj.session_uid not in _records and _being_edited(obj.fastgs.filepath):
         bpy.data.objects.remove(obj)  # Separate made it: its points are those of the object that it comes from
         return
-    text = _trouble(mesh, points)
+    text = SHARED if _of_another(obj) else _trouble(mesh, points)
     if text is None:
         return
     name = obj.name
@@ -96,8 +100,30 @@ def _look_at(obj):
         _split_off(obj, ~points)
     if text is JOINED:
         _bring_back()
-    _put_back(obj, model, text is SINGLE)
+    if text is SHARED:
+        obj.data = proxy.new_mesh(obj.name, model, proxy.limit_of(mesh), _records[obj.session_uid].model)
+    else:
+        _put_back(obj, model, text is SINGLE)
     notices.tell(text.format(name))
+
+
+def _of_another(obj) -> bool:
+    """Whether an object has been given the mesh of a splat object that shows another file."""
+    record = _records.get(obj.session_uid)
+    return obj.data.users > 1 and record is not None and record.mesh != obj.data.name and any(
+        other.data == obj.data and objects.abspath(other) != objects.abspath(obj) for other in bpy.data.objects if objects.is_splat(other))
+
+
+def _make_again(obj):
+    """A splat object was converted into another kind, which cannot be undone: one like it takes its place."""
+    name, chosen, active = obj.name, obj.select_get(), bpy.context.view_layer.objects.active == obj
+    bpy.data.objects.remove(obj)
+    for again in _bring_back():
+        if again.name in bpy.context.view_layer.objects:
+            again.select_set(chosen)
+            if active:
+                bpy.context.view_layer.objects.active = again
+    notices.tell(CONVERTED.format(name))
 
 
 def _being_edited(path: str) -> bool:
@@ -183,8 +209,9 @@ def _delete(mesh, chosen):
     mesh.update()
 
 
-def _bring_back():
-    """Make the splat objects anew that were joined into another: their meshes are still there."""
+def _bring_back() -> list:
+    """Make the splat objects anew that were joined into another or converted: their meshes are still there."""
+    made = []
     for record in _gone():
         mesh = bpy.data.meshes.get(record.mesh)
         if mesh is None:
@@ -199,6 +226,8 @@ def _bring_back():
         if record.action and record.action in bpy.data.actions:
             obj.animation_data_create().action = bpy.data.actions[record.action]
         give_modifier(obj)
+        made.append(obj)
+    return made
 
 
 def _tell_of_modifiers(obj):
