@@ -24,6 +24,7 @@ from .base import Format, usable
 from .compressed_ply import CompressedPly
 from .deformed import DeformableGaussians, HexPlaneGaussians
 from .dynamic3d import Dynamic3DGaussians
+from .ex4dgs import Ex4DGS
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
@@ -48,7 +49,8 @@ from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Realtime4DGS(), RotorGaussians(), Katsumata(), DeformableGaussians(), HexPlaneGaussians(), Tsog(), Splat4d())
+                               Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
+                               Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
