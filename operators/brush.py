@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatPrope
 from gpu_extras.batch import batch_for_shader
 
 from ..engine.viewport.eye import eye
-from ..fastgs_blender.rendering.masks import Box, Stroke
+from ..fastgs_blender.rendering.brush import Box, Stroke
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import brush, objects
 from ..scene.splats.splat_object import sentence

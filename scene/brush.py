@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.masks import Box, Stroke, pack_mask, under, unpack_mask
+from ..fastgs_blender.rendering.brush import Box, Stroke, under
+from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from . import objects, snapshot
 
 

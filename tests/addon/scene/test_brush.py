@@ -28,11 +28,11 @@ def count(render):
 @pytest.fixture
 def stroke(module, row, scene, now):
     """stroke(low, high, hide=True): a box over these pixels in x, in the scene's camera."""
-    brush, masks = module("scene.brush"), module("fastgs_blender.rendering.masks")
+    brush, shapes = module("scene.brush"), module("fastgs_blender.rendering.brush")
 
     def go(low, high, hide=True):
         bpy.context.view_layer.update()
-        return brush.brush(row, bpy.context.evaluated_depsgraph_get(), now(scene.camera), masks.Box((low, 0), (high, 48)), hide)
+        return brush.brush(row, bpy.context.evaluated_depsgraph_get(), now(scene.camera), shapes.Box((low, 0), (high, 48)), hide)
 
     return go
 

@@ -10,10 +10,11 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.formats.scenes import as_seen
+from fastgs_blender.rendering.brush import Box, Stroke, under
 from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.filters import Filter
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
-from fastgs_blender.rendering.masks import Box, Stroke, pack_mask, under, unpack_mask
+from fastgs_blender.rendering.masks import pack_mask, unpack_mask
 
 CAMERA = fg.Camera(48, 40, 40, 40, 24, 20, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]))
 

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Brushes: which Gaussians lie under a shape that is drawn in a picture."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from .instances import ViewedInstance
+from .visibility import order
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle in the picture, from low to high, in pixels."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def holds(self, pixel: np.ndarray) -> np.ndarray:
+        """Which of the pixels [M, 2] lie in it: [M] bool."""
+        return ((pixel >= self.low) & (pixel <= self.high)).all(1)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """What a round brush went over: middles, (x, y) in pixels, between which it moved straight, and its radius."""
+
+    middles: tuple[tuple[float, float], ...]
+    radius: float
+
+    def holds(self, pixel: np.ndarray) -> np.ndarray:
+        """Which of the pixels [M, 2] lie under it: [M] bool."""
+        out = np.zeros(len(pixel), bool)
+        for start, end in zip(self.middles, self.middles[1:] or self.middles, strict=False):
+            along, offset = np.subtract(end, start), pixel - start
+            share = np.clip(offset @ along / max(along @ along, 1e-12), 0, 1)
+            out |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
+        return out
+
+
+def under(instance: ViewedInstance, camera: Camera, shape: Box | Stroke, backend: str = "auto") -> np.ndarray:
+    """Indices of an instance's Gaussians that the camera shows and whose centres lie in a shape, however deep."""
+    index = order([instance], camera, backend=backend)
+    model = instance.model
+    moved, _ = model.basis.evaluate(model.motion[index], instance.t, model.mu_tau[index].astype(np.float64))
+    to_camera = instance.model_to_camera
+    pixel = camera.pixels((model.position[index] + moved) @ to_camera[:3, :3].T + to_camera[:3, 3])
+    return np.sort(index[shape.holds(pixel)])
