@@ -34,6 +34,7 @@ MOVING = (
     ('COMPRESSED', "FAST-GS, Compressed", ".safetensors", "Our own format, quantised and packed"),
     ('STG', "Spacetime Gaussians PLY", ".ply", "The PLY of Spacetime Gaussians, with a decoder beside it where the model has one"),
     ('FREE_TIME', "FreeTimeGS PLY", ".ftgs.ply", "The PLY of FreeTimeGS and the FTGS player: straight motion, bell-shaped lives"),
+    ('FOUR_DGS', "4dgs", ".4dgs", "avala-ai's container: straight motion, bell-shaped lives, quantised"),
     ('SPLATV', "splaTV", ".splatv", "The format of the web viewer splaTV"),
 )
 

@@ -57,7 +57,7 @@ FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria()
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 FILES = NumberedFiles()
 """What a path that is no file may be."""
-WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), Splatv(), *STATIC, Usd(".usda"))
+WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), FourDGS(), Splatv(), *STATIC, Usd(".usda"))
 """Asked in this order to write, among those that share an extension."""
 
 

@@ -23,6 +23,8 @@ from . import fourdgs_tracks as tracks
 from .base import Format
 from .fourdgs_scene import Scene, band_of, chunk, complete
 from .fourdgs_states import States
+from .fourdgs_writing import file
+from .ftgs import straight_model
 from .straight import Timeline, logit, straight
 
 HEADER, FOOTER, GRIDS, WINDOWS, CHUNK, BAND, DELTA_CHUNK, FRAME, TRACK = 1, 2, 3, 4, 5, 7, 16, 0x20, 0x25
@@ -38,7 +40,7 @@ class FourDGS(Format):
     """See the module."""
 
     name = "4dgs"
-    reads = (".4dgs",)
+    extensions = reads = (".4dgs",)
 
     def sniff(self, head, path):
         return head.startswith(wire.MAGIC)
@@ -87,6 +89,20 @@ class FourDGS(Format):
         if states:
             states.finish()
         return _model(scene)
+
+
+    def fit(self, model):
+        if len(model) and not all(np.isfinite(array).all() for array in model.arrays.values()):
+            raise FastGSError("some of the model's numbers are not finite; leave these Gaussians out.")
+        model, lost = straight_model(model, degree=3)
+        if model.appearance.degree:
+            lost.append("its spherical harmonics above degree 0 are kept in steps of 1/32 up to 4")
+        if round(model.clip.duration * FPS) != model.clip.frame_count:
+            lost.append("its frame rate: the file knows seconds only")
+        return model, [*lost, "colours outside of 0 to 1, and where the clip began"]
+
+    def write(self, model, targets):
+        targets[-1].write_bytes(file(model))
 
 
 def _header(content: wire.Cursor) -> Scene:

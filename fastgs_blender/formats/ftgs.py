@@ -62,20 +62,7 @@ class FreeTimePly(Format):
 
 
     def fit(self, model):
-        model, lost = bell_opacity(model)
-        for step in (lambda m: polynomial_motion(m, 1), still_rotation, lambda m: plain_harmonics(m, 4)):
-            model, clauses = step(model)
-            lost += clauses
-        if model.raster != GSPLAT:
-            lost.append("the rasteriser's constants that it was trained with")
-        if model.colour_space == "linear":
-            lost.append("that its colours are linear, not sRGB")
-        if model.provenance.keys() - {"source", "format"}:
-            lost.append("its provenance")
-        turn = into_rdf(model.axes)
-        motion = model.motion.astype(np.float64) @ turn.T
-        basis = {"basis": Polynomial(1), "motion": motion[:, :1]} if model.basis.terms else {}
-        return replace(turned(model, turn), axes="RDF", **basis), lost
+        return straight_model(model, degree=4)
 
     def write(self, model, targets):
         ln_s = model.temporal[:, 0] if isinstance(model.temporal_kind, Radial) else np.full(len(model), -STEEP)
@@ -88,6 +75,24 @@ class FreeTimePly(Format):
                    (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation),
                    (TIME, np.stack([model.mu_tau, ln_sigma], -1).astype(np.float32)), (VELOCITY, velocity)]
         ply.write(targets[-1], [f"Written by {generator()}", *(f"{key} {value}" for key, value in said.items())], columns)
+
+
+def straight_model(model: GaussianModel, degree: int) -> tuple[GaussianModel, list[str]]:
+    """The model in the axes RDF with straight motion, bell-shaped lives, no turning and spherical harmonics, and clauses."""
+    model, lost = bell_opacity(model)
+    for step in (lambda m: polynomial_motion(m, 1), still_rotation, lambda m: plain_harmonics(m, degree)):
+        model, clauses = step(model)
+        lost += clauses
+    if model.raster != GSPLAT:
+        lost.append("the rasteriser's constants that it was trained with")
+    if model.colour_space == "linear":
+        lost.append("that its colours are linear, not sRGB")
+    if model.provenance.keys() - {"source", "format"}:
+        lost.append("its provenance")
+    turn = into_rdf(model.axes)
+    motion = model.motion.astype(np.float64) @ turn.T
+    basis = {"basis": Polynomial(1), "motion": motion[:, :1]} if model.basis.terms else {}
+    return replace(turned(model, turn), axes="RDF", **basis), lost
 
 
 def static_columns(header: ply.Header) -> tuple[int, dict[str, tuple[str, ...] | list[str]]]:
