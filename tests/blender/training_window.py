@@ -152,11 +152,11 @@ def from_scene_to_shot(environment, cache):
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.5
+    shot("training")
     with within(area):
         bpy.ops.fastgs.train_import('INVOKE_DEFAULT')
     so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None), 60)
     seen = so_far is not None and so_far.fastgs.filepath.endswith("so-far.safetensors")
-    shot("training")
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED'), 300)
     state = watch.found()[0][1]
     if state.kind == 'FAILED':

@@ -186,3 +186,18 @@ def test_the_memory_that_a_run_takes_is_known_before_it_starts(module, capture, 
     with pytest.raises(RuntimeError, match="Enough"):
         bpy.ops.fastgs.train(capture=str(capture), out=str(tmp_path / "run"), max_gaussians=1000)
     assert told[0] == checks.estimate(1200, 1, 1000, 6)[1]
+
+
+@pytest.mark.parametrize(("posed", "missing", "told"), [
+    (False, {"pycolmap": "no"}, True), (False, {}, False), (True, {"pycolmap": "no"}, False)])
+def test_check_says_what_a_capture_without_poses_needs(module, monkeypatch, posed, missing, told):
+    checks = module("fastgs_blender.jobs.checks")
+    report = checks.pythons.Report("python", "3.11", {}, missing)
+    values = {"views": [{"width": 40, "height": 30}] * 3, "clip": {"frame_count": 5}, "layout": "films", "posed": posed, "problems": []}
+    monkeypatch.setattr(checks.pythons, "inspect", lambda python: report)
+    done = SimpleNamespace(stdout=json.dumps(values).encode(), stderr=b"", returncode=0)
+    monkeypatch.setattr(checks.subprocess, "run", lambda *_, **__: done)
+    monkeypatch.setattr(checks, "latest", None)
+    found = checks.inspect("python", "/dance")
+    assert (found.views, found.frames, found.posed) == (3, 5, posed)
+    assert ["pycolmap" in problem and "preferences" in problem for problem in found.problems] == [True] * told
