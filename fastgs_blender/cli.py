@@ -15,8 +15,9 @@ from typing import Any
 
 from . import __version__
 from .commands import COMMANDS
-from .commands.shared import FAILED, PROBLEMS, STOPPED, be_quiet, complain, note
+from .commands.shared import FAILED, PROBLEMS, STOPPED, complain, note
 from .util.errors import FastGSError, LossWarning, printable
+from .util.remarks import be_quiet
 
 EPILOG = f"""\
 fastgs COMMAND --help tells more.

@@ -12,11 +12,13 @@ film of each view with the truth beside the render.
 """
 from __future__ import annotations
 
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
 from ..util.errors import FastGSError, printable
 from ..util.progress import progress
+from ..util.screen import COLUMNS
 from .shared import add_backend, human_bytes, model_file, note, print_json, say, use_threads
 
 
@@ -80,7 +82,8 @@ def run(args):
         print_json(result)
     else:
         say(report.table(result))
-        say(f"\n{facts(result)}\n{_files(out, result['files'])}")
+        for line in (facts(result), _files(out, result["files"])):
+            say("\n" + textwrap.fill(line, COLUMNS, break_long_words=False, break_on_hyphens=False))
 
 
 def _capture(args) -> tuple[str, str | None]:

@@ -9,22 +9,16 @@ from pathlib import Path
 from ..jobs.job import read_status
 from ..training.run.files import MODEL, RUN, STATUS
 from ..util.errors import FastGSError, printable
+from ..util.remarks import remark
 
 PROBLEMS, FAILED, STOPPED = 1, 2, 130
 """Exit codes: something is wrong with what was looked at; the command failed; it was stopped.  0: all is well."""
-_quiet = False
 
 
 def add_backend(parser):
     """--backend and --threads."""
     parser.add_argument("--backend", default="auto", help="cpu, reference (slow, double precision) or auto (default)")
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
-
-
-def be_quiet(quiet: bool):
-    """From now on note() shows nothing, or everything."""
-    global _quiet
-    _quiet = quiet
 
 
 def use_threads(count: int | None):
@@ -70,8 +64,7 @@ def say(text: str):
 
 def note(text: str):
     """Print a remark on standard error, unless the command is quiet: standard output is for results."""
-    if not _quiet:
-        complain(text)
+    remark(f"fastgs: {text}")
 
 
 def complain(text: str):

@@ -7,11 +7,11 @@ that the user may write to (cache.py).
 from __future__ import annotations
 
 import contextlib
-import sys
 import threading
 
 import numba
 
+from ...util.remarks import remark
 from . import cache
 
 FOLDER = cache.folder()
@@ -49,5 +49,4 @@ def announce():
         return
     _announced.set()
     if not cache.is_begun():
-        print("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.",
-              file=sys.stderr, flush=True)
+        remark("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.")

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender import cli
-from fastgs_blender.commands import COMMANDS
+from fastgs_blender.commands import COMMANDS, bench
+from fastgs_blender.kernels.cpu import jit
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -47,7 +49,8 @@ def test_help_and_version_import_nothing_heavy():
     program = """
 import sys
 from fastgs_blender import cli
-from fastgs_blender.commands import COMMANDS
+from fastgs_blender.commands import COMMANDS, bench
+from fastgs_blender.kernels.cpu import jit
 for argument in (["--help"], ["--version"], ["render", "--help"], ["bench", "--help"]):
     try:
         cli.main(argument)
@@ -154,6 +157,23 @@ def test_help_has_80_columns_and_a_bare_command_shows_it(command, capsys, monkey
     out = capsys.readouterr().out
     assert out.startswith("usage: fastgs") and max(map(len, out.splitlines())) <= 80
     assert command or "Exit codes" in out
+
+
+def test_quiet_is_quiet(run, model, tmp_path, monkeypatch):
+    """Losses, remarks, summaries and the first compilation too; errors are told."""
+    model.position[3] = np.nan
+    path = tmp_path / "diverged.safetensors"
+    fg.save(model, path)
+    assert run("convert", path, tmp_path / "a.splatv", "--quiet") == (0, "", "")
+    assert "lost" in run("convert", path, tmp_path / "b.splatv")[2]
+    monkeypatch.setattr(jit.cache, "is_begun", lambda: False)
+    for quiet in ([], ["--quiet"]):
+        monkeypatch.setattr(jit, "_announced", threading.Event())
+        monkeypatch.setattr(bench, "measure", lambda *arguments: jit.announce() or {})
+        _, _, err = run("bench", path, "--size", "9x9", "--json", *quiet)
+        assert ("compiling" in err) == (not quiet)
+    code, out, err = run("convert", path, tmp_path / "a.splatv", "--quiet")
+    assert (code, out) == (2, "") and "--overwrite" in err
 
 
 def test_info_of_a_training_run(run, file, tmp_path, capsys):
