@@ -234,3 +234,37 @@ def now(scene, cameras):
         return cameras.camera_of(obj.evaluated_get(depsgraph), cameras.render_area(scene.render), depsgraph)
 
     return read
+
+
+@pytest.fixture
+def splats(scene, make_model, model_file):
+    """A splat object, turned, moved and stretched, alone selected."""
+    import bpy
+    import ordinary
+
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(200, seed=2)))
+    obj = bpy.context.object
+    obj.matrix_world = ordinary.POSE
+    bpy.context.view_layer.update()
+    return obj
+
+
+@pytest.fixture
+def where(module):
+    """where(): the placement of each splat that is rendered, by name."""
+    import bpy
+
+    take = module("scene.snapshot").take
+
+    def read():
+        return {item.name: item.placement for item in take(bpy.context.evaluated_depsgraph_get()).instances}
+
+    return read
+
+
+@pytest.fixture
+def told(module, monkeypatch):
+    """The sentences that users are told."""
+    found = []
+    monkeypatch.setattr(module("scene.notices"), "tell", found.append)
+    return found

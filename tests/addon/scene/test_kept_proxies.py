@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that would make something else of a proxy: they are undone, and a sentence says so.  docs/operators.md has the table."""
+import bpy
+import numpy as np
+import pytest
+from ordinary import edited, in_world, select
+
+ops = bpy.ops
+
+
+def delete_some():
+    bpy.ops.object.mode_set(mode='EDIT')
+    bpy.ops.mesh.select_random(ratio=0.5)
+    bpy.ops.mesh.delete(type='VERT')
+    bpy.ops.object.mode_set(mode='OBJECT')
+
+
+def delete_all():
+    edited(lambda: ops.mesh.delete(type='VERT'))()
+
+
+def move_some():
+    bpy.ops.object.mode_set(mode='EDIT')
+    bpy.ops.mesh.select_all(action='DESELECT')
+    bpy.ops.mesh.select_random(ratio=0.3)
+    bpy.ops.transform.translate(value=(1, 2, 3))
+    bpy.ops.object.mode_set(mode='OBJECT')
+
+
+def separate_some():
+    bpy.ops.object.mode_set(mode='EDIT')
+    bpy.ops.mesh.select_all(action='DESELECT')
+    bpy.ops.mesh.select_random(ratio=0.5)
+    bpy.ops.mesh.separate(type='SELECTED')
+    bpy.ops.object.mode_set(mode='OBJECT')
+
+
+REFUSED = {
+    "Edit Mode > Delete Vertices": delete_some,
+    "Edit Mode > Delete All": delete_all,
+    "Edit Mode > Move Some": move_some,
+    "Edit Mode > Separate": separate_some,
+    "Convert > Mesh, Apply > Visual Geometry to Mesh": lambda: ops.object.convert(target='MESH'),
+    "Convert > Curve": lambda: ops.object.convert(target='CURVE'),
+    "Modifiers > Apply": lambda: ops.object.modifier_apply(modifier="FAST-GS Proxy"),
+}
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize("name", sorted(REFUSED))
+def test_what_would_break_a_proxy_is_undone_and_told(splats, where, told, module, name, hidden):
+    module("scene.proxies").hide(hidden)  # as viewports do that draw the splats themselves
+    before, points, count = where(), in_world(splats), len(bpy.data.objects)
+    select(splats)
+    REFUSED[name]()
+    bpy.context.view_layer.update()
+    after = where()
+    assert after.keys() == before.keys() and len(bpy.data.objects) == count
+    np.testing.assert_allclose(after["model"], before["model"], atol=1e-5)
+    again = bpy.data.objects["model"]  # converted into a curve, it is another one
+    np.testing.assert_allclose(in_world(again), points, atol=1e-5)
+    assert [m.name for m in again.modifiers] == ["FAST-GS Proxy"] and not len(again.data.polygons)
+    if name == "Convert > Curve" and not hidden:  # without edges Blender converts nothing
+        return
+    assert told and all('"model"' in text and text.endswith(".") for text in told)
+
+
+def test_converting_a_copy_leaves_both(splats, where, told):
+    bpy.ops.object.convert(target='MESH', keep_original=True)
+    bpy.context.view_layer.update()
+    placements = list(where().values())
+    assert len(placements) == 2
+    np.testing.assert_allclose(placements[0], placements[1], atol=1e-5)
+    assert told
+
+
+@pytest.fixture
+def second(make_model, model_file, splats):
+    """Another splat object, elsewhere, with settings of its own and a crop box."""
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(150, seed=9), "other.safetensors"))
+    obj = bpy.context.object
+    obj.location = (-4, 0, 1)
+    obj.fastgs.start_frame, obj.fastgs.before = 7, 'LOOP'
+    box = bpy.data.objects.new("Box", None)
+    bpy.context.scene.collection.objects.link(box)
+    obj.fastgs.crops.add().object = box
+    bpy.context.view_layer.update()
+    return obj
+
+
+@pytest.fixture
+def cube(splats):
+    bpy.ops.mesh.primitive_cube_add(location=(3, 0, 0))
+    bpy.context.object.rotation_euler = (0.1, 0.2, 0.3)
+    bpy.context.view_layer.update()
+    return bpy.context.object
+
+
+def test_splats_joined_with_splats_stay_apart(splats, second, where, told):
+    before = where()
+    select(splats, second)
+    bpy.ops.object.join()
+    bpy.context.view_layer.update()
+    after = where()
+    assert after.keys() == before.keys() == {"model", "other"}
+    for name in before:
+        np.testing.assert_allclose(after[name], before[name], atol=1e-5)
+    again = bpy.data.objects["other"].fastgs
+    assert (again.start_frame, again.before, again.crops[0].object) == (7, 'LOOP', bpy.data.objects["Box"])
+    assert len(splats.data.vertices) == 204 and len(bpy.data.objects["other"].data.vertices) == 154
+    assert len(told) == 1 and "joined" in told[0]
+
+
+@pytest.mark.parametrize("active", ["splats", "cube"])
+def test_splats_joined_with_a_mesh_stay_apart(splats, cube, where, told, active):
+    before, mesh = where(), np.sort(in_world(cube), axis=0)
+    select(*((splats, cube) if active == "splats" else (cube, splats)))
+    bpy.ops.object.join()
+    bpy.context.view_layer.update()
+    after = where()
+    assert after.keys() == before.keys() == {"model"}
+    np.testing.assert_allclose(after["model"], before["model"], atol=1e-5)
+    again = bpy.data.objects["Cube"]
+    assert len(again.data.polygons) == 6 and len(bpy.data.objects["model"].data.polygons) == 0
+    np.testing.assert_allclose(np.sort(in_world(again), axis=0), mesh, atol=1e-5)
+    assert len(told) == 1 and "joined" in told[0]
+
+
+def test_data_of_splats_that_show_another_file_is_not_shared(splats, second, where, told):
+    before = where()
+    select(splats, second)
+    ops.object.make_links_data(type='OBDATA')
+    bpy.context.view_layer.update()
+    after = where()
+    for name in before:
+        np.testing.assert_allclose(after[name], before[name], atol=1e-5)
+    assert splats.data != second.data and len(second.data.vertices) == 154 and len(told) == 1
+
+
+def test_deleting_an_object_brings_nothing_back(splats, second, where, told):
+    bpy.data.objects.remove(second)
+    bpy.context.view_layer.update()
+    select(splats)
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+    assert not where() and not told
+
+
+def test_modifiers_that_do_not_act_on_splats_are_told(splats, where, told):
+    before = where()["model"]
+    splats.modifiers.new("Mirror", 'MIRROR')
+    bpy.context.view_layer.update()
+    assert len(told) == 1 and '"Mirror"' in told[0]
+    splats.update_tag(refresh={'DATA'})
+    bpy.context.view_layer.update()
+    assert len(told) == 1
+    np.testing.assert_array_equal(where()["model"], before)
