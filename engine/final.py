@@ -142,6 +142,8 @@ def _camera(engine, depsgraph, area, view):
     if view:
         engine.active_view_set(view)
     obj = _camera_object(engine, depsgraph)
+    if obj.type == 'CAMERA' and obj.data.type == 'PANO':
+        return camera.panorama_of(obj, area, engine.camera_model_matrix(obj) if view else None)
     if not view:
         return camera.camera_of(obj, area, depsgraph)
     return camera.camera_of(obj, area, depsgraph, engine.camera_model_matrix(obj), engine.camera_shift_x(obj))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.cameras.panorama import Panorama
 
 OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """From Blender's camera axes (y up, looking along -z) to the library's."""
@@ -73,6 +74,30 @@ def camera_of(obj, area: RenderArea, depsgraph, model_matrix=None, shift_x: floa
     return fg.Camera(width, height, fx=width / 2 * p[0, 0], fy=height / 2 * p[1, 1], cx=cx, cy=cy,
                      world_to_camera=OPENCV @ np.linalg.inv(pose), orthographic=orthographic,
                      near=data.clip_start, far=data.clip_end, window=area.window)
+
+
+def panorama_of(obj, area: RenderArea, model_matrix=None) -> Panorama:
+    """The library's panorama for an evaluated camera object of that type, as Cycles reads its settings.
+
+    Raises FastGSError for the kinds of panorama that there are not.
+    """
+    data = obj.data
+    kinds = data if hasattr(data, "panorama_type") else data.cycles  # before Blender 5 they are Cycles' own
+    pose = _unscaled(obj, np.array(obj.matrix_world if model_matrix is None else model_matrix, np.float64))
+    common = dict(width=area.width, height=area.height, world_to_camera=OPENCV @ np.linalg.inv(pose), near=data.clip_start,
+                  far=data.clip_end, window=area.window)
+    if kinds.panorama_type == 'EQUIRECTANGULAR':
+        return Panorama(**common, longitude=(kinds.longitude_min, kinds.longitude_max), latitude=(kinds.latitude_min, kinds.latitude_max))
+    if kinds.panorama_type == 'FISHEYE_EQUIDISTANT':
+        return Panorama(**common, projection="equidistant", fov=kinds.fisheye_fov)
+    if kinds.panorama_type == 'FISHEYE_EQUISOLID':
+        horizontal = data.sensor_fit == 'HORIZONTAL' or (data.sensor_fit == 'AUTO' and area.width >= area.height)
+        sensor = data.sensor_height if data.sensor_fit == 'VERTICAL' else data.sensor_width
+        focal = kinds.fisheye_lens / sensor * (area.width if horizontal else area.height)
+        return Panorama(**common, projection="equisolid", fov=kinds.fisheye_fov, focal=focal)
+    kind = kinds.panorama_type.lower().replace("_", " ")
+    raise fg.FastGSError(f'the camera "{obj.name}" is a panorama of the type {kind}, which FAST-GS does not render; '
+                         "set it to Equirectangular, Fisheye Equidistant or Fisheye Equisolid.")
 
 
 def _unscaled(obj, pose: np.ndarray) -> np.ndarray:

@@ -24,14 +24,14 @@ def times(scene) -> list[float]:
 
 
 def aperture(camera_object, scene) -> Aperture | None:
-    """The lens of an evaluated camera; None where everything is sharp.
+    """The lens of an evaluated camera; None where everything is sharp, as in panoramas.
 
     As Cycles has it: the opening's radius is the focal length over twice the f-stop (an orthographic camera's is 1 over it), and a
     focus object's distance counts along the view axis.
     """
     data = camera_object.data
     dof = data.dof
-    if not dof.use_dof:
+    if not dof.use_dof or data.type == 'PANO':
         return None
     stop = 2 * max(dof.aperture_fstop, 1e-5)
     radius = 1 / stop if data.type == 'ORTHO' else 1e-3 * data.lens / stop

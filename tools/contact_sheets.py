@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the contact sheets of docs/passes.md from the example's model: all passes, motion blur, depth of field.
+"""Makes the contact sheets of docs/passes.md from the example's model: all passes, motion blur, depth of field, a panorama.
 
     python tools/contact_sheets.py [docs]
 """
@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT))
 
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.cameras.cameras_json import resized  # noqa: E402
+from fastgs_blender.cameras.panorama import Panorama  # noqa: E402
 from fastgs_blender.rendering import colour  # noqa: E402
 from fastgs_blender.rendering.exposure import Aperture, Exposure  # noqa: E402
 from fastgs_blender.rendering.instances import Instance  # noqa: E402
@@ -94,6 +95,10 @@ def main(folder: Path):
     sheet(folder / "depth-of-field.webp", [("sharp", picture())] + [
         (f"focus at {distance:.1f}", picture(exposure=Exposure(aperture=replace(lens, distance=float(distance)))))
         for distance in (near, far)], 3)
+    pose = np.linalg.inv(camera.world_to_camera)
+    pose[:3, 3] += pose[:3, 2] * float(near) * 0.6
+    around = fg.render(model, Panorama(960, 480, np.linalg.inv(pose)), WHEN)
+    Image.fromarray(np.uint8(np.clip(shown("rgb", around), 0, 1) * 255 + 0.5)).save(folder / "panorama.webp", quality=86, method=6)
 
 
 if __name__ == "__main__":

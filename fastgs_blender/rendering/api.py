@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..cameras.camera import Camera
+from ..cameras.panorama import Panorama
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Sequence, Source
@@ -20,6 +21,7 @@ from ..util.errors import FastGSError, LossWarning
 from .exposure import Exposure
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
+from .panorama import render_panorama
 from .passes import DEFAULTS, PASSES, Blended, PassSettings
 from .quantities import shares
 
@@ -29,12 +31,13 @@ DECODER_LIMIT = 1e12
 """Weights of a decoder beyond which its colours may not fit into float32."""
 
 
-def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterable[str] = ("rgb", "alpha"), backend: str = "auto",
+def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, passes: Iterable[str] = ("rgb", "alpha"), backend: str = "auto",
            progress: Any = None, settings: PassSettings = DEFAULTS, exposure: Exposure | None = None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
               placement [4, 4] in the world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
+    camera    Camera, or Panorama
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
               depth         [h, w]  expected depth along the view axis, of the points of greatest density on the pixel's ray; inf where
@@ -58,7 +61,7 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterabl
     Example:
         image = fg.render(model, camera, t=0.25, passes=["rgb", "depth"])["rgb"]
     """
-    if not isinstance(camera, Camera):
+    if not isinstance(camera, (Camera, Panorama)):
         raise FastGSError(f"render() needs a Camera to look through, such as fg.load_cameras(path)[0].camera, not {shown(camera)}.")
     if isinstance(passes, str) or not isinstance(passes, Iterable):
         raise FastGSError(f"the passes are a list of names, such as [\"rgb\"], not {shown(passes)}.")
@@ -66,6 +69,9 @@ def render(model: Source | list, camera: Camera, t: float = 0.0, passes: Iterabl
     unknown = [p for p in passes if p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
+    if isinstance(camera, Panorama):
+        return render_panorama(lambda eye, names, found, exposed, told: render(model, eye, t, names, backend, told, found, exposed),
+                               camera, passes, settings, exposure, progress or (lambda fraction: None))
     entries = [PASSES[name] for name in passes]
     sharp = [entry for entry in entries if not (entry.exposed and exposure)]
     needs = {part for entry in sharp for part in entry.needs} | {"alpha"}

@@ -89,6 +89,7 @@ class Pass:
               the extension's, which is made from this table
     description   what that switch of the extension's says to users
     exposed   whether it is an average over the exposure; the others show the picture's own time through the middle of the lens
+    mixes     whether values of neighbouring pixels may be mixed
     title     what panels call it, if not as Blender names the pass
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
               if nothing else is said
@@ -107,6 +108,7 @@ class Pass:
     switch: str = ""
     description: str = ""
     exposed: bool = False
+    mixes: bool = False
     title: str = ""
     level: int = 0
 
@@ -164,27 +166,28 @@ def _cryptomatte(level: int) -> Pass:
 
 
 PASSES = {entry.name: entry for entry in (
-    Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, exr=("R", "G", "B"),
+    Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, mixes=True, exr=("R", "G", "B"),
          blender="Combined", letters="RGBA", kind="COLOR", switch="use_pass_combined"),
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
-    Pass("alpha", lambda b: b.alpha, exposed=True, exr=("A",), blender="Splat Alpha", letters="A", switch="fastgs.use_pass_alpha",
+    Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="A",
+         switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
          switch="use_pass_z"),
     Pass("first_depth", lambda b: b.probes["first"], ("first",), empty=np.inf, exr=("FirstDepth.Z",), blender="Depth", letters="Z",
          switch="use_pass_z"),
-    Pass("mist", _mist, ("mist",), empty=1.0, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist"),
+    Pass("mist", _mist, ("mist",), empty=1.0, mixes=True, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist"),
     Pass("position", _position, ("plane",), 3, exr=("Position.X", "Position.Y", "Position.Z"),
          blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position"),
-    Pass("normal", _normal, ("normal",), 3, exr=("Normal.X", "Normal.Y", "Normal.Z"),
+    Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
          blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal"),
     Pass("vector", lambda b: b.mean("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
          blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",
          switch="use_pass_object_index"),
     *(_cryptomatte(level) for level in range(LEVELS)),
-    Pass("count", lambda b: b.probes["count"], ("count",), exr=("Gaussian Count.X",), blender="Gaussian Count", letters="X",
+    Pass("count", lambda b: b.probes["count"], ("count",), mixes=True, exr=("Gaussian Count.X",), blender="Gaussian Count", letters="X",
          switch="fastgs.use_pass_count", description="Deliver how many Gaussians were blended into each pixel, to see what a frame costs"),
 )}
 """The passes by name."""

@@ -154,10 +154,11 @@ def test_border_has_the_bytes_of_the_whole(scene, make_model, model_file, splat_
         assert not outside.any()
 
 
-def test_an_object_that_is_no_camera_and_a_panorama_are_refused(scene, make_model, model_file, splat_object, add_camera, render):
+def test_an_object_that_is_no_camera_and_a_mirror_ball_are_refused(scene, make_model, model_file, splat_object, add_camera, render):
     obj = splat_object(model_file(make_model()))
-    add_camera(type='PANO')
-    with pytest.raises(RuntimeError, match='"Camera".*pano.*Perspective'):
+    data = add_camera(type='PANO').data
+    (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = 'MIRRORBALL'
+    with pytest.raises(RuntimeError, match='"Camera".*mirrorball.*Equirectangular'):
         render()
     scene.camera = obj
     with pytest.raises(RuntimeError, match='"Splats".*mesh'):
