@@ -7,7 +7,7 @@ import numpy as np
 from bpy.props import EnumProperty, IntProperty
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.filters import values
+from ..fastgs_blender.rendering.filters import parting, values
 from ..scene import objects
 from ..scene.splats.splat_object import sentence
 
@@ -20,8 +20,6 @@ PRESETS = (
     ('SHORT', "Short-Lived", "Hide what is seen for less than a tenth of the clip", 5),
     ('COLOUR', "Colour", "Hide what has nearly a colour, such as that of a screen", 6),
 )
-STILL = 0.01
-"""A Gaussian moves if it ever crosses more than this share of the model's size in a second."""
 
 
 def _editable(context) -> bool:
@@ -68,8 +66,7 @@ def _start(preset: str, model) -> tuple[str, float, float, str]:
         return 'SIZE', float(np.percentile(values(model, "SIZE"), 99)) if len(model) else 1.0, most, 'HIDE'
     if preset == 'SHORT':
         return 'LIFETIME', 0.0, 0.1 * model.clip.duration, 'HIDE'
-    low, high = np.percentile(model.position, (5, 95), axis=0) if len(model) else (np.zeros(3), np.ones(3))
-    speed = STILL * float((high - low).max())
+    speed = parting(values(model, "SPEED"))
     return ('SPEED', speed, most, 'KEEP') if preset == 'MOVING' else ('SPEED', 0.0, speed, 'KEEP')
 
 

@@ -71,7 +71,7 @@ class FASTGS_PG_filter(bpy.types.PropertyGroup):
         items=(
             ('SIZE', "Size", "The longest axis of a Gaussian, in the model's units", 0),
             ('OPACITY', "Opacity", "The opacity that the file gives, without fading in and out", 1),
-            ('SPEED', "Speed", "The largest speed while it can be seen, in the model's units per second", 2),
+            ('SPEED', "Speed", "The mean speed while it can be seen, in the model's units per second", 2),
             ('LIFETIME', "Lifetime", "Seconds in which it can be seen", 3),
             ('COLOUR', "Colour", "Difference from a colour, 0 to 1", 4),
             ('NEIGHBOURS', "Neighbours", "How many other Gaussians are around it; floaters have few", 5),

@@ -52,22 +52,22 @@ def _opacity(model, _):
 
 
 def _speed(model, _):
-    fastest = np.zeros(len(model))
-    for t, seen in _moments(model):
+    total, weight = np.zeros(len(model)), np.zeros(len(model))
+    for t, sigma in _moments(model):
         _, velocity = model.basis.evaluate(model.motion, t, model.mu_tau.astype(np.float64))
-        fastest = np.maximum(fastest, np.where(seen, np.linalg.norm(velocity, axis=1), 0))
-    return fastest / max(model.clip.duration, 1e-9)
+        total += sigma * np.linalg.norm(velocity, axis=1)
+        weight += sigma
+    return total / np.maximum(weight, 1e-12) / max(model.clip.duration, 1e-9)
 
 
 def _lifetime(model, _):
-    return sum(seen for _, seen in _moments(model)) / TIMES * model.clip.duration
+    return sum(sigma >= model.raster.alpha_cut for _, sigma in _moments(model)) / TIMES * model.clip.duration
 
 
 def _moments(model):
-    """Yields times of the clip, and which Gaussians [N] can be seen then."""
+    """Yields times of the clip, and the opacities [N] of the Gaussians then."""
     for t in (np.arange(TIMES) + 0.5) / TIMES:
-        factor = model.temporal_kind.factor(t, model.mu_tau, model.temporal)
-        yield t, sigmoid(model.opacity) * factor >= model.raster.alpha_cut
+        yield t, sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
 
 
 def _colour(model, colour):
@@ -98,7 +98,7 @@ KINDS: dict[str, Callable] = {
 
 SIZE        the largest standard deviation, in the model's units
 OPACITY     without the temporal factor
-SPEED       the largest while it can be seen, in units per second
+SPEED       the mean, weighted by the opacity at each time, in units per second: what a trained Gaussian does unseen does not count
 LIFETIME    seconds in which it can be seen
 COLOUR      largest difference of a channel from the filter's colour; of harmonics and decoders their constant part counts
 NEIGHBOURS  how many others are in the cells around it, in the middle of the clip; few are what is called floaters
@@ -123,6 +123,22 @@ def values(model: GaussianModel, kind: str, colour=(0.0, 0.0, 0.0)) -> np.ndarra
                 del known[old]
             known[key] = found
     return found
+
+
+def parting(value: np.ndarray) -> float:
+    """The number that parts values [N] >= 0 into small and large ones best (Otsu 1979); the largest hundredth counts as one."""
+    value = value[np.isfinite(value)]
+    if not len(value) or not value.max() > 0:
+        return 1.0
+    count, edges = np.histogram(np.minimum(value, np.percentile(value, 99) or value.max()), 256)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(count)[:-1]
+    above, total = len(value) - below, np.cumsum(count * middle)[:-1]
+    with np.errstate(all="ignore"):
+        gap = total / below - (count @ middle - total) / above
+        spread = np.nan_to_num(below * above * gap * gap)
+    best = np.flatnonzero(spread >= spread.max() * (1 - 1e-9))  # a gap between the two is parted in its middle
+    return float(0.5 * (edges[best[0] + 1] + edges[best[-1] + 1]))
 
 
 def hidden(model: GaussianModel, filters, mask: str = "") -> np.ndarray:

@@ -13,7 +13,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.crops import Crop, crop_share, cropped, kept_by
-from fastgs_blender.rendering.filters import Filter, values
+from fastgs_blender.rendering.filters import Filter, parting, values
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
 from fastgs_blender.rendering.volumes import mesh_volume
 
@@ -157,7 +157,7 @@ def test_every_backend_shows_shapes_alike():
     assert visibility.crop_shares([Instance(model, np.eye(4), 0.4).viewed(CAMERA)], order) is None
 
 
-@pytest.mark.parametrize(("kind", "low", "high"), [("SIZE", 0.1, 9), ("OPACITY", 0, 0.5), ("LIFETIME", 0.4, 9), ("SPEED", 0, 1.1),
+@pytest.mark.parametrize(("kind", "low", "high"), [("SIZE", 0.1, 9), ("OPACITY", 0, 0.5), ("LIFETIME", 0.4, 9), ("SPEED", 0, 0.7),
                                                    ("COLOUR", 0, 0.4), ("NEIGHBOURS", 1, 900)])
 @pytest.mark.parametrize("keep", [False, True])
 def test_a_filtered_picture_is_that_of_what_is_left(kind, low, high, keep):
@@ -188,5 +188,6 @@ def test_what_filters_look_at():
     assert np.allclose(values(model, "SIZE"), [0.5, 0.01, 0.01]) and np.allclose(values(model, "OPACITY"), 0.5)
     assert np.allclose(values(model, "SPEED"), [0, 2, 0]) and np.allclose(values(model, "LIFETIME"), [2, 2, 1], atol=0.1)
     assert np.allclose(values(model, "COLOUR", (1, 0, 0)), [0, 1, 1]) and np.allclose(values(model, "NEIGHBOURS"), [1, 1, 0])
+    assert 0.01 < parting(np.array([0.0, 0.001, 0.01, 3, 4, 5])) < 3 and parting(np.zeros(3)) == 1
     with pytest.raises(fg.FastGSError, match="'WEIGHT' is unknown"):
         Filter("WEIGHT")
