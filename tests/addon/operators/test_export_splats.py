@@ -116,3 +116,44 @@ def test_a_range_as_time_samples(fg, make_model, model_file, tmp_path):
     bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "take.usdc"), content='RANGE', static_format='USD', frame_start=1, frame_end=3)
     source = fg.open_source(tmp_path / "take.usdc")
     assert source.clip.frame_count == 3 and source.clip.fps == pytest.approx(24)
+
+
+class Attribute:
+    """A point cloud's attribute: its values, as foreach_get() hands them over."""
+
+    def __init__(self, values):
+        self.data, self.values = self, np.asarray(values, np.float32)
+
+    def __len__(self):
+        return len(self.values)
+
+    def foreach_get(self, key, out):
+        assert out.dtype == np.float32 and key == ("value" if self.values is not None and self.quaternion else "vector")
+        out[:] = self.values.ravel()
+
+    quaternion = False
+
+
+def test_native_splats_are_read_from_their_attributes(module, fg, make_model):
+    """As Blender 5.3 stores them; the wheels of the tests have none of these point clouds."""
+    native = module("operators.export_native")
+    model = make_model(20, features=np.random.default_rng(0).normal(size=(20, 12)), appearance=fg.SH(1))
+    opacity = 1 / (1 + np.exp(-model.opacity))
+    attributes = {"position": Attribute(model.position), "scale": Attribute(np.exp(model.scale)), "rotation": Attribute(model.rotation),
+                  "radiance:base": Attribute(np.c_[model.features[:, :3], opacity])}
+    attributes |= {f"radiance:sh_{k}": Attribute(model.features[:, 3 + 3 * k:6 + 3 * k]) for k in range(3)}
+    attributes["rotation"].quaternion = True
+    again = native.model_of(attributes)
+    for name in ("position", "rotation", "scale", "opacity", "features"):
+        assert np.allclose(getattr(again, name), getattr(model, name), atol=1e-5), name
+    del attributes["radiance:sh_2"]
+    with pytest.raises(fg.FastGSError, match="2 coefficients"):
+        native.model_of(attributes)
+
+
+def test_native_splats_need_a_point_cloud_of_splats(scene):
+    assert not bpy.ops.fastgs.export_native.poll()
+    cloud = bpy.data.objects.new("Points", bpy.data.pointclouds.new("Points"))
+    scene.collection.objects.link(cloud)
+    bpy.context.view_layer.objects.active = cloud
+    assert not bpy.ops.fastgs.export_native.poll()
