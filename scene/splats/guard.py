@@ -58,8 +58,9 @@ def forget(*_) -> None:
 @persistent
 def watch(scene, depsgraph) -> None:
     """Handler, after each evaluation: look at the meshes that changed, and remember what there is."""
-    splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
-    if not (splats or _records):
+    if depsgraph.mode != 'VIEWPORT':  # a render's own evaluation, perhaps in a thread
+        return
+    if not (_records or any(objects.is_splat(obj) for obj in bpy.data.objects)):
         return
     changed = [update.id.original for update in depsgraph.updates if update.is_updated_geometry]
     for obj in changed:

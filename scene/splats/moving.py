@@ -50,7 +50,7 @@ def follow(scene, depsgraph=None) -> None:
     """Handler, after each evaluation: put the points of all proxies where their Gaussians are."""
     splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
     for uid in _chosen.keys() - {obj.data.session_uid for obj in splats if obj.data is not None}:
-        del _chosen[uid]
+        _chosen.pop(uid, None)  # a render runs in a thread of its own
     for obj in splats if depsgraph is not None else ():
         evaluated = obj.evaluated_get(depsgraph)
         if evaluated.is_evaluated and evaluated.type == 'MESH' and _shows_points(evaluated.data):
