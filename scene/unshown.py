@@ -39,6 +39,13 @@ def settings(scene, view_layer) -> list[str]:
     return [text for true, text in told if true]
 
 
+def in_viewports(scene) -> str | None:
+    """A sentence about what final renders show and viewports do not; None where nothing of it is switched on."""
+    camera = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
+    names = ["Depth of Field"] * bool(camera and camera.dof.use_dof) + ["Motion Blur"] * scene.render.use_motion_blur
+    return f"{' and '.join(names)} can be seen in final renders only, not in viewports." if names else None
+
+
 def all_of(scene, view_layer) -> list[str]:
     """Everything that is told: meshes, then settings."""
     text = meshes(scene, view_layer)

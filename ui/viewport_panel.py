@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..engine.viewport import spaces
-from ..scene import objects
+from ..scene import objects, unshown
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 from .render_panels import draw_unshown
@@ -34,6 +34,9 @@ class FASTGS_PT_viewport(bpy.types.Panel):
         draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
         if context.engine == 'FASTGS':
             draw_unshown(layout, context)
+            text = unshown.in_viewports(context.scene)
+            if text:
+                draw_trouble(layout.column(align=True), context, text, 'INFO')
         trouble = spaces.trouble()
         if trouble:
             draw_trouble(layout.column(align=True), context, trouble)

@@ -129,6 +129,12 @@ def test_meshes_that_are_not_rendered_are_told_beside_the_button(panels, obj, sc
     assert "Chair" not in " ".join(texts(drawn(panels[panel])))
 
 
+def test_what_only_final_renders_show_is_told(panels, obj, scene):
+    assert "only" not in " ".join(texts(drawn(panels["FASTGS_PT_viewport"])))
+    scene.render.use_motion_blur = True
+    assert "Motion Blur can be seen in final renders only" in " ".join(texts(drawn(panels["FASTGS_PT_viewport"])))
+
+
 def test_polls(panels, obj, scene):
     def polls(name, **context):
         return panels[name].poll(SimpleNamespace(**(dict(object=obj, engine='CYCLES') | context)))
