@@ -39,6 +39,12 @@ def add_arguments(parser):
     which.add_argument("--view", "--camera-index", metavar="NAME", help="the camera to use: its name, or its number from 0")
     which.add_argument("--path", action="store_true", help="the cameras are a path: frame f takes camera f")
     parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB (default: transparent)")
+    blur = parser.add_argument_group("motion blur and depth of field")
+    blur.add_argument("--shutter", type=float, default=0.0, metavar="FRAMES", help="how long the shutter is open around each frame")
+    blur.add_argument("--steps", type=int, default=32, metavar="N", help="steps of the motion blur, at the most (default: 32)")
+    blur.add_argument("--aperture", type=float, default=0.0, metavar="RADIUS", help="radius of the lens' opening, in the model's units")
+    blur.add_argument("--focus", type=float, metavar="DISTANCE", help="distance at which everything is sharp; needed with --aperture")
+    blur.add_argument("--lens-samples", type=int, default=64, metavar="N", help="points of the lens, at the most (default: 64)")
     parser.add_argument("--overwrite", action="store_true", help="render frames again that are there already")
     add_backend(parser)
 
@@ -46,7 +52,8 @@ def add_arguments(parser):
 def run(args):
     from .. import formats
     from ..model.gaussians import GaussianModel
-    from ..rendering import images
+    from ..rendering import cryptomatte, images
+    from ..rendering.passes import PASSES
     from ..util.backends import load_backend
     from ..util.frames import parse_frames
     from .kept_frames import KeptFrames
@@ -54,6 +61,7 @@ def run(args):
 
     use_threads(args.threads)
     passes = _passes(args)
+    exposure = _exposure(args)
     background = None if args.background is None else _colour(args.background)
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
@@ -73,7 +81,8 @@ def run(args):
     images.remove_stale(out)
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
-    notes = KeptFrames(out, model, {"passes": passes, "background": background, "backend": args.backend})
+    blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
+    notes = KeptFrames(out, model, {"passes": passes, "background": background, "backend": args.backend} | blur)
     states = [notes.state(*each) for each in zip(files, cameras, times, strict=True)]
     if "other" in states and not args.overwrite:
         raise FastGSError(f"{files[states.index('other')]} is there already, and was not made by this command with this model and these "
@@ -90,10 +99,12 @@ def run(args):
                 images.write_png(files[i], image, model.colour_space)
             else:
                 attributes = {"comments": f"frame {frames.numbers[i]} of {name.name}; scene-linear Rec. 709, premultiplied"}
+                if any(PASSES[each].exr[0].startswith(cryptomatte.LAYER) for each in passes):
+                    attributes |= cryptomatte.metadata([name.stem])
                 images.write_exr(files[i], image, model.colour_space, passes, attributes)
 
     start = time.perf_counter()
-    _render_all(args, model, cameras, times, todo, write, passes, background)
+    _render_all(args, model, name.stem, cameras, times, todo, write, passes, background, exposure)
     if args.json:
         print_json({
             "model": args.model, "frames": [float(frame) for frame in frames], "files": [str(file) for file in files],
@@ -101,15 +112,20 @@ def run(args):
         })
 
 
-def _render_all(args, model, cameras, times, todo, write, passes, background):
+def _render_all(args, model, name, cameras, times, todo, write, passes, background, exposure):
+    import numpy as np
+
     from ..rendering.api import render
+    from ..rendering.instances import Instance
 
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
     with _stop_on_sigterm(), progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
         try:
             for done, i in enumerate(todo):
                 bar.to(done)
-                image = render(model, cameras[i], times[i], wanted, args.backend)
+                shown, t = model.moment(times[i])
+                scene = [Instance(shown, np.eye(4), t, name=name)]
+                image = render(scene, cameras[i], passes=wanted, backend=args.backend, exposure=exposure)
                 write(i, image if background is None else _over(image, background, model.colour_space))
                 bar.to(done + 1)
         except KeyboardInterrupt:
@@ -129,6 +145,18 @@ def _stop_on_sigterm():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _exposure(args):
+    """The Exposure of the options, or None for sharp frames."""
+    from ..rendering.exposure import Aperture, Exposure
+
+    if not (args.shutter >= 0 and args.aperture >= 0):
+        raise FastGSError("--shutter and --aperture take numbers from 0 up.")
+    if args.aperture and not (args.focus and args.focus > 0):
+        raise FastGSError("--aperture needs --focus, a distance above 0 at which everything is sharp.")
+    lens = Aperture(args.aperture, args.focus, samples=args.lens_samples) if args.aperture else None
+    return Exposure(-args.shutter / 2, args.shutter / 2, steps=args.steps, aperture=lens) if args.shutter or lens else None
 
 
 def _passes(args) -> tuple[str, ...]:

@@ -19,6 +19,8 @@ import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.rendering import api as rendering
 from fastgs_blender.rendering import colour, passes
+from fastgs_blender.rendering.cryptomatte import bits_of
+from fastgs_blender.rendering.exposure import Aperture, Exposure
 
 ROOT = Path(__file__).resolve().parents[3]
 FRAMES = 10
@@ -173,6 +175,21 @@ def test_exr_holds_every_pass(run, work, model):
 def test_exr_with_chosen_passes(run, work):
     run("--frames", "3", "--format", "exr", "--passes", "depth,alpha")
     assert set(read_exr(work / "out" / "0003.exr")) == {"A", "Depth.Z"}
+
+
+def test_motion_blur_and_depth_of_field(run, work, model):
+    """As the library renders them; other settings are other work."""
+    options = ["--frames", "3", "--format", "exr", "--passes", "alpha,cryptomatte_00"]
+    assert run(*options, "--shutter", "2", "--steps", "8", "--aperture", "0.2", "--focus", "4", "--lens-samples", "8")[0] == 0
+    exposure = Exposure(-1, 1, steps=8, aperture=Aperture(0.2, 4.0, samples=8))
+    image = fg.render(model, camera(), 3 / FRAMES, passes=("alpha",), backend="reference", exposure=exposure)
+    np.testing.assert_array_equal(read_exr(work / "out" / "0003.exr")["A"], image["alpha"])
+    with OpenEXR.File(str(work / "out" / "0003.exr")) as file:
+        manifest = json.loads(next(value for name, value in file.header().items() if name.endswith("/manifest")))
+    assert manifest == {"m": f"{bits_of('m'):08x}"}
+    assert run(*options)[0] == 2, "sharp frames are other work"
+    for wrong in (["--aperture", "0.1"], ["--shutter", "-1"], ["--shutter", "1", "--steps", "0"]):
+        assert run(*options, "--overwrite", *wrong)[0] == 2
 
 
 def test_background(run, work, model):
