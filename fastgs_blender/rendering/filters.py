@@ -130,7 +130,8 @@ def parting(value: np.ndarray) -> float:
     value = value[np.isfinite(value)]
     if not len(value) or not value.max() > 0:
         return 1.0
-    count, edges = np.histogram(np.minimum(value, np.percentile(value, 99) or value.max()), 256)
+    top = np.percentile(value, 99) or value.max()
+    count, edges = np.histogram(np.minimum(value, top), 256, (0, top))
     middle = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(count)[:-1]
     above, total = len(value) - below, np.cumsum(count * middle)[:-1]

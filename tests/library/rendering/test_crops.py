@@ -189,5 +189,6 @@ def test_what_filters_look_at():
     assert np.allclose(values(model, "SPEED"), [0, 2, 0]) and np.allclose(values(model, "LIFETIME"), [2, 2, 1], atol=0.1)
     assert np.allclose(values(model, "COLOUR", (1, 0, 0)), [0, 1, 1]) and np.allclose(values(model, "NEIGHBOURS"), [1, 1, 0])
     assert 0.01 < parting(np.array([0.0, 0.001, 0.01, 3, 4, 5])) < 3 and parting(np.zeros(3)) == 1
+    assert 0 < parting(np.full(5, 2.0)) < 2  # where everything moves alike, everything is the moving part
     with pytest.raises(fg.FastGSError, match="'WEIGHT' is unknown"):
         Filter("WEIGHT")
