@@ -69,15 +69,17 @@ def load_model(path: str) -> Source:
     Safe to call from several threads.  Raises FastGSError for a file that is missing or cannot be read; a broken file is
     not read again before it changes or reload() is called.
     """
+    global _reloads
     path = _key(path)
     with _lock:
         loading = _loading.setdefault(path, threading.Lock())
     with loading:
-        entry = _entries.get(path)
+        before = entry = _entries.get(path)
         if entry is None or not entry.identity.same():
             entry = _read(path)
             with _lock:
                 _entries[path] = entry
+                _reloads += before is not None
     if entry.model is None:
         raise fg.FastGSError(entry.error)
     return entry.model
@@ -112,7 +114,7 @@ def error_of(obj: bpy.types.Object) -> str | None:
 
 
 def reloads() -> int:
-    """How often reload() was called.  Code that keeps models calls load_model() again when this number changes."""
+    """How often a file was, or is to be, read again.  Code that keeps models calls load_model() again when this number changes."""
     return _reloads
 
 

@@ -282,7 +282,9 @@ def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, m
     assert (tmp_path / "run" / "model.safetensors").read_bytes() == old
     assert len([obj for obj in scene.objects if "fastgs_job" in obj]) == 2
 
+    read = module("scene.objects").reloads()
     anew, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='OVERWRITE')
+    assert module("scene.objects").reloads() > read, "viewports read the file again"
     assert kinds[0] != 'FINISHED' and kinds[-1] == 'FINISHED' and anew.id != first.id and jobs.get(first.id) is None
     assert plan(tmp_path / "run").source.capture == str(other_toy)
     new = (tmp_path / "run" / "model.safetensors").read_bytes()
