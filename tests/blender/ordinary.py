@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import time
+from importlib import import_module
 
 import bpy
-from background import bring, look
+from background import ADDON, bring, look
 from mathutils import Euler, Vector
-from window import area_of, seen_by, settled, within
+from window import area_of, seen_by, settled, until, within
 
 
 def operators(model):
@@ -64,6 +65,8 @@ def operators(model):
     yield from settled("ordinary-edited")
 
     # clicked in the middle of the splats, in every shading
+    compiling = import_module(f"{ADDON}.engine.compiling")
+    yield from until(lambda: not compiling.is_running())  # before, a click finds no splats
     facts["clicked"] = {}
     for shading in ('SOLID', 'MATERIAL', 'RENDERED'):
         space.shading.type = shading
