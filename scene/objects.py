@@ -19,6 +19,7 @@ from ..fastgs_blender.model.gaussians import Clip
 from ..fastgs_blender.model.sequence import FreeClip, Sequence, Source
 from ..fastgs_blender.util.identity import FileIdentity, status_of
 from ..fastgs_blender.util.reading import reading
+from . import paths
 
 log = logging.getLogger(__name__)
 
@@ -49,12 +50,12 @@ def axes_matrix(axes: str) -> Matrix:
 
 def is_splat(obj: bpy.types.Object) -> bool:
     """Whether an object shows a splat file."""
-    return bool(obj.fastgs.filepath)
+    return bool(paths.get(obj.fastgs))
 
 
 def abspath(obj: bpy.types.Object) -> str:
     """Absolute path of an object's file, "" where it shows none; `//` is the folder of the .blend that the path comes from."""
-    path = obj.fastgs.filepath
+    path = paths.get(obj.fastgs)
     if not path:
         return ""
     origin = obj.original

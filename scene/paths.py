@@ -18,6 +18,11 @@ def get(settings) -> str:
     return settings.file.filepath if settings.file is not None else _earlier(settings)
 
 
+def shown(settings) -> str:
+    """The same for the panel: Blender shows no text that is not UTF-8, which file names of Linux may not be."""
+    return get(settings).encode("utf-8", "backslashreplace").decode()
+
+
 def put(settings, path: str) -> None:
     """Let an object show the file at a path, absolute or beginning with // for the .blend's folder; "" for none."""
     import bpy

@@ -101,7 +101,7 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
 
     filepath: StringProperty(
         name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=_PATH,
-        get=paths.get, set=paths.put)
+        get=paths.shown, set=paths.put)
     file: PointerProperty(name="Cache File", description="The datablock that holds the path of the file", type=bpy.types.CacheFile)
     file_hash: StringProperty(
         name="File Hash", description="Fingerprint of the file when it was imported or last reloaded")

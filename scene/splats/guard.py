@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, notices, objects
+from .. import model_space, notices, objects, paths
 from . import proxy
 from .proxy_nodes import GAUSSIAN, NAME, OFFSET, RADIUS, SHADE, give_modifier, modifier_of
 
@@ -86,7 +86,7 @@ def _look_at(obj):
             notices.tell(JOINED.format(obj.name))
         return
     _tell_of_modifiers(obj)
-    if obj.session_uid not in _records and _being_edited(obj.fastgs.filepath):
+    if obj.session_uid not in _records and _being_edited(paths.get(obj.fastgs)):
         bpy.data.objects.remove(obj)  # Separate made it: its points are those of the object that it comes from
         return
     text = SHARED if _of_another(obj) else _trouble(mesh, points)
@@ -129,7 +129,7 @@ def _make_again(obj):
 
 def _being_edited(path: str) -> bool:
     """Whether somebody is at work in the mesh of an object that shows a file."""
-    return any(obj.mode == 'EDIT' and obj.fastgs.filepath == path for obj in bpy.data.objects if obj.session_uid in _records)
+    return any(obj.mode == 'EDIT' and paths.get(obj.fastgs) == path for obj in bpy.data.objects if obj.session_uid in _records)
 
 
 def _trouble(mesh, points) -> str | None:

@@ -11,7 +11,7 @@ from ...fastgs_blender.formats import fingerprint
 from ...fastgs_blender.formats.sequences import title
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.util.errors import FastGSError, printable
-from .. import model_space, objects
+from .. import model_space, objects, paths
 from . import proxy
 
 
@@ -36,7 +36,7 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     turn = np.array(objects.axes_matrix(model.axes), np.float64) if orient else np.eye(4)
     obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit, turn))
     proxy.show_in_all_engines(obj)
-    obj.fastgs.filepath = _relative(path) if relative else path
+    paths.put(obj.fastgs, _relative(path) if relative else path)
     obj.fastgs.start_frame = context.scene.frame_start
     write_facts(obj, model, path)
     _place(context, obj)
@@ -56,12 +56,12 @@ def write_facts(obj: bpy.types.Object, model: Source, path: str) -> None:
 
 def show_file(obj: bpy.types.Object, path: str) -> None:
     """Let an object show another file, its path relative to the .blend where it was.  Raises FastGSError as refresh() does."""
-    before = obj.fastgs.filepath
-    obj.fastgs.filepath = _relative(path) if before.startswith("//") else path
+    before = paths.get(obj.fastgs)
+    paths.put(obj.fastgs, _relative(path) if before.startswith("//") else path)
     try:
         refresh(obj)
     except FastGSError:
-        obj.fastgs.filepath = before
+        paths.put(obj.fastgs, before)
         raise
 
 

@@ -96,14 +96,14 @@ def model_file(fg, tmp_path):
 
 
 @pytest.fixture
-def splat_object(scene):
+def splat_object(scene, module):
     """splat_object(path, name="Splats", matrix=None, collection=None): an object that shows a file, without an importer."""
     import bpy
     from mathutils import Matrix
 
     def make(path, name="Splats", matrix=None, collection=None):
         obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
-        obj.fastgs.filepath = str(path)
+        module("scene.paths").put(obj.fastgs, str(path))
         if matrix is not None:
             obj.matrix_world = Matrix(np.asarray(matrix, float).tolist())
         (collection or scene.collection).objects.link(obj)

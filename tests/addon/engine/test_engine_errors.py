@@ -170,7 +170,7 @@ class Observer:
 
 @pytest.fixture
 def replaced(fg, make_model, model_file, splat_object, add_camera, monkeypatch):
-    """replaced("load" or "render", before): a scene whose library first calls before(progress or None) in that function."""
+    """replaced("open_source" or "render", before): a scene whose library first calls before(progress or None) in that function."""
     splat_object(model_file(make_model()))
     add_camera()
 
@@ -186,7 +186,7 @@ def replaced(fg, make_model, model_file, splat_object, add_camera, monkeypatch):
     return make
 
 
-@pytest.mark.parametrize("what", ["load", "render"])
+@pytest.mark.parametrize("what", ["open_source", "render"])
 def test_cancelling_waits_for_nothing(module, replaced, what, caplog):
     """Also while a file is read, which nobody can interrupt: the work has not ended when the render has."""
     running, released, ended = threading.Event(), threading.Event(), threading.Event()

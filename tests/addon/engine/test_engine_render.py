@@ -330,7 +330,7 @@ def test_hidden_outside_the_clip(scene, moving, render):
 def test_animation(scene, moving, module, fg, tmp_path, expected, monkeypatch):
     """Every frame is its own; the file is read once."""
     reads = []
-    monkeypatch.setattr(fg, "load", lambda path, load=fg.load: reads.append(path) or load(path))
+    monkeypatch.setattr(fg, "open_source", lambda path, read=fg.open_source: reads.append(path) or read(path))
     image_files.set_output(scene, "EXR")
     scene.frame_start, scene.frame_end = 1, 4
     scene.render.filepath = str(tmp_path / "frame_")
