@@ -118,8 +118,8 @@ def _during(stage, steps):
 
 def _run(work, in_background, stage):
     """Yields progress while work(progress) runs, and returns its result; closing the generator cancels the work."""
+    yield stage.at(0.0)
     if not in_background:
-        yield stage.at(0.0)
         return work(None)
     state = {"done": 0.0}
     cancelled = threading.Event()
