@@ -13,6 +13,7 @@ from ..fastgs_blender.util.errors import FastGSError, printable
 from ..scene.filming import progress
 from ..scene.filming.film import Plan, film_steps
 from ..scene.filming.options import CaptureOptions
+from ..scene.settings import BLEND_RELATIVE
 from ..scene.splats.splat_object import sentence
 from ..scene.training import folders, watch
 from .stepwise import Stepwise
@@ -26,7 +27,8 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
     doing = "Filming"
 
     out: StringProperty(
-        name="Folder", description="Folder for the capture; empty: a new folder beside the .blend", subtype='DIR_PATH')
+        name="Folder", description="Folder for the capture; empty: a new folder beside the .blend", subtype='DIR_PATH',
+        options=BLEND_RELATIVE)
     frame_start: IntProperty(name="Start", description="First frame; by default the scene's")
     frame_end: IntProperty(name="End", description="Last frame; by default the scene's")
     train: BoolProperty(

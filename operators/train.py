@@ -14,6 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..fastgs_blender.jobs import checks
 from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
+from ..scene.settings import BLEND_RELATIVE
 from ..scene.splats.splat_object import sentence
 from ..scene.training import alignment, folders, installation, plates, results, watch
 from ..scene.training.options import EXISTING, TrainingOptions, arguments
@@ -182,7 +183,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
     bl_label = "Check"
 
     capture: StringProperty(name="Capture", description="The capture's folder; by default the panel's", subtype='DIR_PATH',
-                            options={'SKIP_SAVE'})
+                            options={'SKIP_SAVE'} | BLEND_RELATIVE)
 
     def invoke(self, context, event):
         """Check in a thread, so that Blender stays usable meanwhile."""

@@ -17,10 +17,10 @@ from bpy.props import (
 from ..fastgs_blender.rendering.instances import RANGES
 from ..fastgs_blender.rendering.passes import PASSES
 from . import paths, updates
+from .settings import BLEND_RELATIVE
 from .time import MOST_ECHOES
 from .training.options import FASTGS_PG_training
 
-_PATH = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()  # earlier versions do not know the flag
 _OWN = {'LIBRARY_OVERRIDABLE'}
 _SHOWN = {"override": _OWN, "update": updates.shown}
 
@@ -100,7 +100,7 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
     filepath: StringProperty(
-        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=_PATH,
+        name="File", description="The 4D Gaussian file that this object shows", subtype='FILE_PATH', options=BLEND_RELATIVE,
         get=paths.shown, set=paths.put)
     file: PointerProperty(name="Cache File", description="The datablock that holds the path of the file", type=bpy.types.CacheFile)
     file_hash: StringProperty(

@@ -14,6 +14,9 @@ from ..fastgs_blender.kernels.cpu import cache
 EXTENSION = __package__.rpartition(".")[0]
 """The extension's module, as Blender names it."""
 
+BLEND_RELATIVE = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0) else set()
+"""Options of a property that holds a path which may begin with //; earlier versions of Blender do not know the flag."""
+
 threads = 0
 """Threads for rendering where the scene does not say; 0: all processors."""
 

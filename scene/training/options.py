@@ -6,6 +6,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from ...fastgs_blender.jobs import checks
 from ...fastgs_blender.training.core.settings import PRESETS, Settings
 from ..filming.options import CaptureOptions
+from ..settings import BLEND_RELATIVE
 
 EXISTING = (
     ('REFUSE', "Refuse", "Say so", 0),
@@ -28,10 +29,12 @@ class TrainingOptions:
             ('CAMERAS', "Cameras", "The scene's cameras that have an image sequence or a film as background", 1),
             ('SCENE', "This Scene", "The open scene itself, filmed with its own render engine", 2),
         ), default='FOLDER')
-    capture: StringProperty(name="Capture", description="The capture's folder, or a file that describes it", subtype='DIR_PATH')
+    capture: StringProperty(
+        name="Capture", description="The capture's folder, or a file that describes it", subtype='DIR_PATH',
+        options=BLEND_RELATIVE)
     out: StringProperty(
         name="Results", description="Folder for the model and all files of the run; empty: a new folder beside the .blend",
-        subtype='DIR_PATH')
+        subtype='DIR_PATH', options=BLEND_RELATIVE)
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
         items=tuple((name.upper(), name.capitalize(), "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
