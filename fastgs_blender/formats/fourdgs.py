@@ -234,4 +234,4 @@ def _harmonics(scene: Scene, rgb: np.ndarray, n: int) -> np.ndarray:
     for band in range(1, scene.degree + 1):
         values = np.concatenate([b[band] for b, t in zip(scene.bands, scene.tables) if len(t[wire.FLAGS])] or [np.zeros((0, 6 * band + 3))])
         parts.append((-4 + values * (8 / 255)).reshape(n, 3, 2 * band + 1).transpose(0, 2, 1))
-    return np.concatenate(parts, 1).reshape(n, -1)
+    return np.concatenate(parts, 1).reshape(n, 3 * (scene.degree + 1) ** 2)

@@ -58,7 +58,7 @@ def file(model: GaussianModel) -> bytes:
     bands = b""
     coefficients = model.features.reshape(n, (degree + 1) ** 2, 3)
     for band in range(1, degree + 1):
-        part = coefficients[:, band**2:(band + 1) ** 2].transpose(0, 2, 1).reshape(n, -1)
+        part = coefficients[:, band**2:(band + 1) ** 2].transpose(0, 2, 1).reshape(n, 3 * (2 * band + 1))
         bands += _record(7, struct.pack("<B", band) + _stream(7, np.clip((part + 4) * (255 / 8), 0, 255)))
     head = _text("") + _text(generator()) + struct.pack("<dQd", duration, n, CUTOFF) + _text("gaussian-birth")
     head += struct.pack("<6dBB", *low, *high, degree, 0) + struct.pack("<I", 0)
@@ -82,7 +82,8 @@ def _record(opcode: int, content: bytes) -> bytes:
 
 def _stream(attribute: int, values: np.ndarray) -> bytes:
     """An attribute's whole numbers [N, ...], zigzag, byte plane by byte plane, deflated."""
-    whole = _whole(np.asarray(values, np.float64)).reshape(len(values), -1)
+    whole = _whole(np.asarray(values, np.float64))
+    whole = whole.reshape(len(whole), math.prod(whole.shape[1:]))
     planes = ((whole << 1) ^ (whole >> 63)).astype("<u4").reshape(-1).view(np.uint8).reshape(-1, 4).T.tobytes()
     payload = zlib.compress(planes, 6)
     return struct.pack("<5BIQ", attribute, 4, wire.RAW, 0, whole.shape[1], len(whole), len(payload)) + payload

@@ -49,8 +49,6 @@ def test_help_and_version_import_nothing_heavy():
     program = """
 import sys
 from fastgs_blender import cli
-from fastgs_blender.commands import COMMANDS, bench
-from fastgs_blender.kernels.cpu import jit
 for argument in (["--help"], ["--version"], ["render", "--help"], ["bench", "--help"]):
     try:
         cli.main(argument)
