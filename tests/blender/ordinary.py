@@ -9,7 +9,7 @@ from importlib import import_module
 import bpy
 from background import ADDON, bring, look
 from mathutils import Euler, Vector
-from window import area_of, seen_by, settled, until, within
+from window import area_of, press, seen_by, settled, until, within
 
 
 def operators(model):
@@ -68,6 +68,8 @@ def operators(model):
     compiling = import_module(f"{ADDON}.engine.compiling")
     yield from until(lambda: not compiling.is_running())  # before, a click finds no splats
     facts["clicked"] = {}
+    yield from press('ESC', area)  # what is left of a pop-up would take the first click
+    yield from click(area, (0.0, 0.0, 9.0))
     for shading in ('SOLID', 'MATERIAL', 'RENDERED'):
         space.shading.type = shading
         yield from settled(f"ordinary-{shading.lower()}")

@@ -8,6 +8,7 @@ from conftest import black_behind, psnr, read_png, region_camera
 from PIL import Image
 
 from fastgs_blender.rendering.crops import Crop
+from fastgs_blender.rendering.masks import unpack_mask
 
 EDGE = 4
 INNER = slice(EDGE, -EDGE), slice(EDGE, -EDGE)
@@ -146,6 +147,18 @@ def test_a_crop_box(user, model, crops, reference):
     wanted, whole = (black_behind(reference(model[0], facts["camera"], 12 - facts["start"], boxes))[INNER] for boxes in ((box,), ()))
     assert psnr(whole, wanted) < 25
     assert psnr(crops(facts)("cropped"), wanted) >= 40
+
+
+def test_the_brush(user, model, crops, reference):
+    """What a box was dragged over is gone, in the viewport as in the library, until undo brings it back."""
+    facts = user.story("window.brushing", window=True, model=model[1])
+    bits = unpack_mask(facts["mask"], len(model[0]))
+    assert 0.02 < bits.mean() < 0.98 and facts["undone"] == ""
+    pictures = [reference(shown, facts["camera"], 12 - facts["start"]) for shown in (model[0], model[0].take(~bits))]
+    whole, wanted = (black_behind(picture)[INNER] for picture in pictures)
+    assert psnr(whole, wanted) < 30
+    assert psnr(crops(facts)("brushed"), wanted) >= 40
+    assert psnr(crops(facts)("brush-undone"), whole) >= 40
 
 
 def test_pictures_on_cameras(user, model):
