@@ -13,8 +13,6 @@ from ..training.run.plan import read_plan
 from ..util.errors import FastGSError
 from .job import read_status
 
-WISHES = ('REFUSE', 'RESUME', 'OVERWRITE', 'NEW')
-
 
 @dataclass(frozen=True)
 class Held:
