@@ -80,14 +80,6 @@ STAGE = 1.3
 # A stage with a textured floor, in a softly coloured studio, sun and sky
 
 
-def noise(size: int, cells: int, rng) -> np.ndarray:
-    """Smooth noise [size, size] of that many cells a side, mean 0, standard deviation about 1."""
-    from PIL import Image
-
-    image = Image.fromarray(rng.normal(0, 1, (cells + 3, cells + 3)).astype(np.float32))
-    return np.asarray(image.resize((size, size), Image.Resampling.BICUBIC))
-
-
 def stage(centre, radius: float, floor: float, reach: float) -> None:
     """Around a subject: a round stage under its feet that every camera sees, in a studio of smooth colours at `reach`, beyond them all."""
     rng = np.random.default_rng(7)
@@ -123,7 +115,7 @@ def floor_image(radius, edge, rng) -> np.ndarray:
     seam = np.minimum(np.abs((x / tile + 0.5) % 1 - 0.5), np.abs((y / tile + 0.5) % 1 - 0.5)) * tile
     kit.paint(image, 0.7 * kit.edge(seam - 0.015 * tile, 0.03 * tile), "#6b6356")
     cells = edge / radius * np.array([11, 32])
-    image += (0.04 * noise(size, int(cells[0]), rng) + 0.03 * noise(size, int(cells[1]), rng))[..., None]
+    image += (0.04 * kit.noise(size, size, int(cells[0]), rng) + 0.03 * kit.noise(size, size, int(cells[1]), rng))[..., None]
     return np.clip(image, 0, 1)
 
 

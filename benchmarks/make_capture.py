@@ -3,6 +3,7 @@
 
     python benchmarks/make_capture.py --scene robot --out captures/robot
     python benchmarks/make_capture.py --scene procedural --out captures/procedural
+    python benchmarks/make_capture.py --scene room --out captures/room
     python benchmarks/make_capture.py --scene my.glb --action Walk --cameras 24 --frames 60 --size 640x480 --out captures/mine
 
 Writes cameras.json, camNN/0001.png ... and masks/camNN/0001.png (white: what moves); cam00 is held out and stands among the others.
@@ -24,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import capture_scenes as scenes  # noqa: E402
+import room_scene  # noqa: E402
 
 from fastgs_blender.captures import generated  # noqa: E402
 from fastgs_blender.rendering import colour  # noqa: E402
@@ -31,13 +33,16 @@ from fastgs_blender.util.outputs import replacing  # noqa: E402
 
 ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
 PRESETS = {"robot": dict(cameras=18, frames=40, size="480x360", samples=8, angle=42.0, distance=0.9),
-           "procedural": dict(cameras=14, frames=30, size="320x240", samples=8, angle=42.0, distance=0.78)}
+           "procedural": dict(cameras=14, frames=30, size="320x240", samples=8, angle=42.0, distance=0.78),
+           "room": dict(cameras=18, frames=48, size="400x300", samples=16, angle=44.0, distance=1.0)}
+MADE = {"procedural": scenes.procedural, "room": room_scene.furnished}
+"""The scenes that are made here, of so many frames; others are read from files."""
 
 
 def main():
     options = parse()
-    if options.scene == "procedural":
-        scenes.procedural(options.frames)
+    if options.scene in MADE:
+        MADE[options.scene](options.frames)
     else:
         scenes.open_file(options.file, options.action)
     scene = bpy.context.scene
@@ -56,7 +61,10 @@ def main():
 
     width, height = (int(x) for x in options.size.split("x"))
     focal = height / 2 / np.tan(np.radians(options.angle) / 2)
-    eyes = centre + distance * generated.directions(options.cameras, options.rig)
+    if options.scene == "room":
+        eyes, centre = room_scene.rig(options.cameras)
+    else:
+        eyes = centre + distance * generated.directions(options.cameras, options.rig)
     poses = {f"cam{k:02}": generated.look_at(eye, centre) for k, eye in enumerate(eyes)}
     write_description(options, poses, (width, height, focal), scene.render.fps / step)
     render(options, set_up(scene, width, height, focal, options), poses, times, {o.name for o in subject})
@@ -64,7 +72,7 @@ def main():
 
 def parse():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", default="robot", help="robot, procedural, or a .blend or .glb file")
+    parser.add_argument("--scene", default="robot", help="robot, procedural, room, or a .blend or .glb file")
     parser.add_argument("--robot", type=Path, default=ROBOT, help="where RobotExpressive.blend lies")
     parser.add_argument("--action", help="which action the rigs do; for the robot Robot_Dance")
     parser.add_argument("--cameras", type=int)
@@ -83,8 +91,8 @@ def parse():
             setattr(options, name, value)
     options.file = options.robot if options.scene == "robot" else Path(options.scene)
     options.action = options.action or ("Robot_Dance" if options.scene == "robot" else None)
-    if options.scene != "procedural" and not options.file.is_file():
-        parser.error(f"{options.file} is not there; give a .blend or .glb file, robot or procedural")
+    if options.scene not in MADE and not options.file.is_file():
+        parser.error(f"{options.file} is not there; give a .blend or .glb file, robot, procedural or room")
     return options
 
 
@@ -93,7 +101,7 @@ def write_description(options, poses, lens, fps):
     width, height, focal = lens
     pinhole = dict(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
     cameras = [dict(name=name, **pinhole, world_to_camera=matrix.tolist()) for name, matrix in poses.items()]
-    made = {"scene": options.file.name if options.scene != "procedural" else "procedural", "action": options.action,
+    made = {"scene": options.scene if options.scene in MADE else options.file.name, "action": options.action,
             "rig": options.rig, "samples": options.samples, "blender": bpy.app.version_string}
     files = {"cameras.json": {"format": "fast-gs capture", "version": 1, "fps": fps, "start_frame": 1, "frame_count": options.frames,
                               "axes": "RFU", "held_out": ["cam00"], "cameras": cameras},
@@ -118,6 +126,8 @@ def set_up(scene, width, height, focal, options):
     cycles.seed, cycles.use_animated_seed = 0, False
     cycles.use_denoising, cycles.denoiser, cycles.denoising_prefilter = True, 'OPENIMAGEDENOISE', 'FAST'
     cycles.max_bounces = 4
+    if options.scene == "room":  # lit without noise
+        cycles.use_denoising, cycles.max_bounces = False, 0
     render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1
     render.use_border = render.use_motion_blur = render.film_transparent = False

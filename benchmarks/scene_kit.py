@@ -130,6 +130,14 @@ def paint(image, mask, code, soft=None):
     image += np.clip(mask, 0, 1)[..., None] * (srgb(code) - image)
 
 
+def noise(width, height, cells, rng) -> np.ndarray:
+    """Smooth noise [height, width] with that many square cells across, mean 0, standard deviation about 1."""
+    from PIL import Image
+
+    grid = rng.normal(0, 1, (max(cells * height // width, 1) + 3, cells + 3)).astype(np.float32)
+    return np.asarray(Image.fromarray(grid).resize((width, height), Image.Resampling.BICUBIC))
+
+
 def edge(distance, width):
     """1 inside (distance < 0), 0 outside, with a soft edge."""
     return np.clip(0.5 - distance / width, 0, 1)
