@@ -1,34 +1,72 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Holds all models that viewports show in two textures, so that one draw call blends them together, in one order."""
+"""Holds all models that viewports show in two textures, so that one draw call blends them together, in one order.
+
+Python cannot write into a part of a texture.  So a model that comes is uploaded into a texture of its own, and the GPU copies that to its
+rows of the large one: of a sequence's frames, only the Gaussians of that sequence are sent, whatever else is shown.
+"""
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import gpu
 import numpy as np
 
 from ...fastgs_blender.model.gaussians import GaussianModel
-from . import model_texels
-from .textures import ROWS, WIDTH, rows_of, upload
+from . import model_texels, shaders
+from .model_texels import Place
+from .textures import FORMATS, ROWS, WIDTH, rows_of, upload
+
+KINDS = ("geometry", "colour")
+HALF = {"geometry": False, "colour": True}
+SPARE = 4
+"""Where room had to be made before, one row in so many is left free for frames that are a little larger."""
+WASTE = 4
+"""Textures of which less than one row in so many is used are made anew."""
 
 
 class TooLarge(Exception):
     """The models do not fit into textures."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a model's texels begin in each texture, and how they are laid out."""
+class _Rows:
+    """The rows of a texture, and which models have them: {id: (first row, rows)}."""
 
-    geometry: int
-    colour: int
-    layout: model_texels.TexelLayout
+    def __init__(self, rows: int, half: bool):
+        self.rows, self.half, self.taken = rows, half, {}
+        self.texture = gpu.types.GPUTexture((WIDTH, rows), format='RGBA16F' if half else FORMATS[4])
+        self._target = gpu.types.GPUFrameBuffer(color_slots=(self.texture,))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the texture."""
+        return self.rows * WIDTH * (8 if self.half else 16)
+
+    def room(self, wanted: list[int]) -> list[int] | None:
+        """First rows for runs of `wanted` rows, none of which is taken; None where there is no room for all."""
+        found, taken = [], sorted(self.taken.values())
+        for rows in wanted:
+            at = 0
+            for begin, length in taken:
+                if begin - at >= rows:
+                    break
+                at = begin + length
+            if at + rows > self.rows:
+                return None
+            found.append(at)
+            taken = sorted([*taken, (at, rows)])
+        return found
+
+    def put(self, key: int, first: int, texels: np.ndarray) -> None:
+        """Send a model's texels [rows, WIDTH, 4] to its rows."""
+        self.taken[key] = first, len(texels)
+        sent = upload(texels, half=self.half)
+        with self._target.bind(), shaders.drawing('NONE'):
+            whole = gpu.state.viewport_get()
+            gpu.state.viewport_set(0, first, WIDTH, len(texels))
+            shaders.fill(*shaders.show(False), {"t_shown": sent})
+            gpu.state.viewport_set(*whole)
 
 
 class Atlas:
-    """The textures of a set of models; `version` changes with them.
-
-    They are made anew where a model is missing, because textures cannot be written in part.
-    """
+    """The textures of a set of models; `version` changes with them."""
 
     def __init__(self):
         self.version = 0
@@ -38,10 +76,24 @@ class Atlas:
         """Free the textures."""
         self.version += 1
         self.models: list[GaussianModel] = []
-        self.geometry = self.colour = None
+        self._rows: dict[str, _Rows] = {}
         self._places: dict[int, Place] = {}
         self._packed: dict[int, tuple] = {}
-        self.nbytes = 0
+
+    @property
+    def geometry(self):
+        """The texture of geometry; None where nothing is held."""
+        return self._rows["geometry"].texture if self._rows else None
+
+    @property
+    def colour(self):
+        """The texture of colours; None where nothing is held."""
+        return self._rows["colour"].texture if self._rows else None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the textures."""
+        return sum(rows.nbytes for rows in self._rows.values())
 
     def has(self, models) -> bool:
         """Whether all of them are on the GPU."""
@@ -53,12 +105,11 @@ class Atlas:
 
     def pack(self, models) -> None:
         """Make the texels of models that are not on the GPU yet; from any thread, so that hold() has less to do."""
-        for model in models:
-            if id(model) not in self._places and id(model) not in self._packed:
-                self._packed[id(model)] = model, _texels(model)
+        known, missing = self._packed, [model for model in models if id(model) not in self._places]
+        self._packed = {id(model): known.get(id(model)) or (model, _texels(model)) for model in missing}
 
     def hold(self, models, keep=()) -> None:
-        """Make sure that the models are on the GPU; of the others only those in `keep` stay when that needs new textures.
+        """Make sure that the models are on the GPU; of the others only those in `keep` stay when that needs something to be sent.
 
         Raises TooLarge.
         """
@@ -66,28 +117,49 @@ class Atlas:
         if self.has(models):
             return
         wanted = list({id(m): m for m in [*models, *(m for m in keep if id(m) in self._places)]}.values())
-        layouts = [model_texels.layout_of(m) for m in wanted]
-        starts = {kind: np.cumsum([0] + [len(m) * getattr(layout, kind) for m, layout in zip(wanted, layouts)])
-                  for kind in ("geometry", "colour")}
-        if max(rows_of(int(s[-1])) for s in starts.values()) > ROWS:
+        needed = {kind: [_row_count(m, kind) for m in wanted] for kind in KINDS}
+        if max(map(sum, needed.values())) > ROWS:
             raise TooLarge
-        packed = [self._packed[id(m)][1] if id(m) in self._packed else _texels(m) for m in wanted]
-        self.clear()
-        for kind in ("geometry", "colour"):
-            start = starts[kind]
-            texels = np.zeros((rows_of(int(start[-1])) * WIDTH, 4), np.float32)
-            for parts, first, end in zip(packed, start, start[1:]):
-                texels[first:end] = parts[kind].reshape(-1, 4)
-            setattr(self, kind, upload(texels.reshape(-1, WIDTH, 4), half=kind == "colour"))
-            self.nbytes += len(texels) * (8 if kind == "colour" else 16)
+        self._forget_all_but(wanted)
+        coming = [m for m in wanted if id(m) not in self._places]
+        first = self._room(coming) if all(sum(needed[kind]) * WASTE >= rows.rows for kind, rows in self._rows.items()) else None
+        if first is None:
+            spare, packed = (1 / SPARE if self._rows else 0), self._packed
+            self.clear()  # before room is made
+            self._packed = packed
+            self._rows = {kind: _Rows(min(ROWS, int(sum(rows) * (1 + spare))), HALF[kind]) for kind, rows in needed.items()}
+            coming, first = wanted, self._room(wanted)
+        for number, model in enumerate(coming):
+            texels = self._packed.pop(id(model), (model, None))[1] or _texels(model)
+            for kind in KINDS:
+                self._rows[kind].put(id(model), first[kind][number], texels[kind])
+            self._places[id(model)] = Place(*(WIDTH * first[kind][number] for kind in KINDS), model_texels.layout_of(model))
         self.models = wanted
-        self._places = {id(m): Place(int(g), int(c), layout)
-                        for m, layout, g, c in zip(wanted, layouts, starts["geometry"], starts["colour"])}
+        self.version += 1
+
+    def _forget_all_but(self, models) -> None:
+        keep = {id(model) for model in models}
+        for key in [key for key in self._places if key not in keep]:
+            del self._places[key]
+            for rows in self._rows.values():
+                del rows.taken[key]
+
+    def _room(self, models) -> dict[str, list[int]] | None:
+        """First rows of the models in each texture; None where there is no room."""
+        found = {kind: rows.room([_row_count(m, kind) for m in models]) for kind, rows in self._rows.items()}
+        return None if not found or None in found.values() else found
+
+
+def _row_count(model: GaussianModel, kind: str) -> int:
+    return rows_of(len(model) * getattr(model_texels.layout_of(model), kind))
 
 
 def _texels(model: GaussianModel) -> dict[str, np.ndarray]:
-    layout = model_texels.layout_of(model)
-    texels = {kind: np.empty((len(model), getattr(layout, kind), 4), np.float32) for kind in ("geometry", "colour")}
-    model_texels.write_geometry(model, texels["geometry"])
-    model_texels.write_colour(model, texels["colour"])
-    return texels
+    """Whole rows of each texture, [rows, WIDTH, 4]."""
+    layout, out = model_texels.layout_of(model), {}
+    for kind, write in (("geometry", model_texels.write_geometry), ("colour", model_texels.write_colour)):
+        size = getattr(layout, kind)
+        texels = np.zeros((_row_count(model, kind) * WIDTH, 4), np.float32)
+        write(model, texels[:len(model) * size].reshape(len(model), size, 4))
+        out[kind] = texels.reshape(-1, WIDTH, 4)
+    return out

@@ -5,17 +5,18 @@ The splats' shaders (glsl/splat.py) read it by the same names.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.motion import Basis
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
 from . import model_texels
-from .atlas import Atlas
 from .textures import WIDTH
 
 NOTHING = -1.0
@@ -83,10 +84,11 @@ class Depths:
     b: float = 0.0
 
 
-def frame_table(camera: Camera, instances: list[ViewedInstance], atlas: Atlas, count: int, groups: dict[int, int],
-                depths: Depths | None, depth_size=(1, 1), gone=frozenset()) -> np.ndarray:
+def frame_table(camera: Camera, instances: list[ViewedInstance], place: Callable[[GaussianModel], model_texels.Place], count: int,
+                groups: dict[int, int], depths: Depths | None, depth_size=(1, 1), gone=frozenset()) -> np.ndarray:
     """The table as float32 [1 + instances, width, 4].
 
+    place       where the texels of an instance's model begin
     count       how many Gaussians are drawn
     groups      number of the colour group (picture.py) of each instance, by its place in `instances`
     depths      of the depth picture that hides splats; None: nothing hides them
@@ -95,7 +97,7 @@ def frame_table(camera: Camera, instances: list[ViewedInstance], atlas: Atlas, c
     """
     rows, first = [_view_row(camera, len(instances), count, depths, depth_size)], 0
     for number, instance in enumerate(instances):
-        rows.append(_instance_row(instance, atlas, first, groups[number], NOTHING if number in gone else instance.far))
+        rows.append(_instance_row(instance, place(instance.model), first, groups[number], NOTHING if number in gone else instance.far))
         first += len(instance.model)
     out = np.zeros((len(rows), max(len(row) for row in rows), 4), np.float32)
     for line, row in zip(out, rows):
@@ -115,10 +117,9 @@ def _view_row(camera, instances, count, depths, depth_size):
     ]
 
 
-def _instance_row(instance, atlas, first, group, far):
-    """The texels of an instance's row; `first` is its first Gaussian's place among those of all instances."""
-    model, place, raster = instance.model, atlas.place(instance.model), instance.model.raster
-    layout = place.layout
+def _instance_row(instance, texels, first, group, far):
+    """The texels of an instance's row; `first` is its first Gaussian's place among all, texels where its texels begin."""
+    model, raster, layout = instance.model, instance.model.raster, texels.layout
     to_camera, to_model = instance.model_to_camera, instance.camera_to_model
     moving, move_first, move_weights = _basis(model.basis, instance.t, 4)
     turning, turn_first, turn_weights = _basis(model.rotation_basis, instance.t, 1)
@@ -127,8 +128,8 @@ def _instance_row(instance, atlas, first, group, far):
     head = [
         *to_camera[:3],
         (*eye, raster.antialiased),
-        (place.geometry // WIDTH, place.geometry % WIDTH, layout.geometry, layout.colours),
-        (place.colour // WIDTH, place.colour % WIDTH, layout.colour, layout.degree),
+        (texels.geometry // WIDTH, texels.geometry % WIDTH, layout.geometry, layout.colours),
+        (texels.colour // WIDTH, texels.colour % WIDTH, layout.colour, layout.degree),
         (changing, layout.changes, change_first, len(change_weights)),
         (instance.t, model.temporal_kind.code, moving, layout.groups),
         (move_first, len(move_weights), turning, layout.turns),

@@ -60,6 +60,15 @@ class TexelLayout:
         return {RGB: 1, HARMONICS: 3 * -(-((self.degree + 1) ** 2) // 4), FEATURES: 3}[self.colours]
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where a model's texels begin in each texture, and how they are laid out."""
+
+    geometry: int
+    colour: int
+    layout: TexelLayout
+
+
 def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
     colours, degree = RGB, 0

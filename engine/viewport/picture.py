@@ -8,7 +8,6 @@ does the same).  Nearly always there is one group.
 """
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import gpu
@@ -100,7 +99,7 @@ class Picture:
         self.camera = camera
         groups, member = grouped(instances)
         shape = (1, 1) if depth is None else depth.values.shape[::-1]
-        table = frame_table(camera, instances, atlas, order.count, member, depth and depth.depths, shape, gone)
+        table = frame_table(camera, instances, atlas.place, order.count, member, depth and depth.depths, shape, gone)
         same = (order, atlas.version, table.tobytes(), depth, deep)
         if same == self._drawn:
             return
@@ -109,7 +108,7 @@ class Picture:
         if self._no_depth is None:
             self._no_depth = upload(np.ones((1, 1, 1), np.float32))
         seen = self._no_depth if depth is None else upload(depth.values[..., None])
-        with _drawing('ALPHA_PREMULT'):
+        with shaders.drawing('ALPHA_PREMULT'):
             for number, (_, framebuffer) in enumerate(self._targets):
                 table[0, ViewTexel.DEPTHS, 3] = number
                 with framebuffer.bind():
@@ -158,8 +157,8 @@ class Picture:
         if depths is not None:
             table = resolve_table(self.camera, self.size, Group("linear"), np.eye(3), depths=depths)
             inputs |= {"t_resolve": upload(table), "t_own": self._targets[0][0]["t_own"]}
-        with _drawing('ALPHA_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
-            _fill(*shaders.show(depths is not None), inputs)
+        with shaders.drawing('ALPHA_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
+            shaders.fill(*shaders.show(depths is not None), inputs)
 
     def _finish(self, *options):
         """Make scene-linear colour of all groups, in the active framebuffer; for the options see resolve()."""
@@ -188,8 +187,8 @@ class Picture:
         sky = self._sky if first and not raw else None
         values = resolve_table(self.camera, size or self.size, group, *options, sky=sky and sky[0].values.shape[1::-1], first=first,
                                summed=summed, raw=raw)
-        with _drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
-            _fill(*shaders.resolve(group.instance is not None, own, sky is not None),
+        with shaders.drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
+            shaders.fill(*shaders.resolve(group.instance is not None, own, sky is not None),
                   {"t_resolve": upload(values), **textures} | ({"t_sky": sky[1]} if sky else {}))
 
     def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
@@ -199,8 +198,8 @@ class Picture:
         """
         if not (self.groups and self.deep):
             return
-        with _drawing('MULTIPLY', 'LESS_EQUAL'):
-            _fill(*shaders.covering(), {"t_covering": upload(covering_table(self.camera, depths, window, floor, marks)),
+        with shaders.drawing('MULTIPLY', 'LESS_EQUAL'):
+            shaders.fill(*shaders.covering(), {"t_covering": upload(covering_table(self.camera, depths, window, floor, marks)),
                                         "t_own": self._targets[0][0]["t_own"]})
 
     def free(self) -> None:
@@ -222,26 +221,3 @@ def _target(size, features: bool, own: bool):
     names = ["t_first"] + ["t_second", "t_third"] * features + ["t_own"] * own
     textures = {name: gpu.types.GPUTexture(size, format=FORMAT) for name in names}
     return textures, gpu.types.GPUFrameBuffer(color_slots=tuple(textures.values()))
-
-
-def _fill(shader, batch, inputs):
-    """Draw a shader over the whole of the active framebuffer; its textures must live until then."""
-    shader.bind()
-    for name, texture in inputs.items():
-        shader.uniform_sampler(name, texture)
-    batch.draw(shader)
-
-
-@contextmanager
-def _drawing(blend, depth_test='NONE'):
-    """Blending and depth test as wanted, no depth is written; as Blender expects it afterwards."""
-    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
-    gpu.state.blend_set(blend)
-    gpu.state.depth_test_set(depth_test)
-    gpu.state.depth_mask_set(False)
-    try:
-        yield
-    finally:
-        gpu.state.blend_set(before[0])
-        gpu.state.depth_test_set(before[1])
-        gpu.state.depth_mask_set(before[2])

@@ -2,6 +2,7 @@
 """Compiles the shaders, with the rectangle that each is drawn on."""
 from __future__ import annotations
 
+from contextlib import contextmanager
 from functools import cache
 
 import gpu
@@ -58,7 +59,7 @@ def resolve(features: bool, own: bool, sky: bool):
 
 @cache
 def show(deep: bool):
-    """(shader, batch) that puts a finished picture into the window; `deep`: with its depth."""
+    """(shader, batch) that puts a picture of its size into the active viewport; `deep`: with its depth."""
     info = _whole("fastgs_show_iface")
     names = ["t_shown"]
     if deep:
@@ -110,3 +111,26 @@ def _finish(info, vertex, fragment):
     info.fragment_source(fragment)
     shader = gpu.shader.create_from_info(info)
     return shader, batch_for_shader(shader, 'TRI_STRIP', {"corner": CORNERS})
+
+
+def fill(shader, batch, inputs):
+    """Draw a shader over the whole of the active framebuffer; its textures must live until then."""
+    shader.bind()
+    for name, texture in inputs.items():
+        shader.uniform_sampler(name, texture)
+    batch.draw(shader)
+
+
+@contextmanager
+def drawing(blend, depth_test='NONE'):
+    """Blending and depth test as wanted, no depth is written; as Blender expects it afterwards."""
+    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
+    gpu.state.blend_set(blend)
+    gpu.state.depth_test_set(depth_test)
+    gpu.state.depth_mask_set(False)
+    try:
+        yield
+    finally:
+        gpu.state.blend_set(before[0])
+        gpu.state.depth_test_set(before[1])
+        gpu.state.depth_mask_set(before[2])

@@ -39,8 +39,11 @@ from .realtime4dgs import Realtime4DGS
 from .rotor import RotorGaussians
 from .sequences import NumberedFiles, ZippedFiles, numbered_files, stands_for_many
 from .sog import Sog
+from .sog4d import Sog4d
+from .sog4d_frames import Sog4dFrames
 from .splat import Splat
 from .splat4d import Splat4d
+from .splats4d import Splats4D
 from .splatv import Splatv
 from .spz import Spz
 from .stg import SpacetimeGaussians
@@ -50,13 +53,15 @@ from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
-                               Splat4d())
+                               Sog4d(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
-SEQUENCES: tuple[Format, ...] = (Gsd(), ZippedFiles())
+SEQUENCES: tuple[Format, ...] = (Gsd(), Splats4D(), Sog4dFrames(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 FILES = NumberedFiles()
 """What a path that is no file may be."""
+HEAD = 512
+"""Bytes that formats are first asked about."""
 WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), FourDGS(), Splatv(), *STATIC, Usd(".usda"))
 """Asked in this order to write, among those that share an extension."""
 
@@ -182,7 +187,7 @@ def _identify(path: Path) -> Format:
         numbered_files(path)  # says what is wrong with a folder that is no sequence
         return FILES
     with open_file(path) as stream:
-        head = stream.read(64)
+        head = stream.read(HEAD)
     if not head:
         raise FastGSError("the file is empty; copy or export it again.")
     for known in FORMATS:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..util.errors import FastGSError
+from . import zstd
 
 MAGIC = b"\x894DGS1\r\n"
 POSITION, SCALE, OMITTED, ROTATION, COLOUR, OPACITY, MOTION, MU, SIGMA, FLAGS, WINDOW = range(11)
@@ -73,9 +74,9 @@ def unpacked(block: Cursor, codec: str, size: int) -> Cursor:
     """The streams of a chunk, which may be compressed as a whole."""
     if codec in ("", "none"):
         return Cursor(block.data)
-    if codec != "deflate":
-        raise FastGSError(f"its chunks are compressed with {codec[:20]!r}, which is not supported; export it with deflate.")
-    return Cursor(memoryview(_inflated(block.data, size)))
+    if codec not in CODECS:
+        raise FastGSError(f"its chunks are compressed with {codec[:20]!r}, which is not known; export it with deflate or zstd.")
+    return Cursor(memoryview(CODECS[codec](block.data, size)))
 
 
 def streams(cursor: Cursor, count: int, what: str) -> dict[int, np.ndarray]:
@@ -99,10 +100,8 @@ def stream(cursor: Cursor, count: int, band: bool = False) -> tuple[int, np.ndar
     payload = cursor.take(size)
     if attribute not in CHANNELS and not band:
         return attribute, None
-    if codec == 1:
-        raise FastGSError("its streams are compressed with zstd, which is not supported; export it with deflate.")
-    if codec:
-        raise FastGSError(f"a stream in it has the unknown codec {codec}; export it with deflate.")
+    if codec >= len(CODECS):
+        raise FastGSError(f"a stream in it has the unknown codec {codec}; export it with deflate or zstd.")
     if width not in (1, 2, 4) or mode not in (RAW, DELTA, CONSTANT) or not channels:
         raise FastGSError(f"the stream of attribute {attribute} has {width} bytes a number and mode {mode}; the file is damaged.")
     if elements != count:
@@ -110,7 +109,8 @@ def stream(cursor: Cursor, count: int, band: bool = False) -> tuple[int, np.ndar
     if not count:
         return attribute, np.zeros((0, channels), np.int64)
     symbols = channels if mode == CONSTANT else count * channels
-    planes = np.frombuffer(_inflated(payload, symbols * width), np.uint8).reshape(width, symbols)
+    unpack = list(CODECS.values())[codec]
+    planes = np.frombuffer(unpack(payload, symbols * width), np.uint8).reshape(width, symbols)
     code = np.ascontiguousarray(planes.T).view(f"<u{width}").reshape(-1, channels).astype(np.int64)
     values = (code >> 1) ^ -(code & 1)
     if mode == CONSTANT:
@@ -135,3 +135,7 @@ def _inflated(data, size: int) -> bytes:
     if len(out) != size or not machine.eof:
         raise FastGSError(f"a stream in it does not have the {size} bytes that the file says; copy or export it again.")
     return out
+
+
+CODECS = {"deflate": _inflated, "zstd": lambda data, size: zstd.unpacked(data, size, "a stream in it")}
+"""(data, size) -> its bytes; the order is that of their numbers."""

@@ -4,24 +4,30 @@
 The arrays: means [N, 3], scales (ln) [N, 3], quats (w x y z) [N, 4], opacities (logit) [N], sh0 [N, 1, 3], shN [N, K, 3], times [N, 1],
 durations (ln of the standard deviation) [N, 1], velocities [N, 3] per unit of normalised time (first frame 0, last frame 1).
 FreeTimeGS++ says sh_0, sh_n, velocity_model, and adds marginal_gates: its opacity factor is g + (1 - g) bell, g = sigmoid(20 gate).
-A gate that is shut (g near 0) is the plain bell, an open one (g near 1) does not fade; in between there is nothing here for it.
+A gate that is shut (g near 0) is the plain bell, an open one (g near 1) does not fade.  No model holds what lies between: a file with
+such gates is computed for each time.
 """
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel
-from ..model.slicing import sigmoid
+from ..model.motion import Static
+from ..model.sequence import Computed
+from ..model.slicing import sigmoid, slice_model
+from ..model.temporal import Always
 from ..util.errors import FastGSError
+from ..util.identity import status_of
 from ..util.numpy_files import packed_arrays
 from . import torch_zip
-from .base import Format
+from .base import OPAQUE, Format, usable
 from .ftgs import FRAMES, GSPLAT, clip_of
-from .straight import straight
+from .straight import logit, straight
 from .zipped import members
 
 NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opacities": ("opacities",), "sh0": ("sh0", "sh_0"),
@@ -63,8 +69,31 @@ class FreeTimeArrays(Format):
         names = {name.removesuffix(".npy") for name in members(head, path) if name.endswith(".npy")}
         return _known(names)
 
+    def open(self, path, load):
+        table = packed_arrays(path)
+        if not _partly(table):
+            return load(path)
+        gate = sigmoid(20 * _floats(table["marginal_gates"]).reshape(-1).astype(np.float64))
+        fading = usable(self._read({key: value for key, value in table.items() if key != "marginal_gates"}, path), path)
+        if len(fading) != len(gate):
+            raise FastGSError("its gates do not fit its Gaussians, or some of its numbers are not finite; use an earlier checkpoint.")
+        still = replace(fading, basis=Static(), motion=None, temporal_kind=Always(), temporal=None, mu_tau=None)
+        whole = sigmoid(fading.opacity.astype(np.float64))
+
+        def compute(t):
+            now = slice_model(fading, t, cull=False)
+            return replace(still, position=now.position, opacity=np.clip(logit(gate * whole + (1 - gate) * now.opacity), -OPAQUE, OPAQUE))
+
+        return Computed(fading.clip, compute, lambda: status_of(str(path)), str(path))
+
     def load(self, path):
-        arrays = packed_arrays(path)
+        table = packed_arrays(path)
+        if _partly(table):
+            raise FastGSError("some of its Gaussians fade only in part (marginal gates of FreeTimeGS++), which is computed for each time; "
+                              "open it with open_source(), or turn it into one model with fastgs convert.")
+        return self._read(table, path)
+
+    def _read(self, arrays, path) -> GaussianModel:
         if any(name.startswith("velocity_model.") for name in arrays):
             raise FastGSError("its velocities come from a network of FreeTimeGS++ that is not supported; train with explicit velocities.")
         frames = arrays["n_frames"].read() if "n_frames" in arrays and not arrays["n_frames"].shape else None
@@ -97,15 +126,19 @@ def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
 
 
 def _gated(gates, ln_sigma: np.ndarray) -> np.ndarray:
-    """ln sigma with the gates' effect; raises FastGSError where it cannot be said so."""
+    """ln sigma with the effect of gates that are open or shut."""
     if int(np.prod(gates.shape)) != len(ln_sigma):
         raise FastGSError("its array marginal_gates does not fit its Gaussians; save it again.")
     gate = sigmoid(20 * _floats(gates).reshape(-1))
-    between = np.count_nonzero((gate > SHUT) & (gate < 1 - SHUT))
-    if between:
-        raise FastGSError(f"{between} of its {len(gate)} Gaussians fade only in part (marginal gates of FreeTimeGS++), "
-                          "which is not supported; train it with the gates shut.")
     return np.where(gate > 0.5, np.inf, ln_sigma)
+
+
+def _partly(table: Mapping) -> bool:
+    """Whether some Gaussians fade only in part."""
+    if "marginal_gates" not in table:
+        return False
+    gate = sigmoid(20 * _floats(table["marginal_gates"]))
+    return bool(np.any((gate > SHUT) & (gate < 1 - SHUT)))
 
 
 def _floats(array) -> np.ndarray:

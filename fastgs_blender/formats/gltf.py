@@ -2,7 +2,7 @@
 """glTF with KHR_gaussian_splatting (.glb, .gltf): static Gaussians as attributes of points, in the axes left, up, forward.
 
 All primitives with the extension are read, where the nodes of the scene put them; also those packed by
-KHR_gaussian_splatting_compression_spz_2.  A .glb is written, with floats: nothing is rounded.
+KHR_gaussian_splatting_compression_spz_2, or as its drafts had it.  A .glb is written, with floats: nothing is rounded.
 """
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ from .turning import into_rdf, turned
 
 EXTENSION = "KHR_gaussian_splatting"
 PACKED = "KHR_gaussian_splatting_compression_spz_2"
+DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
+"""Of it, extensions of primitives by themselves, which 3D Tiles of 2025 have."""
 AXES = "LUF"
 MAGIC, JSON, BINARY = b"glTF", 0x4E4F534A, 0x004E4942
 MAX_JSON = 1 << 26
@@ -115,7 +117,7 @@ def _table(value) -> dict:
 
 
 def _is_splat(primitive) -> bool:
-    return EXTENSION in _table(_table(primitive).get("extensions"))
+    return not {EXTENSION, *DRAFTS}.isdisjoint(_table(_table(primitive).get("extensions")))
 
 
 def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
@@ -219,8 +221,9 @@ def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
 
 def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
     """The model of one primitive, in glTF's axes."""
-    about, attributes = _table(primitive["extensions"][EXTENSION]), _table(primitive.get("attributes"))
-    packed = _table(about.get("extensions")).get(PACKED)
+    extensions, attributes = primitive["extensions"], _table(primitive.get("attributes"))
+    about = _table(extensions.get(EXTENSION))
+    packed = next((extensions[name] for name in DRAFTS if name in extensions), _table(about.get("extensions")).get(PACKED))
     colours = about.get("colorSpace", "srgb_rec709_display")
     if about.get("kernel", "ellipse") != "ellipse" or not isinstance(colours, str) or colours not in COLOURS:
         raise FastGSError("its Gaussians have a kernel or a colour space that is not known; export it as ellipses in sRGB.")

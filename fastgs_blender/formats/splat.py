@@ -6,6 +6,7 @@ quaternion w x y z u8 ((b - 128) / 128).  The largest and most opaque Gaussians 
 """
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from ..model.appearance import RGB, SH_C0
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, LossWarning
 from .static import StaticFormat, logits, opacity_bytes, read_whole, to_byte
 
 RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)])
@@ -43,11 +44,12 @@ class Splat(StaticFormat):
         return bool(good.mean() > 0.9 if named else good.all())
 
     def load(self, path):
-        size = path.stat().st_size
-        if size % RECORD.itemsize:
-            raise FastGSError(f"the file is cut short: {size} bytes are no whole number of records of {RECORD.itemsize} bytes; "
-                              "copy or export it again.")
-        records = np.frombuffer(read_whole(path), RECORD)
+        data = read_whole(path)
+        count, rest = divmod(len(data), RECORD.itemsize)
+        if data[len(data) - rest:].strip(b" \t\r\n\0"):
+            warnings.warn(LossWarning(f"{path}: the file ends within a record, as those do that are cut short; its {count} whole records "
+                                      "are read."), stacklevel=4)
+        records = np.frombuffer(data, RECORD, count)
         return GaussianModel(
             position=records["position"], scale=np.log(records["scale"]), rotation=_rotation(records),
             opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())

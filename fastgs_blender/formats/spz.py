@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""SPZ of Niantic, versions 1 to 4: quantised static Gaussians, packed with gzip (1 to 3) or zstd (4).
+"""SPZ of Niantic, versions 1 to 4: quantised static Gaussians, packed with gzip (1 to 3; bare ones are read too) or zstd (4).
 
 A header, then one array after the other: positions (half floats in version 1, then 24-bit fixed point), opacities u8, colours
 3 x u8, scales 3 x u8, rotations (x y z as u8 up to version 2, then the three smaller components, 9 bits and a sign each), spherical
@@ -17,6 +17,7 @@ import numpy as np
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel, Raster
 from ..util.errors import FastGSError
+from . import zstd
 from .static import SQRT_HALF, StaticFormat, largest_and_rest, logits, opacity_bytes, plausible_count, read_whole, to_byte, with_largest
 from .turning import into_rdf, turned
 
@@ -86,7 +87,7 @@ class Spz(StaticFormat):
 
 def decoded(data: bytes, raw: bool = False) -> GaussianModel:
     """The model in an SPZ file's bytes; raw: as the file holds it, in whatever axes.  Raises FastGSError."""
-    header, arrays, extensions = _unzstd(data) if data.startswith(MAGIC) else _gunzip(data)
+    header, arrays, extensions = _plain(data) if data.startswith(MAGIC) else _gunzip(data)
     _, version, count, degree, fraction, flags, _ = header
     model = _decode(version, count, degree, fraction, arrays)
     model.raster = replace(Raster(), antialiased=bool(flags & ANTIALIASED))
@@ -126,10 +127,15 @@ def _gunzip(data: bytes) -> tuple[tuple, list[bytes], bytes]:
         content = b"".join(_unzipped(data, HEADER.size + sum(sizes) + MAX_EXTENSIONS))[HEADER.size:]
     except zlib.error as error:
         raise FastGSError(f"it cannot be unpacked ({error}); the file is damaged, so copy it again.") from error
+    return header, *_arrays(content, header, sizes)
+
+
+def _arrays(content: bytes, header: tuple, sizes: list[int]) -> tuple[list[bytes], bytes]:
+    """The arrays, one after the other, and what follows them."""
     if len(content) < sum(sizes):
         raise FastGSError(f"the file is cut short: its header promises {header[2]} Gaussians; copy or export it again.")
     ends = np.cumsum(sizes).tolist()
-    return header, [content[end - size:end] for size, end in zip(sizes, ends, strict=True)], content[ends[-1]:]
+    return [content[end - size:end] for size, end in zip(sizes, ends, strict=True)], content[ends[-1]:]
 
 
 def _unzipped(data: bytes, size: int):
@@ -144,10 +150,12 @@ def _unzipped(data: bytes, size: int):
         yield piece
 
 
-def _unzstd(data: bytes) -> tuple[tuple, list[bytes], bytes]:
-    """Header, arrays and extensions of version 4."""
+def _plain(data: bytes) -> tuple[tuple, list[bytes], bytes]:
+    """Header, arrays and extensions of version 4, and of older ones from which gzip has been taken off."""
     header = _header(data, len(data))
-    if header[1] < 4 or len(data) < HEADER_4:
+    if header[1] < 4:
+        return header, *_arrays(data[HEADER.size:], header, _sizes(*header[1:4]))
+    if len(data) < HEADER_4:
         raise FastGSError("its header is damaged or cut short; copy or export the file again.")
     streams, table = header[6], int.from_bytes(data[16:20], "little")
     sizes = _sizes(*header[1:4])
@@ -160,41 +168,9 @@ def _unzstd(data: bytes) -> tuple[tuple, list[bytes], bytes]:
         packed, unpacked = next(entries) if size else (0, 0)
         if unpacked != size or packed > len(data) - begin:
             raise FastGSError("the file is cut short, or its table of contents is damaged; copy or export it again.")
-        arrays.append(_unzstd_stream(data[begin:begin + packed], size) if size else b"")
+        arrays.append(zstd.unpacked(data[begin:begin + packed], size) if size else b"")
         begin += packed
     return header, arrays, data[HEADER_4:table]
-
-
-def _unzstd_stream(data: bytes, size: int) -> bytes:
-    zstandard = _zstandard()
-    window = 1 << max(20, min(27, size.bit_length()))
-    reader = zstandard.ZstdDecompressor(max_window_size=window).stream_reader(data)
-    try:
-        content = b"".join(_pieces(reader, size + 1))
-    except zstandard.ZstdError as error:
-        raise FastGSError(f"it cannot be unpacked ({error}); the file is damaged, so copy it again.") from error
-    if len(content) != size:
-        raise FastGSError("what it unpacks to is not what its table of contents says; the file is damaged, so copy it again.")
-    return content
-
-
-def _zstandard():
-    try:
-        import zstandard
-    except ImportError as error:
-        raise FastGSError("version 4 of SPZ needs the Python package zstandard, which is not installed here; install it (pip install "
-                          "zstandard), or export the file as version 3.") from error
-    return zstandard
-
-
-def _pieces(reader, size: int):
-    """What a stream has left, up to `size` bytes."""
-    while size > 0:
-        piece = reader.read(min(PIECE, size))
-        if not piece:
-            return
-        size -= len(piece)
-        yield piece
 
 
 def _axes(extensions: bytes) -> str:

@@ -13,11 +13,10 @@ import numpy as np
 
 from ..model.gaussians import Clip
 from ..util.errors import FastGSError
+from . import pixel_tables as tables
 from . import sog
 from .base import Format
-from .description import read_json
 from .straight import Timeline, straight
-from .zipped import MAGIC
 
 VERSION = 4
 PROFILE = "org.opsiclear.tsog-playback"
@@ -32,22 +31,16 @@ class Tsog(Format):
     reads = (".tsog",)
 
     def sniff(self, head, path):
-        if not head.startswith(MAGIC):
-            return False
-        try:
-            with sog._Archive(path) as files:
-                meta = read_json(files.read("meta.json", sog.MAX_META)) if files.has("meta.json") else None
-        except FastGSError:
-            return False
-        return isinstance(meta, dict) and meta.get("version") == VERSION and "means" in meta
+        meta = tables.meta_of(head, path)
+        return meta.get("version") == VERSION and "means" in meta
 
     def load(self, path):
-        with sog._Archive(path) as files:
-            meta = read_json(files.read("meta.json", sog.MAX_META))
+        with tables.Archive(path) as files:
+            meta = files.meta()
             profile = meta.get("profile", {})
             if not isinstance(profile, dict) or (profile and (profile.get("id"), profile.get("version")) != (PROFILE, 1)):
                 raise FastGSError("it is of a profile that is not known; export it without one.")
-            model = sog._decoded(meta | {"version": 2}, files)
+            model = sog.decoded(meta | {"version": 2}, files)
             model.axes = "RUB"
             return _timed(model, meta, files)
 
@@ -60,8 +53,8 @@ def _timed(model, meta: dict, files):
     fps, seconds = _playback(meta)
     if timeline is None:
         return model
-    kind, n = sog._part(meta, "timeline").get("type"), len(model)
-    low, high = (sog._pixels(files, name, n) for name in sog._names(meta, "timeline", 2))
+    kind, n = tables.part(meta, "timeline").get("type"), len(model)
+    low, high = (tables.pixels(files, name, n) for name in tables.names(meta, "timeline", 2))
     code = low + 256 * high
     if kind == 0:
         frames = timeline.get("N")
@@ -72,7 +65,7 @@ def _timed(model, meta: dict, files):
         return replace(model, **lives, clip=Clip(frames, frames / seconds if seconds else fps))
     if kind != 1:
         raise FastGSError(f"its timeline is of type {kind!r}, and 0 and 1 are known.")
-    begin, end = sog._bounds(timeline, 2)
+    begin, end = tables.bounds(timeline, 2)
     if begin[1] <= 0:
         raise FastGSError("its temporal deviations are not positive; the file is damaged.")
     centre, sigma = (begin + (end - begin) * code[:, :2] / 65535).T
@@ -83,17 +76,17 @@ def _timed(model, meta: dict, files):
 
 def _velocity(temporal: dict, files, n: int) -> np.ndarray:
     """Velocities [N, 3] per unit of normalised time."""
-    part = sog._part(temporal, "means")
+    part = tables.part(temporal, "means")
     pictures = part.get("files")
     count = len(pictures) if isinstance(pictures, list) else 0
     if count not in (1, 2):
         raise FastGSError("its velocities have neither 8 nor 16 bits; the file is damaged.")
-    planes = [sog._pixels(files, name, n)[:, :3] for name in sog._names(temporal, "means", count)]
+    planes = [tables.pixels(files, name, n)[:, :3] for name in tables.names(temporal, "means", count)]
     share = planes[0] / 255 if count == 1 else (planes[0] + 256 * planes[1]) / 65535
     rows = [part.get(key) for key in ("mins", "maxs")]
     if not all(isinstance(row, list) and len(row) == 1 for row in rows):
         raise FastGSError("its velocities change in time, which is not supported; export it with a constant velocity.")
-    low, high = (sog._numbers(row[0], 3) for row in rows)
+    low, high = (tables.numbers(row[0], 3) for row in rows)
     return low + (high - low) * share
 
 

@@ -105,19 +105,21 @@ class Sequence:
     """A clip of models.
 
     clip    its time line: t = f / frame_count at frame f; a FreeClip where no frame rate is known
-    at      [F] the frames that there is a model for, increasing from 0, whole numbers; other frames show the nearest of these,
-            or what lies between two where their Gaussians match
+    at      [F] the frames that there is a model for, increasing; other frames show the nearest of these, or what lies between two
+            where their Gaussians match
     read    read(i) -> the model of frame at[i], which does not change in time; safe to call from any thread
     state   state(i) -> a value that changes when that model's file does
     about   for error messages: what the frames come from
+    alike   whether all frames are known to hold the same Gaussians in the same order; else their places tell
 
     Example:
         source = fg.open_source("still_####.ply")
     """
 
     def __init__(self, clip: Clip, at: np.ndarray, read: Callable[[int], GaussianModel], state: Callable[[int], object] = lambda i: None,
-                 about: str = "the sequence"):
+                 about: str = "the sequence", alike: bool = False):
         self.clip, self.at, self._read, self._state, self.about = clip, np.asarray(at, np.float64), read, state, about
+        self._alike = alike
         self._owner = next(_owners)
         self._matches: dict[tuple, bool] = {}
         self._last: int | None = None
@@ -157,13 +159,15 @@ class Sequence:
 
     def _between(self, t: float) -> tuple[int, int, float]:
         """The frames on either side of t, and how far it is from the first to the second; twice the same where it is a frame's."""
-        place = float(np.clip(t * self.clip.frame_count, 0, self.at[-1]))
+        place = float(np.clip(t * self.clip.frame_count, self.at[0], self.at[-1]))
         i = min(int(np.searchsorted(self.at, place + ENDS, side="right")) - 1, len(self.at) - 1)
         if place <= self.at[i] + ENDS:
             return i, i, 0.0
         return i, i + 1, float((place - self.at[i]) / (self.at[i + 1] - self.at[i]))
 
     def _match(self, i: int, j: int, read: bool) -> bool:
+        if self._alike:
+            return len(self.frame(i, read)) == len(self.frame(j, read))  # some may have been left out, because they are not finite
         key = i, self._state(i), self._state(j)
         if key not in self._matches:
             self._matches[key] = match(self.frame(i, read), self.frame(j, read))

@@ -294,7 +294,7 @@ def test_replaced_textures_are_freed(module, make_model, model_file, snapshot, e
 
     draw(snapshot(model_file(make_model(50))), eye(), wait=True)
     texture = view.atlas.geometry
-    view.atlas.hold([make_model(20)])
+    view.atlas.hold([make_model(9000)])
     gc.collect()
     assert sys.getrefcount(texture) == 2
 

@@ -9,6 +9,7 @@ import zlib
 import mutations
 import numpy as np
 import pytest
+import zstandard
 from evaluated import assert_shows, directions, spherical
 
 import fastgs_blender as fg
@@ -35,15 +36,18 @@ def stream(attribute: int, values: np.ndarray, mode: int = 0, width: int = 4, co
     stored = np.diff(values, axis=0, prepend=0) if mode == 1 else values[:1] if mode == 2 else values
     code = np.where(stored >= 0, 2 * stored, -2 * stored - 1).reshape(-1).astype(f"<u{width}")
     planes = code.view(np.uint8).reshape(-1, width).T.tobytes()
-    payload = zlib.compress(planes)
+    payload = zstandard.compress(planes) if codec == 1 else zlib.compress(planes)
     return struct.pack("<5BIQ", attribute, width, mode, codec, values.shape[1], len(values), len(payload)) + payload
 
 
-def chunk(table, deflated: bool = False, begin=0.0, end=DURATION, **modes) -> bytes:
-    body = b"".join(stream(a, v, modes.get(f"mode{a}", 0)) for a, v in table.items())
-    packed = zlib.compress(body) if deflated else body
+PACKED = {"": bytes, "deflate": zlib.compress, "zstd": zstandard.compress}
+
+
+def chunk(table, packed_with: str = "", begin=0.0, end=DURATION, codec=0, **modes) -> bytes:
+    body = b"".join(stream(a, v, modes.get(f"mode{a}", 0), codec=codec) for a, v in table.items())
+    packed = PACKED[packed_with](body)
     count = len(table[9]) if 9 in table else 0
-    head = struct.pack("<ddII", begin, end, 0, count) + text("deflate" if deflated else "")
+    head = struct.pack("<ddII", begin, end, 0, count) + text(packed_with)
     return record(5, head + struct.pack("<QQ", len(body), len(packed)) + packed)
 
 
@@ -127,13 +131,22 @@ def test_gaussian_birth(tmp_path, rng, degree):
     b[64] = np.zeros((N, 5), int)
     bands = [[rng.integers(0, 256, (N, 3 * (2 * k + 1))) for k in range(1, degree + 1)] for _ in range(2)]
     records = [[record(7, struct.pack("<B", k) + stream(7, v, width=2)) for k, v in enumerate(band, 1)] for band in bands]
-    data = scene(chunk(a, mode0=1, mode7=1), *records[0], record(0x90, b"private"), chunk(b, True, mode7=2), *records[1], degree=degree)
+    data = scene(chunk(a, mode0=1, mode7=1), *records[0], record(0x90, b"private"), chunk(b, "deflate", mode7=2), *records[1],
+                 degree=degree)
     model = fg.load(written(tmp_path, data))
     b.pop(64)
     bins = {k: np.concatenate([a[k], b[k]]) for k in a}
     assert model.clip.duration == pytest.approx(DURATION)
     for time in TIMES:
         assert_shows(model, time / DURATION, **state(bins, time, [np.concatenate(v) for v in zip(*bands)]))
+
+
+def test_streams_and_chunks_packed_with_zstd(tmp_path, rng):
+    bins = table(rng)
+    whole, parts = (fg.load(written(tmp_path, scene(data))) for data in (chunk(bins, "zstd"), chunk(bins, codec=1, mode7=1)))
+    for model in (whole, parts):
+        for time in TIMES[::3]:
+            assert_shows(model, time / DURATION, **state(bins, time))
 
 
 def test_windows_do_not_overlap(tmp_path, rng, monkeypatch):
@@ -246,7 +259,8 @@ def without(bins, *attributes):
     (lambda b: scene(chunk(without(b, 6))), "has no motion"),
     (lambda b: scene(chunk(b | {2: b[2] + 4})), "leaves out a component"),
     (lambda b: scene(hollow(10**9, "")), "claims 1000000000 Gaussians"),
-    (lambda b: scene(hollow(1, "zstd")), "'zstd', which is not supported"),
+    (lambda b: scene(hollow(1, "lzma")), "'lzma', which is not known"),
+    (lambda b: scene(hollow(1, "zstd")), "cannot be unpacked|does not unpack"),
     (lambda b: scene(chunk(b), chunk(b)).replace(record(4, struct.pack("<I", 3) + WINDOWS.tobytes()), b""), "has window"),
     (lambda b: scene(header()[8:], chunk(b)), "one header"),
     (lambda b: scene(chunk(b), degree=2), "bands of spherical harmonics are missing"),
@@ -267,7 +281,8 @@ def test_damaged_files(tmp_path, rng):
     track = record(0x25, struct.pack("<IBI", 1, 0, 2) + poses)
     contents = {"birth": scene(chunk(bins), record(7, b"\1" + stream(7, np.full((4, 9), 99), width=1)), degree=1),
                 "states": states + record(2, bytes(20)) + MAGIC,
-                "tracks": scene(track, chunk(bins | {14: np.array([[0], [1], [1], [0]])}, True))}
+                "zstd": scene(chunk(bins, codec=1), chunk(bins, "zstd")),
+                "tracks": scene(track, chunk(bins | {14: np.array([[0], [1], [1], [0]])}, "deflate"))}
 
     def read(folder):
         model = fg.load(folder / "m")

@@ -68,13 +68,13 @@ def random_file(packed=False, short=False) -> tuple[bytes, dict]:
     return glb(*tree_of(attributes, {"translation": [1, 2, 3], "scale": [2, 2, 2]})), attributes
 
 
-def packed_file(rng, version=2, draft=False):
+def packed_file(rng, version=2, draft=False, name=None):
     arrays = packed(rng, version, 13, 1)
     data = spz_file(version, 13, 1, arrays)
     tree, _ = tree_of({})
     about = {} if draft else {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
     about["extensions"] = {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}
-    tree["meshes"][0]["primitives"][0]["extensions"][EXT] = about
+    tree["meshes"][0]["primitives"][0]["extensions"] = {name: {"bufferView": 0}} if name else {EXT: about}
     tree |= {"bufferViews": [{"buffer": 0, "byteLength": len(data)}], "buffers": [{"byteLength": len(data)}]}
     return glb(tree, data), arrays
 
@@ -169,10 +169,11 @@ def test_spz_within(rng, tmp_path, version):
     model, want = fg.load(tmp_path / "m.glb"), expected(version, 13, 1, arrays)
     np.testing.assert_allclose(model.position, want["position"], rtol=1e-6)
     np.testing.assert_allclose(model.features[:, 3:].reshape(13, 3, 3), want["sh"], atol=1e-6)
-    data, arrays = packed_file(rng, version, draft=True)
-    (tmp_path / "m.glb").write_bytes(data)
-    stored = expected(version, 13, 1, arrays)["position"] * [1, -1, -1]
-    np.testing.assert_allclose(fg.load(tmp_path / "m.glb").position, stored @ LUF, rtol=1e-6)
+    for name in (None, "KHR_spz_gaussian_splats_compression", "KHR_spz_compression"):
+        data, arrays = packed_file(rng, version, draft=True, name=name)
+        (tmp_path / "m.glb").write_bytes(data)
+        stored = expected(version, 13, 1, arrays)["position"] * [1, -1, -1]
+        np.testing.assert_allclose(fg.load(tmp_path / "m.glb").position, stored @ LUF, rtol=1e-6)
 
 
 @pytest.mark.parametrize("degree", [0, 2, 3])

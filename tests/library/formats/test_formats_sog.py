@@ -122,6 +122,32 @@ def test_both_versions_as_their_formulas_say(rng, tmp_path, version, degree, for
     assert model.raster.antialiased == (version == 2)
 
 
+def test_pictures_of_other_kinds_that_hold_the_same_numbers(rng, tmp_path):
+    """PNG, and WebP without an alpha channel where that is not used; names that begin with ./; version 1 with a count, no shape."""
+    files, want = contents(rng, 20, 1, 1)
+    meta = json.loads(files.pop("meta.json"))
+    for part in meta.values():
+        part.pop("shape", None)
+        part["files"] = [f"./{name}" for name in part["files"]]
+    again = {}
+    for number, (name, content) in enumerate(files.items()):
+        stream = io.BytesIO()
+        with Image.open(io.BytesIO(content)) as picture:
+            if name.startswith("means"):
+                picture.convert("RGB").save(stream, "WEBP", lossless=True)
+            else:
+                picture.save(stream, "PNG" if number % 2 else "WEBP", lossless=True, exact=True)
+        again[name] = stream.getvalue()
+    again["meta.json"] = json.dumps(meta | {"count": 20}).encode()
+    (tmp_path / "m.sog").write_bytes(zipped(again))
+    assert_model(fg.load(tmp_path / "m.sog"), want)
+    palette = io.BytesIO()
+    Image.new("P", (8, 8)).save(palette, "PNG")
+    (tmp_path / "m.sog").write_bytes(zipped(again | {"sh0.webp": palette.getvalue()}))
+    with pytest.raises(fg.FastGSError, match="another kind"):
+        fg.load(tmp_path / "m.sog")
+
+
 @pytest.mark.parametrize("degree", [0, 1, 3])
 @pytest.mark.parametrize("n", [1, 300])
 def test_round_trip(rng, make_model, tmp_path, n, degree):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -52,9 +53,14 @@ def test_exporters_that_do_not_normalise_are_read_by_the_name(load_bytes):
     np.testing.assert_allclose(fg.slice_model(model, 0).rotation, [[1, 0, 0, 0]] * 3, atol=1e-7)
 
 
-def test_cut_short(load_bytes):
-    with pytest.raises(fg.FastGSError, match="cut short: 50 bytes"):
-        load_bytes((record() * 2)[:50])
+def test_what_follows_the_last_whole_record(load_bytes):
+    """As viewers do it, no file is refused for its tail; one that lost something says so."""
+    with pytest.warns(fg.LossWarning, match="its 1 whole records are read"):
+        assert len(load_bytes((record() * 2)[:50])) == 1
+    for tail in (bytes(7), b"\n"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert len(load_bytes(record() * 2 + tail)) == 2
 
 
 def test_wholly_opaque_and_transparent(load_bytes):

@@ -103,6 +103,17 @@ def test_every_version_as_its_formulas_say(rng, tmp_path, version, degree):
     assert_model(model, expected(version, 23, degree, arrays))
 
 
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_older_versions_that_gzip_was_taken_off(rng, tmp_path, version):
+    arrays = packed(rng, version, 9, 2)
+    bare = gzip.decompress(file(version, 9, 2, arrays))
+    (tmp_path / "m.spz").write_bytes(bare)
+    assert_model(fg.load(tmp_path / "m.spz"), expected(version, 9, 2, arrays))
+    (tmp_path / "m.spz").write_bytes(bare[:-1])
+    with pytest.raises(fg.FastGSError, match="cut short"):
+        fg.load(tmp_path / "m.spz")
+
+
 @pytest.mark.parametrize("fraction", [0, 8, 20])
 def test_other_fractions(rng, tmp_path, fraction):
     arrays = packed(rng, 2, 9, 0)
