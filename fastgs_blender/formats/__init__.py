@@ -47,13 +47,14 @@ from .splats4d import Splats4D
 from .splatv import Splatv
 from .spz import Spz
 from .stg import SpacetimeGaussians
+from .supersplat_ply import SuperSplatPly
 from .tsog import Tsog
 from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
-                               Sog4d(), Splat4d())
+                               Sog4d(), SuperSplatPly(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), Splats4D(), Sog4dFrames(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)

@@ -28,6 +28,9 @@ from .unsupported import GAUSSIAN
 CLIP = Clip(300, 30.0)
 PLANES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 """The axes x, y, z, t that each plane of a HexPlane spans."""
+HEADS = (("no_dx", "pos_deform", "position"), ("no_ds", "scales_deform", "scale"), ("no_dr", "rotations_deform", "rotation"),
+         ("no_do", "opacity_deform", "opacity"), ("no_dshs", "shs_deform", "features"))
+"""Of 4DGaussians: the setting that switches a head off, the head, and what it changes."""
 ROWS = 1 << 15
 """Gaussians that go through a network at once."""
 Weights = dict[str, np.ndarray]
@@ -111,29 +114,30 @@ class HexPlaneGaussians(DeformedFormat):
     @staticmethod
     def network(weights, settings):
         weights = {name.removeprefix("deformation_net."): value for name, value in weights.items()}
-        strange = [name for name in weights if name.startswith(("static_mlp", "grid.empty_voxel", "empty_voxel"))]
-        if strange or settings.get("apply_rotation"):
-            raise FastGSError("the network of it has parts that are not supported (static_mlp, empty_voxel or apply_rotation).")
         usual = {"no_dx": False, "no_ds": False, "no_dr": False, "no_do": True, "no_dshs": True}
         off = {key: bool(settings.get(key, value)) for key, value in usual.items()}
+        heads = [(head, name) for flag, head, name in HEADS if not off[flag] and f"{head}.1.weight" in weights]
 
         def move(model, t):
             parts = [_hexplane(weights, model.position[at:at + ROWS], t) for at in range(0, len(model), ROWS)]
             if not parts:
                 return model
             hidden = np.concatenate(parts)
-            changed = {}
-            for flag, head, name in (("no_dx", "pos_deform", "position"), ("no_ds", "scales_deform", "scale"),
-                                     ("no_dr", "rotations_deform", "rotation"), ("no_do", "opacity_deform", "opacity"),
-                                     ("no_dshs", "shs_deform", "features")):
-                if not off[flag]:
-                    before = getattr(model, name)
-                    change = _head(weights, head, hidden).reshape(len(model), -1)[:, :before.reshape(len(model), -1).shape[1]]
-                    changed[name] = before + change.reshape(before.shape)
+            kept, changed = _kept(weights, hidden, model.position), {}
+            for head, name in heads:
+                before = getattr(model, name).reshape(len(model), -1)
+                change = _head(weights, head, hidden)[:, :before.shape[1]]
+                if name != "rotation":
+                    after = before * kept + change
+                else:
+                    after = rotations.multiply(before, change) if settings.get("apply_rotation") else before + change
+                changed[name] = after.reshape(getattr(model, name).shape)
             return replace(model, **changed)
 
-        for head in ("pos_deform", "scales_deform", "rotations_deform", "opacity_deform", "shs_deform"):
-            _head(weights, head, _hexplane(weights, np.zeros((1, 3), np.float32), 0.0))
+        hidden = _hexplane(weights, np.zeros((1, 3), np.float32), 0.0)  # says now what does not fit
+        for head, _ in heads:
+            _head(weights, head, hidden)
+        _kept(weights, hidden, np.zeros((1, 3)))
         return move
 
 
@@ -231,6 +235,25 @@ def _sampled(plane: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.nda
     x0, x1, u = cell(across, columns)
     y0, y1, v = cell(along, rows)
     return (values[y0, x0] * (1 - u) + values[y0, x1] * u) * (1 - v) + (values[y1, x0] * (1 - u) + values[y1, x1] * u) * v
+
+
+def _kept(weights: Weights, hidden: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """The share [N, 1] of a Gaussian's own values to which changes are added: 1, a head's, or that of a grid of voxels."""
+    if "static_mlp.1.weight" in weights:
+        return _head(weights, "static_mlp", hidden)
+    if "empty_voxel.grid" not in weights:
+        return np.ones((len(position), 1))
+    grid = weights["empty_voxel.grid"][0, 0]
+    low, high = (weights[f"empty_voxel.xyz_{end}"].astype(np.float64).reshape(3) for end in ("min", "max"))
+    place = np.nan_to_num((position - low) / (high - low), posinf=1e6, neginf=-1e6) * (np.array(grid.shape) - 1)
+    place = np.clip(place, -2, np.array(grid.shape) + 1)  # everything out there is 0
+    first, out = np.floor(place).astype(int), np.zeros(len(place))
+    for corner in np.ndindex(2, 2, 2):
+        at = first + corner
+        inside = ((at >= 0) & (at < grid.shape)).all(1)
+        weight = np.prod(np.where(corner, place - first, 1 - (place - first)), 1)
+        out[inside] += weight[inside] * grid[tuple(at[inside].T)]
+    return out[:, None]
 
 
 def _head(weights: Weights, name: str, hidden: np.ndarray) -> np.ndarray:

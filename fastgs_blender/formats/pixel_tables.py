@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import io
 import zipfile
+from contextlib import ExitStack
 from copy import copy
 from pathlib import Path
 
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.zip_files import opened_zip
 from .description import read_json
 from .static import read_whole
 
@@ -56,8 +58,9 @@ class Archive:
     """The files of a zip, wherever in it meta.json lies; of two with one name, the last."""
 
     def __init__(self, path: Path):
+        self._stack = ExitStack()
         try:
-            self.zip = zipfile.ZipFile(path)
+            self.zip = self._stack.enter_context(opened_zip(path))
         except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
             raise FastGSError(f"it is a broken zip archive ({error}); copy it again.") from error
         self.length = path.stat().st_size
@@ -69,7 +72,7 @@ class Archive:
         return self
 
     def __exit__(self, *problem):
-        self.zip.close()
+        self._stack.close()
 
     def within(self, folder: str) -> Archive:
         """The files of a folder in it."""

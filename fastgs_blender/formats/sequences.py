@@ -30,7 +30,8 @@ from ..model.slicing import freeze
 from ..model.temporal import Always
 from ..util.errors import FastGSError, LossWarning
 from ..util.identity import status_of
-from ..util.reading import open_file, reading
+from ..util.reading import reading
+from ..util.zip_files import opened_zip
 from .base import Format
 from .turning import with_axes
 from .zipped import members
@@ -80,7 +81,7 @@ class ZippedFiles(SequenceFormat):
         return any(_is_frame(name) for name in members(head, path))
 
     def open(self, path, load):
-        with reading(path), open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+        with reading(path), opened_zip(path) as archive:
             infos = {info.filename: info for info in archive.infolist() if not info.is_dir() and _is_frame(info.filename)}
         if len(infos) == 1:
             return _unpacked(path, next(iter(infos.values())), load)
@@ -218,8 +219,7 @@ def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader) -> GaussianModel:
         raise FastGSError(f"{path}: its part {name} is encrypted, or far larger than what the zip file holds of it; unpack it yourself.")
     with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
         target = Path(folder, "frame" + next(e for e in EXTENSIONS if name.lower().endswith(e)))
-        with reading(path), open_file(path) as stream, zipfile.ZipFile(stream) as archive, archive.open(info) as source, \
-                open(target, "wb") as out:
+        with reading(path), opened_zip(path) as archive, archive.open(info) as source, open(target, "wb") as out:
             shutil.copyfileobj(source, out)
         try:
             return load(target)

@@ -30,7 +30,7 @@ KINDS = ("sog4d", "sog4d_multi")
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """Gaussians of one folder: a static model, and how they move: velocity [N, 3], centre [N], width [N] in seconds, inf: for ever."""
 
     model: GaussianModel
@@ -63,7 +63,7 @@ class Sog4d(Format):
                     parts.append(_moving(timed, inner))
         if not parts:
             raise FastGSError("it names no Gaussians; the file is damaged, so copy or export it again.")
-        return _together(parts, timed)
+        return together(parts, timed)
 
 
 def _listed(meta: dict) -> dict:
@@ -77,13 +77,13 @@ def _folder(part, name: str) -> str:
     return tables.plain(path.rstrip("/") if isinstance(path, str) else path)
 
 
-def _still(meta: dict, files) -> _Part:
+def _still(meta: dict, files) -> Part:
     model = sog.decoded({"version": 2} | meta, files)
     n = len(model)
-    return _Part(model, np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf))
+    return Part(model, np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf))
 
 
-def _moving(meta: dict, files) -> _Part:
+def _moving(meta: dict, files) -> Part:
     model = sog.decoded({key: value for key, value in meta.items() if key != "shN"} | {"version": 2}, files)
     n, part = len(model), tables.part(meta, "trbf")
     if part.get("encoding", "quantize16") == "kmeans":
@@ -93,14 +93,14 @@ def _moving(meta: dict, files) -> _Part:
         share = tables.sixteen_bits(files, *tables.names(meta, "trbf", 2), n)
         ends = {key: tables.numbers([part.get(key)], 1)[0] for key in ("center_min", "center_max", "scale_min", "scale_max")}
         centre, ln_width = (_between(ends[f"{key}_min"], ends[f"{key}_max"], share[:, i]) for i, key in enumerate(("center", "scale")))
-    return _Part(model, sog.logarithmic(meta, "motion", files, n), centre, np.maximum(np.exp(ln_width), NARROWEST))
+    return Part(model, sog.logarithmic(meta, "motion", files, n), centre, np.maximum(np.exp(ln_width), NARROWEST))
 
 
 def _between(low: float, high: float, share: np.ndarray) -> np.ndarray:
     return low + share * (high - low if high != low else 1.0)
 
 
-def _together(parts: list[_Part], meta: dict) -> GaussianModel:
+def together(parts: list[Part], meta: dict) -> GaussianModel:
     """One model of all parts; meta says how long it lasts."""
     start, duration, fps = (_seconds(meta, key, default) for key, default in (("start", 0.0), ("duration", 0.0), ("fps", 30.0)))
     frames = max(1, round(duration * fps))

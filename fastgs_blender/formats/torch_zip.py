@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
-from ..util.reading import open_file
+from ..util.zip_files import opened_zip
 
 MAX_PICKLE = 4 << 20
 """Bytes; a table of a thousand tensors has 200 KB."""
@@ -136,7 +136,7 @@ def content_or_none(head: bytes, path: Path):
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The zip file; its many ways to fail become one."""
     try:
-        with open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+        with opened_zip(path) as archive:
             yield archive
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, KeyError, EOFError, OverflowError, struct.error) as error:
         raise FastGSError("it is no intact zip file; copy it again (files of PyTorch before 1.6 must be saved anew).") from error

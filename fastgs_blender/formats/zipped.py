@@ -2,11 +2,11 @@
 """What is in a zip file: several formats are one, and are known by the names of their members."""
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 from ..util.errors import FastGSError
-from ..util.reading import open_file, reading
+from ..util.reading import reading
+from ..util.zip_files import opened_zip
 
 MAGIC = b"PK\x03\x04"
 
@@ -16,7 +16,7 @@ def members(head: bytes, path: Path) -> frozenset[str]:
     if not head.startswith(MAGIC):
         return frozenset()
     try:
-        with reading(path), open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+        with reading(path), opened_zip(path) as archive:
             return frozenset(archive.namelist())
     except FastGSError:
         return frozenset()

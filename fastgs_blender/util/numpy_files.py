@@ -15,6 +15,7 @@ import numpy as np
 
 from .errors import FastGSError
 from .reading import open_file, reading
+from .zip_files import opened_zip
 
 LARGEST_ARRAY = 4 * 2**30
 """Bytes of the largest array that is read."""
@@ -81,10 +82,10 @@ def packed_arrays(path: Path) -> Mapping[str, PackedArray]:
 @contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
     """An .npz file whose arrays together unpack to no more than the limits."""
-    with open_file(path) as stream, zipfile.ZipFile(stream) as archive:
+    with opened_zip(path) as archive:
         members = archive.infolist()
         whole = sum(member.file_size for member in members)
-        if whole > max(SMALL, LARGEST_RATIO * os.fstat(stream.fileno()).st_size):
+        if whole > max(SMALL, LARGEST_RATIO * os.path.getsize(path)):
             raise ValueError(f"its arrays would unpack to {whole} bytes, more than {LARGEST_RATIO} times the file")
         if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
             raise ValueError("it is compressed in another way than NumPy's")  # other ways may take any amount of memory

@@ -18,7 +18,8 @@ from reprlib import repr as shortened
 import numpy as np
 
 from ...util.errors import FastGSError, LossWarning
-from ...util.reading import open_file, reading
+from ...util.reading import reading
+from ...util.zip_files import opened_zip
 from .. import poses
 from ..camera import Camera
 from .base import (
@@ -51,7 +52,7 @@ def recognises(values) -> bool:
 def read_project(file) -> dict:
     """document.json of a project."""
     advice = "this is no SuperSplat project, or it is damaged; save it again in SuperSplat"
-    with reading(file, advice), open_file(file) as stream, zipfile.ZipFile(stream) as archive:
+    with reading(file, advice), opened_zip(file) as archive:
         if archive.getinfo("document.json").compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others take any memory
             raise FastGSError(f"{file}: its document.json is compressed in a way that SuperSplat does not use; save it again there.")
         if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:

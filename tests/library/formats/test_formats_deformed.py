@@ -89,7 +89,7 @@ def test_deformable(tmp_path, rng, blender, six):
         np.testing.assert_allclose(shown.features, model.features, atol=1e-6)
 
 
-def hexplane(tmp_path, rng, off=()):
+def hexplane(tmp_path, rng, off=(), more=(), heads=("pos", "scales", "rotations", "opacity", "shs")):
     model, path = still(tmp_path / "point_cloud" / "iteration_9", rng)
     channels, width, w = 4, 16, {}
     w["grid.aabb"] = torch.tensor([[2.0, 2.1, 1.9], [-2.0, -1.8, -2.2]])
@@ -100,19 +100,45 @@ def hexplane(tmp_path, rng, off=()):
             w[f"grid.grids.{scale}.{k}"] = torch.tensor(rng.normal(1, 0.5, (1, channels, full[j], full[i])), dtype=torch.float32)
     layer(rng, w, "feature_out.0", width, 2 * channels)
     layer(rng, w, "feature_out.2", width, width)
-    for name, out in (("pos", 3), ("scales", 3), ("rotations", 4), ("opacity", 1), ("shs", 48)):
-        layer(rng, w, f"{name}_deform.1", width, width)
-        layer(rng, w, f"{name}_deform.3", out, width, 0.3)
+    outputs = {"pos_deform": 3, "scales_deform": 3, "rotations_deform": 4, "opacity_deform": 1, "shs_deform": 48, "static_mlp": 1}
+    for name, out in outputs.items():
+        if name.removesuffix("_deform") in heads or name in more:
+            layer(rng, w, f"{name}.1", width, width)
+            layer(rng, w, f"{name}.3", out, width, 0.3)
+    if "empty_voxel" in more:
+        w["empty_voxel.grid"] = torch.tensor(rng.uniform(0, 1, (1, 1, 5, 6, 7)), dtype=torch.float32)
+        w["empty_voxel.xyz_min"], w["empty_voxel.xyz_max"] = torch.tensor([-0.8, -0.7, -0.9]), torch.tensor([0.9, 1.0, 0.8])
     named = {f"deformation_net.{key}": value for key, value in w.items()}
     torch.save(named | {"time_poc": torch.zeros(4)}, path.with_name("deformation.pth"))
     flags = ", ".join(f"{name}={name in off}" for name in ("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"))
-    (tmp_path / "cfg_args").write_text(f"Namespace(sh_degree=3, {flags})")
+    (tmp_path / "cfg_args").write_text(f"Namespace(sh_degree=3, {flags}, apply_rotation={'apply_rotation' in more})")
     return model, path, w
 
 
-@pytest.mark.parametrize("off", [(), ("no_do", "no_dshs"), ("no_dx", "no_dr")])
-def test_hexplane(tmp_path, rng, off):
-    model, path, w = hexplane(tmp_path, rng, off)
+def kept(w, h, x):
+    """The share of a Gaussian's own values, as their network has it."""
+    if "static_mlp.1.weight" in w:
+        return lin(w, "static_mlp.3", torch.relu(lin(w, "static_mlp.1", torch.relu(h)))).numpy()
+    if "empty_voxel.grid" not in w:
+        return np.ones((N, 1))
+    low, high = w["empty_voxel.xyz_min"].double(), w["empty_voxel.xyz_max"].double()
+    where = ((x.reshape(1, 1, 1, N, 3) - low) / (high - low)).flip((-1,)) * 2 - 1
+    return nn.grid_sample(w["empty_voxel.grid"].double(), where, mode="bilinear", align_corners=True).reshape(1, N).T.numpy()
+
+
+def product(p, q):
+    """Hamilton's, of unit length."""
+    (a, b, c, d), (e, f, g, h) = p.T, q.T
+    out = np.stack([a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g, a * g - b * h + c * e + d * f,
+                    a * h + b * g - c * f + d * e], 1)
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(("off", "more"), [
+    ((), ()), (("no_do", "no_dshs"), ("empty_voxel",)), (("no_dx", "no_dr"), ("static_mlp",)), ((), ("apply_rotation", "static_mlp")),
+    ((), ("empty_voxel",))])
+def test_hexplane(tmp_path, rng, off, more):
+    model, path, w = hexplane(tmp_path, rng, off, more)
     source = fg.open_source(path)
     for t in (0.0, 0.43, 1.0):
         x = torch.tensor(model.position).double()
@@ -134,9 +160,20 @@ def test_hexplane(tmp_path, rng, off):
         shown, _ = source.moment(t)
         for flag, name, array in (("no_dx", "pos", "position"), ("no_ds", "scales", "scale"), ("no_dr", "rotations", "rotation"),
                                   ("no_do", "opacity", "opacity"), ("no_dshs", "shs", "features")):
-            before = getattr(model, array)
-            expected = before if flag in off else before + head(name).reshape(before.shape)
-            np.testing.assert_allclose(getattr(shown, array), expected, atol=1e-4, err_msg=array)
+            before = getattr(model, array).reshape(N, -1)
+            expected = before if flag in off else before * (1 if name == "rotations" else kept(w, h, x)) + head(name)
+            found = getattr(shown, array).reshape(N, -1)
+            if name == "rotations" and "apply_rotation" in more:
+                expected, found = product(before.astype(float), head(name)), found / np.linalg.norm(found, axis=1, keepdims=True)
+            np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=array)
+
+
+def test_older_networks_without_some_heads(tmp_path, rng):
+    """Those of 2023 change neither opacities nor colours."""
+    model, path, _ = hexplane(tmp_path, rng, (), (), ("pos", "scales", "rotations"))
+    shown, _ = fg.open_source(path).moment(0.4)
+    np.testing.assert_array_equal(shown.opacity, model.opacity)
+    assert np.abs(shown.position - model.position).max() > 0.01
 
 
 def test_baked_into_a_model_and_said_for_what_it_is(tmp_path, rng):

@@ -111,6 +111,31 @@ def test_supersplat_4d_with_static_parts(tmp_path, rng):
                 np.testing.assert_allclose(getattr(s, name), np.concatenate([static(q)[name], moved]), atol=1e-4)
 
 
+@pytest.mark.parametrize("comment", ["comment cfg_args: start=2.0, duration=3.0, fps=20.0, sh_degree=1", ""])
+def test_dynamic_ply(tmp_path, rng, comment):
+    """The PLY from which SuperSplat 4D makes its .sog4d, here with SH 1: the law is the same."""
+    names = [*"xyz", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4)), *(f"f_dc_{i}" for i in range(3)), "opacity",
+             "trbf_center", "trbf_scale", *(f"motion_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(9))]
+    v = rng.normal(0, 0.5, (N, len(names))).astype("<f4")
+    v[:, 14] = rng.uniform(START, START + DURATION, N)
+    v[0, 14] = START + DURATION
+    columns = "".join(f"property float {name}\n" for name in names)
+    comment = f"{comment}\n" if comment else ""
+    head = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {N}\n{columns}end_header\n"
+    (tmp_path / "m.ply").write_bytes(head.encode() + v.tobytes())
+    model = fg.load(tmp_path / "m.ply")
+    assert fg.formats.identify(tmp_path / "m.ply").name == "SuperSplat 4D PLY"
+    start, length = (START, DURATION) if comment else (0.0, START + DURATION)
+    assert model.clip.duration == pytest.approx(length)
+    v = v.astype(np.float64)
+    coefficients = np.concatenate([v[:, None, 10:13], v[:, 19:].reshape(N, 3, 3).transpose(0, 2, 1)], 1)
+    for time in (2.1, 3.0, 4.4):
+        dt = time - v[:, 14]
+        opacity = np.exp(-(dt / np.exp(v[:, 15])) ** 2) / (1 + np.exp(-v[:, 13]))
+        assert_shows(model, (time - start) / length, position=v[:, :3] + v[:, 16:19] * dt[:, None], rotation=v[:, 6:10],
+                     scale=np.exp(v[:, 3:6]), opacity=np.where(opacity < 0.005, 0, opacity), colour=spherical(directions(N), coefficients))
+
+
 def frames(rng, version=2, bands=3, count=3, times=None, delta=True) -> tuple[dict[str, bytes], list[dict]]:
     """A clip of gsplat-unity, and what each frame is."""
     files, told = {}, []

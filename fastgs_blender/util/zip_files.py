@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Opening zip files from outside: regular files only, and none whose table of contents is a bomb."""
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import BinaryIO
+
+from .errors import FastGSError
+from .reading import open_file
+
+TAIL = (1 << 16) + 22 + 20
+"""Bytes at the end of a file in which the record lies that says how long the table of contents is."""
+END, END_64, LOCATOR = b"PK\5\6", b"PK\6\6", b"PK\6\7"
+SMALL = 1 << 18
+SHARE = 8
+"""A table of contents of more than SMALL bytes may be at most one part in so many of the file: Python makes 600 bytes of each 46."""
+
+
+@contextmanager
+def opened_zip(path: str | os.PathLike) -> Iterator[zipfile.ZipFile]:
+    """A zip file, to be read.  Raises what zipfile raises for broken ones, and FastGSError for one that lists more than it holds."""
+    with open_file(path) as stream:
+        length, listed = _lengths(stream)
+        if listed > max(SMALL, length // SHARE):
+            raise FastGSError(f"{path}: its table of contents has {listed} of {length} bytes, which no model's has; unpack it yourself.")
+        with zipfile.ZipFile(stream) as archive:
+            yield archive
+
+
+def _lengths(stream: BinaryIO) -> tuple[int, int]:
+    """Bytes of the file, and of its table of contents as far as it says; 0 where it does not."""
+    length = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, length - TAIL))
+    tail = stream.read(TAIL)
+    stream.seek(0)
+    at = tail.rfind(END)
+    if at < 0 or at + 20 > len(tail):
+        return length, 0
+    listed = int.from_bytes(tail[at + 12:at + 16], "little")
+    if listed == 0xFFFFFFFF and tail[max(0, at - 20):at].startswith(LOCATOR):  # of a zip file beyond 4 GB
+        stream.seek(min(int.from_bytes(tail[at - 12:at - 4], "little"), length))
+        record = stream.read(56)
+        stream.seek(0)
+        listed = int.from_bytes(record[40:48], "little") if record.startswith(END_64) else listed
+    return length, listed
