@@ -57,7 +57,7 @@ class Sog4d(Format):
             else:
                 folders = [_folder(part, name) for name, part in sorted(_listed(meta).items())]
                 parts += [_still(inner.meta(), inner) for inner in map(files.within, folders)]
-                if meta.get("dynamic"):
+                if "dynamic" in meta:
                     inner = files.within(_folder(tables.part(meta, "dynamic"), "dynamic"))
                     timed = inner.meta()
                     parts.append(_moving(timed, inner))
@@ -110,7 +110,8 @@ def together(parts: list[Part], meta: dict) -> GaussianModel:
     whole = {name: np.concatenate([getattr(part.model, name) for part in parts]) for name in ("position", "rotation", "scale", "opacity")}
     velocity, centre, width = (np.concatenate([getattr(part, name) for part in parts]) for name in ("velocity", "centre", "width"))
     with np.errstate(all="ignore"):  # what is no number is found by usable()
-        reach = width * np.sqrt(np.maximum(np.log(sigmoid(whole["opacity"].astype(np.float64)) / CUTOFF), 0))
+        reach = np.sqrt(np.maximum(np.log(sigmoid(whole["opacity"].astype(np.float64)) / CUTOFF), 0))
+        reach = np.where(np.isinf(width), np.inf, width * reach)
     lives = straight(whole.pop("position"), velocity, centre, np.log(width) - np.log(2) / 2, Timeline(start, length),
                      (centre - reach, centre + reach), closed=True)
     return GaussianModel(**lives, **whole, features=np.concatenate(features), appearance=SH(degree), clip=Clip(frames, frames / length))

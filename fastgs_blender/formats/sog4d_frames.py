@@ -32,6 +32,8 @@ BANDS = {"sh1": 3, "sh2": 5, "sh3": 7}
 CENTROIDS = {"f16": "<f2", "f32": "<f4"}
 DELTA = struct.Struct("<8s5I")
 DELTA_MAGIC = b"SOG4DLB1"
+JUMP = 1e-4
+"""Frames between two that are at one time."""
 UPDATE = np.dtype([("gaussian", "<u4"), ("label", "<u2"), ("unused", "<u2")])
 
 
@@ -61,13 +63,12 @@ class Sog4dFrames(SequenceFormat):
     def open(self, path, load):
         with tables.Archive(path) as files:
             layout = _layout(files.meta(), files)
-        at, chosen = np.unique(layout.at, return_index=True)
 
         def read(i):
             with reading(path), tables.Archive(path) as files, np.errstate(all="ignore"):
-                return usable(_frame(layout, int(chosen[i]), files), path)
+                return usable(_frame(layout, i, files), path)
 
-        return Sequence(FreeClip(max(1, layout.frames - 1)), at, read, lambda i: status_of(str(path)), str(path), alike=True)
+        return Sequence(FreeClip(max(1, layout.frames - 1)), layout.at, read, lambda i: status_of(str(path)), str(path), alike=True)
 
 
 def _layout(meta: dict, files) -> _Layout:
@@ -98,7 +99,8 @@ def _times(meta: dict, frames: int) -> np.ndarray:
     times = tables.numbers(about.get("frameTimesNormalized"), frames)
     if len(times) != frames or np.any(np.diff(times) < 0) or times[0] < 0 or times[-1] > 1:
         raise FastGSError("the times of its frames do not increase from 0 to 1; export it again.")
-    return times * max(1, frames - 1)
+    later = np.searchsorted(times, times, side="right") - 1 - np.arange(frames)  # of frames at one time the last counts from there on
+    return times * max(1, frames - 1) - JUMP * later
 
 
 def _triples(values, count: int, what: str) -> np.ndarray:

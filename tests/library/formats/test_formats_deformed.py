@@ -126,8 +126,8 @@ def kept(w, h, x):
     return nn.grid_sample(w["empty_voxel.grid"].double(), where, mode="bilinear", align_corners=True).reshape(1, N).T.numpy()
 
 
-def product(p, q):
-    """Hamilton's, of unit length."""
+def hamilton(p, q):
+    """The product of quaternions, of unit length."""
     (a, b, c, d), (e, f, g, h) = p.T, q.T
     out = np.stack([a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g, a * g - b * h + c * e + d * f,
                     a * h + b * g - c * f + d * e], 1)
@@ -164,7 +164,7 @@ def test_hexplane(tmp_path, rng, off, more):
             expected = before if flag in off else before * (1 if name == "rotations" else kept(w, h, x)) + head(name)
             found = getattr(shown, array).reshape(N, -1)
             if name == "rotations" and "apply_rotation" in more:
-                expected, found = product(before.astype(float), head(name)), found / np.linalg.norm(found, axis=1, keepdims=True)
+                expected, found = hamilton(before.astype(float), head(name)), found / np.linalg.norm(found, axis=1, keepdims=True)
             np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=array)
 
 

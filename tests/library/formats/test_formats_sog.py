@@ -202,7 +202,7 @@ def test_broken_files(rng, tmp_path):
     refused("says nothing of scales", scales=None)
     refused("where numbers should be", sh0={"codebook": ["a"], "files": ["sh0.webp"]})
     refused("unknown width", shN={**meta["shN"], "bands": 2})
-    refused("no WebP, or damaged", {**good, "sh0.webp": good["sh0.webp"][:40]})
+    refused("neither WebP nor PNG, or damaged", {**good, "sh0.webp": good["sh0.webp"][:40]})
     refused("cannot be", count=-1)
 
 

@@ -210,9 +210,9 @@ def test_frames_of_gsplat_unity(tmp_path, rng, version, bands, times, delta):
     (tmp_path / "m.sog4d").write_bytes(zipped(files))
     source = fg.open_source(tmp_path / "m.sog4d")
     at = times or [0.0, 0.5, 1.0]
-    for t in (0.0, 0.15, 0.3, 0.5, 0.83, 0.95, 1.0):
-        j = next((k for k, time in enumerate(at) if t <= time), len(at) - 1)
-        i = max(j - 1, 0) if t <= at[j] else j
+    for t in (0.0, 0.1, 0.15, 0.3, 0.5, 0.83, 0.95, 1.0):
+        i = max((k for k, time in enumerate(at) if time <= t), default=0)
+        j = min(i + 1, len(at) - 1)
         share = float(np.clip((t - at[i]) / (at[j] - at[i]), 0, 1)) if at[j] > at[i] else 0.0
         model, moment = source.moment(t)
         assert_shows(model, moment, **between(told[i], told[j], share))
