@@ -6,11 +6,13 @@ import math
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, exposure, notices, objects, settings, sky, snapshot, unshown, world
+from ..scene import camera, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -38,6 +40,8 @@ def _render_layer(engine, depsgraph):
     views = _views(scene.render)
     now = _moment(engine, depsgraph, area, views)
     settings_now = passes.settings(scene)
+    if _has(wanted, "shadow"):
+        settings_now = replace(settings_now, shadow=shadows.shadow_of(depsgraph))
     vectors, shutter = [-1, 1] if _has(wanted, "vector") else [], exposure.times(scene)
     taken = _moments(engine, depsgraph, area, views, vectors + shutter)
     for text in unshown.all_of(scene, layer):
@@ -62,7 +66,8 @@ def _render_layer(engine, depsgraph):
         found = replace(settings_now, before=before, after=after)
         blur = exposure.exposure(scene, moments[len(vectors):], now.lens)
         images = worker.run(
-            lambda progress, eye=eye, found=found, blur=blur: passes.images(instances, eye, wanted, background(eye), progress, found, blur),
+            lambda progress, eye=eye, found=found, blur=blur: passes.images(
+                instances, eye, wanted, background(eye), progress, found, blur, now.holdout),
             engine.test_break,
             lambda fraction, index=index: status.progress((index + fraction) / len(views)))
         _, _, width, height = area.window
@@ -92,22 +97,24 @@ def _background(engine, scene, layer, status):
 
 @dataclass(frozen=True, eq=False)
 class _Taken:
-    """A scene at one moment, copied out of the depsgraph: its splats, the camera of each of the frame's pictures by its name, and the
-    lens of the camera."""
+    """A scene at one moment, copied out of the depsgraph: its splats, the camera of each of the frame's pictures by its name, the lens of
+    the camera, and the triangles that hide splats."""
 
     shown: snapshot.Snapshot
     cameras: dict[str, fg.Camera]
     lens: Aperture | None
+    holdout: np.ndarray | None
 
     def moment(self, view: str) -> Moment:
         """The moment as the library takes it, for one of the pictures."""
-        return Moment({instance.place: instance for instance in self.shown.load()[0]}, self.cameras[view])
+        return Moment({instance.place: instance for instance in self.shown.load()[0]}, self.cameras[view], self.holdout)
 
 
 def _moment(engine, depsgraph, area, views) -> _Taken:
     """The scene as the depsgraph stands."""
     cameras = {view: _camera(engine, depsgraph, area, view) for view in views}
-    return _Taken(snapshot.take(depsgraph), cameras, exposure.aperture(_camera_object(engine, depsgraph), depsgraph.scene))
+    lens = exposure.aperture(_camera_object(engine, depsgraph), depsgraph.scene)
+    return _Taken(snapshot.take(depsgraph), cameras, lens, holdout.hidden_by(depsgraph))
 
 
 def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_Taken]:
@@ -119,7 +126,10 @@ def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_Taken
         for later in frames:
             there = frame + subframe + later
             engine.frame_set(math.floor(there), there - math.floor(there))
-            taken.append(_moment(engine, depsgraph, area, views))
+            moment = _moment(engine, depsgraph, area, views)
+            if taken and np.array_equal(moment.holdout, taken[-1].holdout):  # what stands still is kept once
+                moment = replace(moment, holdout=taken[-1].holdout)
+            taken.append(moment)
     finally:
         if frames:
             engine.frame_set(frame, subframe)

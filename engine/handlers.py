@@ -4,7 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..scene import model_space, notices, objects, paths
-from ..scene.splats import guard, moving, proxy_nodes
+from ..scene.splats import guard, moving, native, proxy_nodes
 from . import compiling
 
 
@@ -57,6 +57,13 @@ HANDLERS = (
     (bpy.app.handlers.frame_change_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
+    (bpy.app.handlers.frame_change_post, native.follow),
+    (bpy.app.handlers.depsgraph_update_post, native.follow),
+    (bpy.app.handlers.undo_post, native.forget),
+    (bpy.app.handlers.redo_post, native.forget),
+    (bpy.app.handlers.save_pre, native.empty),
+    (bpy.app.handlers.save_post, native.fill),
+    (bpy.app.handlers.load_post, native.fill),
 )
 if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
     HANDLERS += ((bpy.app.handlers.blend_import_post, _upgrade_appended),)

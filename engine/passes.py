@@ -62,7 +62,7 @@ def settings(scene) -> PassSettings:
 
 
 def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, progress=lambda fraction: None,
-           settings: PassSettings = DEFAULTS, exposure: Exposure | None = None) -> dict[str, np.ndarray]:
+           settings: PassSettings = DEFAULTS, exposure: Exposure | None = None, holdout: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """All pictures of one view by the names of Blender's passes, [h, w] or [h, w, channels], the top row first.
 
     instances   list of rendering.instances.Instance
@@ -70,10 +70,12 @@ def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, pr
     progress    called with 0..1; what it raises cancels the render
     settings    PassSettings
     exposure    Exposure, or None for a sharp picture
+    holdout     triangles [F, 3, 3] float32 that hide splats, or None
     """
-    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings, exposure)
+    found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings, exposure,
+                                holdout)
     named = {_name(p): p.shown(found[p.name]) for p in wanted}
-    return named | {COMBINED: colour.film(found["rgb"], found["alpha"], background)}
+    return named | {COMBINED: colour.film(found["rgb"], found["alpha"], background, found.get("holdout"))}
 
 
 def describe(engine, layer, wanted: list[Pass], names: list[str]):

@@ -32,10 +32,14 @@ def scene_linear(rgb: np.ndarray, weight: np.ndarray, display_referred: bool, wo
     return (colour * weight[..., None]).astype(np.float32)
 
 
-def film(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:
-    """Combined [h, w, 4]: premultiplied splats over a background, a colour [3] or picture [h, w, 3], or on transparent film (None)."""
+def film(rgb: np.ndarray, alpha: np.ndarray, background, held: np.ndarray | None = None) -> np.ndarray:
+    """Combined [h, w, 4]: premultiplied splats over a background, a colour [3] or picture [h, w, 3], or on transparent film (None).
+
+    held  [h, w]: the light that meshes stop, or None; there the film stays transparent, as Cycles has it behind holdouts
+    """
     out = np.concatenate([rgb, alpha[..., None]], -1).astype(np.float32)
     if background is not None:
-        out[..., :3] += (1 - out[..., 3:]) * np.asarray(background, np.float32)
-        out[..., 3] = 1
+        behind = 1 - out[..., 3:] if held is None else np.maximum(1 - out[..., 3:] - held[..., None], 0)
+        out[..., :3] += behind * np.asarray(background, np.float32)
+        out[..., 3] = 1 if held is None else 1 - held
     return out

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sets up the composite of splats and meshes: a second scene renders the meshes with another engine, the compositor joins both.
 
-    nearer(splats over meshes, meshes over splats), by the depth of each, over the world
-
-Both are rendered without the world behind them, so that edges are soft.  The nodes have names of their own: setting up again uses
-them again, and the user's nodes stay.
+Both are rendered without the world behind them, so that edges are soft, and the splats without what the meshes hide.  One node, a group
+(composite_nodes.py), joins them.  It and the node for the meshes have names of their own: setting up again uses them again, and the
+user's nodes stay.
 """
 from __future__ import annotations
 
 import bpy
 
-from . import objects
+from . import composite_nodes, holdout, objects
 
 PREFIX = "FAST-GS "
-MESHES, WORLD = PREFIX + "Meshes", PREFIX + "World"
+MESHES, JOIN = PREFIX + "Meshes", PREFIX + "Join"
+EARLIER = tuple(PREFIX + name for name in ("World", "Nearer", "Meshes over Splats", "Splats over Meshes"))
+"""The nodes that joined the pictures in earlier versions, the last one first."""
 KEPT = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "fps", "fps_base", "frame_map_old",
         "frame_map_new", "use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y",
         "use_motion_blur", "threads_mode", "threads")
@@ -42,9 +43,11 @@ def set_up(scene, view_layer, engine: str) -> bpy.types.Scene:
     splats = _splats_node(tree, scene, view_layer)
     meshes = tree.nodes.get(MESHES) or tree.nodes.new('CompositorNodeRLayers')
     other = meshes.scene if meshes.name == MESHES and meshes.scene not in (None, scene) else bpy.data.scenes.new(f"{scene.name} Meshes")
-    world = (meshes.name == MESHES and WORLD in tree.nodes) or not scene.render.film_transparent
     _follow(other, scene, view_layer, engine)
-    scene.render.film_transparent = scene.render.use_compositing = view_layer.use_pass_z = True
+    world = not scene.render.film_transparent
+    scene.render.film_transparent = scene.render.use_compositing = view_layer.use_pass_z = scene.fastgs.use_meshes = True
+    view_layer.fastgs.use_pass_holdout = True
+    view_layer.fastgs.use_pass_shadow |= scene.fastgs.shadow_light is not None
     meshes.name = meshes.label = MESHES
     meshes.scene, meshes.layer = other, other.view_layers[0].name
     _join(tree, splats, meshes, world)
@@ -100,7 +103,9 @@ def _follow(other, scene, view_layer, engine):
         setattr(other.view_settings, name, getattr(scene.view_settings, name))
     layer = other.view_layers[0]
     layer.use_pass_z = layer.use_pass_environment = True
-    wanted = {obj.name: obj for obj in _rendered(view_layer.layer_collection) if not objects.is_splat(obj)}
+    helpers = holdout.helpers(scene)  # a native copy that the camera does not see is there for its shadows and reflections
+    wanted = {obj.name: obj for obj in _rendered(view_layer.layer_collection) if not objects.is_splat(obj) and (
+        obj.name not in helpers or (obj.fastgs.copy_of is not None and not obj.visible_camera))}
     for obj in [obj for obj in other.collection.objects if obj.name not in wanted]:
         other.collection.objects.unlink(obj)
     for name, obj in wanted.items():
@@ -118,35 +123,29 @@ def _rendered(layer):
 
 
 def _join(tree, splats, meshes, world: bool):
-    """Make the nodes that join both, and let all that used the splats' image use theirs."""
-    def node(kind, name, place):
-        found = tree.nodes.get(PREFIX + name) or tree.nodes.new(kind)
-        found.name = found.label = PREFIX + name
-        found.location = splats.location.x + place[0], splats.location.y + place[1]
-        return found
-
-    used = [link.to_socket for link in splats.outputs["Image"].links if not link.to_node.name.startswith(PREFIX)]
+    """Link both pictures to the node that joins them, and let all that used the splats' image use its."""
     meshes.location = splats.location.x, splats.location.y - 420
-    front = _over(tree, node('CompositorNodeAlphaOver', "Splats over Meshes", (320, 0)), meshes.outputs["Image"], splats.outputs["Image"])
-    back = _over(tree, node('CompositorNodeAlphaOver', "Meshes over Splats", (320, -200)), splats.outputs["Image"], meshes.outputs["Image"])
-    nearer = node('CompositorNodeZcombine', "Nearer", (540, -100))
-    if hasattr(nearer, "use_alpha"):
-        nearer.use_alpha = nearer.use_antialias_z = False
+    join, earlier = tree.nodes.get(JOIN), [tree.nodes[name] for name in EARLIER if name in tree.nodes]
+    if join is None:
+        users = [splats.outputs["Image"]] if not earlier else earlier[0].outputs
+        used = [link.to_socket for socket in users for link in socket.links if not link.to_node.name.startswith(PREFIX)]
+        world = earlier[0].name == EARLIER[0] if earlier else world
+        for node in earlier:
+            tree.nodes.remove(node)
+        join = tree.nodes.new('CompositorNodeGroup')
+        join.node_tree = bpy.data.node_groups.new(JOIN, 'CompositorNodeTree')
+        join.name = join.label = JOIN
+        join.location = splats.location.x + 400, splats.location.y
     else:
-        nearer.inputs["Use Alpha"].default_value = nearer.inputs["Anti-Alias"].default_value = False
-    for number, socket in enumerate((front, splats.outputs["Depth"], back, meshes.outputs["Depth"])):
-        tree.links.new(socket, nearer.inputs[number])
-    joined = nearer.outputs[0]
-    if world:
-        environment = next(s for s in meshes.outputs if s.identifier == "Env" or s.name in ("Environment", "Env"))
-        joined = _over(tree, node('CompositorNodeAlphaOver', "World", (760, -100)), environment, joined)
+        used, world = [], join.inputs["World"].is_linked
+    composite_nodes.build(join.node_tree)
+    environment = next((s for s in meshes.outputs if s.identifier == "Env" or s.name in ("Environment", "Env")), None)
+    for name, socket in (
+            ("Splats", splats.outputs["Image"]), ("Splat Alpha", splats.outputs["Alpha"]), ("Splat Depth", splats.outputs["Depth"]),
+            ("Splat Holdout", splats.outputs["Splat Holdout"]), ("Splat Shadow", splats.outputs.get("Splat Shadow")),
+            ("Meshes", meshes.outputs["Image"]), ("Mesh Alpha", meshes.outputs["Alpha"]), ("Mesh Depth", meshes.outputs["Depth"]),
+            ("World", environment if world else None)):
+        if socket is not None and socket.enabled:
+            tree.links.new(socket, join.inputs[name])
     for socket in used:
-        tree.links.new(joined, socket)
-
-
-def _over(tree, node, background, foreground):
-    """Link what an Alpha Over node joins; its place of the colours differs between Blender's versions."""
-    first, second = (socket for socket in node.inputs if socket.type == 'RGBA')
-    tree.links.new(background, first)
-    tree.links.new(foreground, second)
-    return node.outputs[0]
+        tree.links.new(join.outputs[0], socket)

@@ -16,7 +16,7 @@ from bpy.props import (
 
 from ..fastgs_blender.rendering.instances import RANGES
 from ..fastgs_blender.rendering.passes import PASSES
-from . import paths, updates
+from . import paths, shadows, updates
 from .settings import BLEND_RELATIVE
 from .time import MOST_ECHOES
 from .training.options import FASTGS_PG_training
@@ -165,6 +165,11 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         type=FASTGS_PG_filter, name="Filters", description="Which Gaussians are hidden for what they are",
         override=_OWN | {'USE_INSERTION'})
 
+    copy_of: PointerProperty(
+        name="Copy Of", description="The splat object whose current frame this object holds, for other engines", type=bpy.types.Object)
+    hides_splats: BoolProperty(
+        name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on; switch it "
+        "off for glass, smoke and hair", default=True, override=_OWN, update=updates.viewports)
     mask: StringProperty(
         name="Hidden by Hand", description="Which Gaussians the brush has hidden, packed", options={'HIDDEN'}, **_SHOWN)
     exposure: _look("Exposure", "Brightness, in stops", 0.0, *RANGES["exposure"], soft_min=-10.0, soft_max=10.0)
@@ -197,6 +202,19 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('FIRST', "First Hit", "Depth of the nearest splat, however faint it is", 2),
         ),
         default='EXPECTED')
+    use_meshes: BoolProperty(
+        name="Meshes Hide Splats", description="Leave out of final renders what of the splats lies behind the scene's meshes, which "
+        "another engine renders. Objects and collections with Holdout hide splats in any case", default=False, update=updates.viewports)
+    shadow_light: PointerProperty(
+        name="Light", description="The sun, spot or area light whose light splats take from meshes, in the pass Splat Shadow",
+        type=bpy.types.Object, poll=lambda self, obj: shadows.is_lamp(obj))
+    shadow_samples: IntProperty(
+        name="Samples", description="Points of the light from which shadows are looked at; more make soft shadows smoother", default=32,
+        min=1, soft_max=256, max=4096)
+    shadow_bias: FloatProperty(
+        name="Bias", description="How near to a mesh splats cast no shadow on it: the captured ground lies where the mesh is that stands "
+        "in for it",
+        default=0.05, min=0.0, soft_max=1.0, unit='LENGTH', precision=3)
     blur_steps: IntProperty(
         name="Steps", description="Into how many steps motion blur divides the time in which the shutter is open, at the most. Where "
         "little moves, fewer are taken; a power of two is used", default=32, min=2, soft_max=256, max=4096)

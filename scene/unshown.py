@@ -2,7 +2,7 @@
 """Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
 from __future__ import annotations
 
-from . import composite, objects
+from . import composite, holdout, objects
 
 SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
 """Types of objects that are surfaces."""
@@ -13,9 +13,9 @@ NAMED = 3
 def objects_left_out(scene, view_layer) -> list:
     """The objects with a surface that a final render would show and FAST-GS does not: neither splats, nor boxes that crop them."""
     shown = [obj for obj in view_layer.objects if not obj.hide_render]
-    boxes = {box.object.name for obj in shown if objects.is_splat(obj) for box in obj.fastgs.crops if box.object is not None}
+    helpers = holdout.helpers(scene)
     return [obj for obj in shown if obj.type in SURFACES and obj.display_type in ('SOLID', 'TEXTURED') and obj.visible_camera
-            and not objects.is_splat(obj) and obj.name not in boxes]
+            and not objects.is_splat(obj) and obj.name not in helpers and not holdout.is_held_out(obj, view_layer)]
 
 
 def meshes(scene, view_layer) -> str | None:
@@ -32,7 +32,7 @@ def meshes(scene, view_layer) -> str | None:
 
 def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
-    holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and (obj.is_holdout or _held_out(obj, view_layer))]
+    holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and holdout.is_held_out(obj, view_layer)]
     told = (
         (bool(holdouts), f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."),
     )
@@ -50,15 +50,3 @@ def all_of(scene, view_layer) -> list[str]:
     """Everything that is told: meshes, then settings."""
     text = meshes(scene, view_layer)
     return ([text] if text else []) + settings(scene, view_layer)
-
-
-def _held_out(obj, view_layer) -> bool:
-    """Whether a collection that holds an object out contains it."""
-    names = {collection.name for collection in obj.users_collection}
-    waiting = [view_layer.layer_collection]
-    while waiting:
-        layer = waiting.pop()
-        if layer.holdout and (layer.collection.name in names or any(child.name in names for child in layer.collection.children_recursive)):
-            return True
-        waiting += layer.children
-    return False

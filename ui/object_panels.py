@@ -106,6 +106,7 @@ def draw_time(layout, context):
         row.operator("fastgs.split", icon='PIVOT_CURSOR')
         row.operator("fastgs.mark_clip", icon='MARKER_HLT')
         layout.operator("fastgs.add_sound", icon='SOUND')
+        layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 
 
 def draw_look(layout, context):

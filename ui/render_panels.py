@@ -6,7 +6,7 @@ import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES
 from ..fastgs_blender.util.threads import available
-from ..scene import objects, settings, unshown
+from ..scene import holdout, objects, settings, unshown
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
@@ -67,6 +67,7 @@ class FASTGS_PT_film(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
+        layout.prop(context.scene.fastgs, "use_meshes")
 
 
 class FASTGS_PT_motion_blur(_Engine, bpy.types.Panel):
@@ -110,6 +111,23 @@ class FASTGS_PT_depth_of_field(_Engine, bpy.types.Panel):
         layout.label(text="The camera's own settings say what is sharp", icon='INFO')
 
 
+class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
+    bl_label = "Splat Shadows"
+    bl_context = "render"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.fastgs
+        layout.use_property_split = True
+        layout.prop(settings, "shadow_light")
+        col = layout.column()
+        col.active = settings.shadow_light is not None
+        col.prop(settings, "shadow_samples")
+        col.prop(settings, "shadow_bias")
+        if settings.shadow_light is not None and not context.view_layer.fastgs.use_pass_shadow:
+            layout.label(text="Set Up Composite, or switch on the pass Splat Shadow", icon='INFO')
+
+
 class FASTGS_PT_passes(_Engine, bpy.types.Panel):
     bl_label = "Passes"
     bl_context = "view_layer"
@@ -136,6 +154,10 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(context.object, "visible_camera", text="Camera")
+        if context.object.type in holdout.SURFACES and not objects.is_splat(context.object):
+            row = layout.row()
+            row.active = context.scene.fastgs.use_meshes
+            row.prop(context.object.fastgs, "hides_splats")
 
 
 class FASTGS_PT_other_engine(bpy.types.Panel):
@@ -158,6 +180,7 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
 
 
 CLASSES = (
-    FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_motion_blur, FASTGS_PT_shutter_curve, FASTGS_PT_depth_of_field, FASTGS_PT_passes,
+    FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_motion_blur, FASTGS_PT_shutter_curve, FASTGS_PT_depth_of_field, FASTGS_PT_shadows,
+    FASTGS_PT_passes,
     FASTGS_PT_ray_visibility, FASTGS_PT_other_engine,
 )

@@ -10,9 +10,9 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, objects, proxies, sky, snapshot, unshown, world
+from ...scene import colour, holdout, objects, proxies, sky, snapshot, unshown, world
 from .. import compiling
-from . import frusta, overlays, shaders
+from . import frusta, meshes, overlays, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in
 from .picture import SceneDepth
@@ -29,6 +29,7 @@ _worker = Worker()
 _views: dict[tuple[int, bool], View] = {}
 _snapshots: dict[tuple, snapshot.Snapshot] = {}
 _surfaces: dict[tuple, bool] = {}
+_holdouts: dict[tuple, np.ndarray | None] = {}
 _any_splats: bool | None = None
 _changes = 0
 _wish: tuple[int, sky.Wish] | None = None
@@ -137,6 +138,10 @@ def _draw(context, depsgraph, display, region, rendered, hidden=False):
         space = context.space_data
         around = Around(depths, (_changes, overlays.state(context)), bool(shown.instances) and has_surfaces(space, depsgraph),
                         lambda: scene_depth(region.width, region.height, depths))
+    elif rendered and not compiling.is_running():
+        triangles = _holdout(context.space_data, depsgraph)
+        if triangles is not None:
+            around = Around(depths, (_changes,), True, lambda: meshes.scene_depth(triangles, camera, depths), True)
     playing = context.screen is not None and context.screen.is_animation_playing
     view.draw(shown, camera, display, settings.viewport_density, playing, around, deep=rendered and overlays.drawn(context))
     if view.waiting or view.coarse or view.stale or (shown.instances and not proxies.hidden()):
@@ -172,6 +177,14 @@ def snapshot_of(space, depsgraph, rendered: bool = False) -> snapshot.Snapshot:
     return found
 
 
+def _holdout(space, depsgraph):
+    """The triangles that hide splats in Rendered shading, kept until something changes; None without any."""
+    key = _key(space, depsgraph)
+    if key not in _holdouts:
+        _holdouts[key] = holdout.hidden_by(depsgraph, lambda obj: _visible(obj, space))
+    return _holdouts[key]
+
+
 def has_surfaces(space, depsgraph) -> bool:
     """Whether a viewport shows surfaces beside splats."""
     key = _key(space, depsgraph)
@@ -190,6 +203,7 @@ def changed(*_) -> None:
     _changes += 1
     _snapshots.clear()
     _surfaces.clear()
+    _holdouts.clear()
 
 
 def memory() -> int:

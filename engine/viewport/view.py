@@ -48,12 +48,14 @@ class Around:
     surfaces  whether there are surfaces among it, which may stand within the cloud: then each splat is tested by itself as soon
               as the view rests, for which the depth is read; until then, and otherwise, the GPU tests the whole picture's depth
     read      () -> SceneDepth; None where nothing is there, or it cannot be read
+    moving    whether read() is called while the view moves, too: there is nothing in the window that the GPU could test
     """
 
     depths: Depths
     state: tuple
     surfaces: bool
     read: Callable[[], SceneDepth | None]
+    moving: bool = False
 
 
 class View:
@@ -183,8 +185,9 @@ class View:
     def _draw(self, snapshot, camera, display, around, still, deep):
         answer = self._answer
         self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
-        depth = self._depth_of(around) if around and around.surfaces and still else None
-        self._rough = bool(around and around.surfaces and not still)
+        each = bool(around and around.surfaces and (still or around.moving))
+        depth = self._depth_of(around) if each else None
+        self._rough = bool(around and around.surfaces and not each)
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
         pairs, missing = snapshot.pairs(_known(answer.models), read=False)
@@ -195,7 +198,7 @@ class View:
             self.atlas.clear()  # the last object is gone or hidden
         self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth,
                           deep or around is not None, gone)
-        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None else None)
+        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None and not around.moving else None)
 
     def _depth_of(self, around):
         """The depth of what is in the window, read once for each of its states."""

@@ -56,19 +56,27 @@ class PictureBackend(Protocol):
         """The array's values; the caller does not change them, but may keep them as long as nothing writes to the array."""
 
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
-             progress: Callable[[float], None]) -> Buffers:
+             progress: Callable[[float], None], holdout: np.ndarray | None = None) -> Buffers:
         """Slice, crop, cull and project all instances, sort the splats, list them by tile and blend them (layout.Buffers).
 
         probes    which of layout.PROBES are wanted
         progress  called with 0..1 between pieces of work; what it raises ends the work and passes through
+        holdout   triangles [F, 3, 3] in the world that hide splats (rendering/holdout.py), or None
         """
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> Array:
         """Premultiplied colour [h, w, 3] of what draw() gave: the sum over the layout's groups, features through their decoders."""
 
     def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
-               progress: Callable[[float], None]) -> tuple[Array | None, Array]:
-        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours) and alpha [h, w]."""
+               progress: Callable[[float], None], holdout: np.ndarray | None = None) -> tuple[Array | None, Array, Array | None]:
+        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours), alpha [h, w], and the light that the
+        holdout stops [h, w] (None without one).
+
+        holdout  triangles at the picture's own time; while the shutter is open they are those of the exposure's moments
+        """
+
+    def surface(self, triangles: np.ndarray, camera: Camera) -> Array:
+        """Depth of the nearest of the triangles [F, 3, 3] float32 in each pixel [h, w]; inf where there is none."""
 
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
                       ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:

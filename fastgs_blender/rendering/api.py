@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..util.arguments import real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .exposure import Exposure
+from .holdout import as_triangles
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
 from .panorama import render_panorama
@@ -32,7 +34,8 @@ DECODER_LIMIT = 1e12
 
 
 def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, passes: Iterable[str] = ("rgb", "alpha"), backend: str = "auto",
-           progress: Any = None, settings: PassSettings = DEFAULTS, exposure: Exposure | None = None) -> dict[str, np.ndarray]:
+           progress: Any = None, settings: PassSettings = DEFAULTS, exposure: Exposure | None = None,
+           holdout: ArrayLike | None = None) -> dict[str, np.ndarray]:
     """Render 4D Gaussians at time t (any real number; frame f of a clip is t = f / frame_count).
 
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
@@ -40,6 +43,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     camera    Camera, or Panorama
     passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
               alpha         [h, w]
+              holdout       [h, w]  the light that the holdout's triangles stop; alpha, this and what lies behind make up a pixel
+              shadow        [h, w]  the share of settings.shadow's light that arrives at its meshes, 1 where the camera sees none
               depth         [h, w]  expected depth along the view axis, of the points of greatest density on the pixel's ray; inf where
                             alpha is 0
               median_depth  [h, w]  depth where transmittance falls to a half (the last splat's where it does not), else inf
@@ -53,8 +58,9 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
               count         [h, w]  how many splats were blended
     backend   "cpu" (numba), "reference" (NumPy, slow), "auto"
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
-    settings  PassSettings: the mist's distances, and the frames before and after for vectors
-    exposure  Exposure: motion blur and depth of field, of rgb and alpha.  The other passes show time t through the lens' middle
+    settings  PassSettings: the mist's distances, the frames before and after for vectors, and the light that casts shadows
+    exposure  Exposure: motion blur and depth of field, of rgb, alpha and holdout.  The other passes show time t through the lens' middle
+    holdout   opaque triangles [F, 3, 3] in the world, which hide the splats behind them (rendering/holdout.py)
 
     Returns float32 arrays, the top row first, of the camera's window.  Same inputs, same bytes, for any number of threads.
 
@@ -69,9 +75,10 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     unknown = [p for p in passes if p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
+    holdout = as_triangles(holdout)
     if isinstance(camera, Panorama):
-        return render_panorama(lambda eye, names, found, exposed, told: render(model, eye, t, names, backend, told, found, exposed),
-                               camera, passes, settings, exposure, progress or (lambda fraction: None))
+        face = partial(render, model, t=t, backend=backend, holdout=holdout)
+        return render_panorama(face, camera, passes, settings, exposure, progress or (lambda fraction: None))
     entries = [PASSES[name] for name in passes]
     sharp = [entry for entry in entries if not (entry.exposed and exposure)]
     needs = {part for entry in sharp for part in entry.needs} | {"alpha"}
@@ -79,11 +86,13 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
     blended, blurred = None, None
-    if instances and sharp:
-        blended = _blended(kernels, instances, camera, needs, progress, settings)
-    if instances and len(sharp) < len(entries):
-        rgb, alpha = kernels.expose(exposure, instances, camera, "rgb" in passes, progress)
-        blurred = Blended(camera, None if rgb is None else kernels.numpy(rgb), kernels.numpy(alpha), {}, {}, [], None)
+    drawn = bool(instances) or holdout is not None
+    if drawn and sharp:
+        blended = _blended(kernels, instances, camera, needs, progress, settings, holdout)
+    if drawn and len(sharp) < len(entries):
+        rgb, alpha, held = kernels.expose(exposure, instances, camera, "rgb" in passes, progress, holdout=holdout)
+        blurred = Blended(camera, None if rgb is None else kernels.numpy(rgb), kernels.numpy(alpha), {}, {}, [], None,
+                          None if held is None else kernels.numpy(held))
     out = {}
     for entry in entries:
         source = blended if entry in sharp else blurred
@@ -98,7 +107,7 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
 
 
 def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
-             settings: PassSettings) -> Blended:
+             settings: PassSettings, holdout: np.ndarray | None) -> Blended:
     """The instances drawn by a backend: what the passes that were asked for are computed from."""
     objects = list(dict.fromkeys(instance.identity for instance in instances)) if "shares" in needs else []
     quantities = settings.quantities(needs, instances)
@@ -106,15 +115,17 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))
     layout = Layout(instances, False, quantities, plane="plane" in needs)
-    buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws))
+    buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws), holdout=holdout)
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
     sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))
-    parts = [sums.pop("shares")] if objects else []
+    parts = [sums.pop("shares")] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)] if "shares" in needs else []
     for i in range(1, draws):
         more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])})
-        drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws))
+        drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
-    return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None)
+    shadow = settings.shadow.picture(backend, instances, camera, progress) if settings.shadow and "shadow" in needs else None
+    return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None,
+                   None if buffers.held is None else backend.numpy(buffers.held), shadow)
 
 
 def _instances(model: Source | list, camera: Camera, t: ArrayLike) -> list[ViewedInstance]:

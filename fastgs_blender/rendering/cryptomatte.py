@@ -49,10 +49,10 @@ def number(name: str) -> np.float32:
 def level(shares: np.ndarray, names: list[str], index: int) -> np.ndarray:
     """One level [h, w, 4] from the shares [h, w, K] of the pixel that K objects of these names cover; objects of one name are one."""
     unique = list(dict.fromkeys(names))
-    merged = np.stack([shares[..., [i for i, name in enumerate(names) if name == each]].sum(-1) for each in unique], -1)
-    out = np.zeros((*merged.shape[:2], 2 * PAIRS), np.float32)
+    out = np.zeros((*shares.shape[:2], 2 * PAIRS), np.float32)
     if PAIRS * index >= len(unique):
         return out
+    merged = np.stack([shares[..., [i for i, name in enumerate(names) if name == each]].sum(-1) for each in unique], -1)
     ranks = np.argsort(-merged, axis=-1, kind="stable")[..., PAIRS * index:PAIRS * (index + 1)]
     cover = np.take_along_axis(merged, ranks, -1)
     numbers = np.array([number(name) for name in unique])[ranks]

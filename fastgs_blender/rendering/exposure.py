@@ -13,6 +13,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..util.errors import FastGSError
 from . import colour
+from .holdout import between
 from .instances import Instance, Moment, ViewedInstance
 
 PLASTIC = 1.32471795724474602596
@@ -163,6 +164,13 @@ class Exposure:
             camera = self.aperture.through(camera, point)
         return [instance.viewed(camera) for instance in moved], camera
 
+    def holdout(self, given: np.ndarray | None, time: float) -> np.ndarray | None:
+        """The triangles of a holdout in one sample; given: those at the picture's own time."""
+        if given is None or not self.moments:
+            return given
+        before, after, share = self._between(time)
+        return between(before.holdout, after.holdout, share)
+
     def _at(self, instance: ViewedInstance, time: float) -> Instance:
         if not self.moments:
             return replace_time(instance, instance.t + (self.open + time * (self.close - self.open)) / instance.model.clip.frame_count)
@@ -206,12 +214,15 @@ class Film:
     """
 
     def __init__(self, height: int, width: int, spaces: set[str]):
-        self.rgb, self.alpha = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.float32)
+        self.rgb = np.zeros((height, width, 3), np.float32)
+        self.alpha, self.held = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
         self.encoded = spaces == {"srgb"}
 
-    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float):
+    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float, held: np.ndarray | None = None):
         """Add a sample's picture."""
         self.alpha += (weight * alpha).astype(np.float32)
+        if held is not None:
+            self.held += (weight * held).astype(np.float32)
         if rgb is not None:
             self.rgb += (weight * (colour.scene_linear(rgb, alpha, "srgb") if self.encoded else rgb)).astype(np.float32)
 

@@ -182,8 +182,9 @@ class ViewedInstance(Instance):
 class Moment:
     """A scene at another moment than a picture's: where its instances, by their places, and its camera are then.
 
-    An instance that is not there then is taken to stand still.
+    An instance that is not there then is taken to stand still.  holdout: the triangles that hide splats then (holdout.py), or None.
     """
 
     instances: dict[Hashable, Instance]
     camera: Camera
+    holdout: np.ndarray | None = None

@@ -85,9 +85,12 @@ class Buffers:
     alpha     [h, w]
     sums      [h, w, K]  by name: the channels of the depth, the plane and the quantities
     probes    [h, w]     by name: those that were asked for
+    held, covered  [h, w]  the light that a holdout stops, and which share of each pixel it covers; None without one
     """
 
     channels: Any
     alpha: Any
     sums: dict[str, Any]
     probes: dict[str, Any]
+    held: Any = None
+    covered: Any = None

@@ -18,6 +18,7 @@ from ..util import rotations
 from .crops import crop_share
 from .culling import order_in_numpy
 from .exposure import Exposure, Film
+from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
 from .layout import DEPTH_FROM, PROBES, Buffers, Layout
 from .looks import Look, graded, size_factor
@@ -124,6 +125,11 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
 
 
+def _nothing(layout: Layout) -> Splats:
+    """The splats of no instance."""
+    return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)), np.zeros((0, layout.channels)), *np.zeros((2, 0)))
+
+
 def plane(deep, flat, sharp, box, mean, z, camera: Camera) -> np.ndarray:
     """Depth of each splat at the pixels it covers, a + b x + c y with x and y from the image's middle: [M, 3].
 
@@ -142,18 +148,21 @@ def plane(deep, flat, sharp, box, mean, z, camera: Camera) -> np.ndarray:
     return np.concatenate([(z - (slope * (mean - np.array([camera.width, camera.height]) / 2)).sum(1))[:, None], slope], 1)
 
 
-def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Channels [h, w, C], alpha [h, w] and the probes [h, w]: front-to-back compositing into the camera's window (rasterisers.md 3.2).
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None) -> tuple[
+        np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
+    """Channels [h, w, C], alpha [h, w], the probes [h, w], and of a holdout the light that it stops and the share that it covers [h, w]:
+    front-to-back compositing into the camera's window (rasterisers.md 3.2).
 
-    band: alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
-    by differences, for checks of gradients; pictures have none.
+    band     alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
+             by differences, for checks of gradients; pictures have none
+    holdout  triangles, see holdout.py: each of a pixel's points loses its share of the light behind them
     """
     x0, y0, width, height = camera.window
     px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
     out = np.zeros((height, width, splats.channels.shape[1]))
-    transmittance = np.ones((height, width))
+    depths = np.full((height, width, 1), np.inf) if holdout is None else sample_depths(holdout, camera).astype(np.float32)
+    transmittance, live = np.ones(depths.shape), np.ones(depths.shape, bool)  # of each point of a pixel
     probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
-    live = np.ones((height, width), bool)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
     for i in order:
@@ -171,19 +180,23 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0) -> tuple[np.nda
 
         box = np.s_[top:bottom, left:right]
         t = transmittance[box]
-        hit = live[box] & (alpha >= splats.alpha_cut[i])
+        shows = depths[box] >= np.float32(splats.depth[i])
+        hit = live[box] & (alpha >= splats.alpha_cut[i])[..., None] & shows
         if band:
             rise = np.clip((alpha - splats.alpha_cut[i]) / band, 0, 1)
             alpha = alpha * rise**2 * (3 - 2 * rise)
-        after = t * (1 - alpha)
+        after = t * (1 - alpha[..., None])
         blended = hit & (after > T_STOP)
         live[box] &= ~(hit & ~blended)
-        out[box] += np.where(blended, alpha * t, 0)[..., None] * splats.channels[i]
+        out[box] += np.where(blended, alpha[..., None] * t, 0).mean(-1, keepdims=True) * splats.channels[i]
+        drawn, light = blended.any(-1), (t * shows).mean(-1)
         for name, above in DEPTH_FROM.items():
-            probes[name][box] = np.where(blended & (t > above), splats.depth[i], probes[name][box])
-        probes["count"][box] += blended
+            probes[name][box] = np.where(drawn & (light > above), splats.depth[i], probes[name][box])
+        probes["count"][box] += drawn
         transmittance[box] = np.where(blended, after, t)
-    return out, 1 - transmittance, probes
+    hidden = np.isfinite(depths)
+    held = () if holdout is None else ((transmittance * hidden).mean(-1), hidden.mean(-1))
+    return out, (1 - transmittance).mean(-1), probes, held
 
 
 def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -210,15 +223,16 @@ class Oracle:
     def numpy(self, array):
         return array
 
-    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress, band: float = 0.0) -> Buffers:
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress, band: float = 0.0,
+             holdout: np.ndarray | None = None) -> Buffers:
         """All instances together, composited into the layout's channels; band: see rasterise()."""
         with np.errstate(all="ignore"):  # what overflows is not drawn
-            found = [project(instance, camera, layout) for instance in instances]
+            found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
-        channels, alpha, found = rasterise(splats, camera, band)
+        channels, alpha, found, held = rasterise(splats, camera, band, holdout)
         sums = {name: channels[..., where] for name, where in layout.places.items()}
-        return Buffers(channels, alpha, sums, {name: found[name] for name in probes})
+        return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> np.ndarray:
         """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""
@@ -230,17 +244,21 @@ class Oracle:
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
 
-    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress):
+    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress, holdout=None):
         """The average of as many samples as the exposure allows."""
         _, _, width, height = camera.window
         film, samples = Film(height, width, {instance.model.colour_space for instance in instances}), exposure.samples(exposure.levels)
         for i, sample in enumerate(samples):
             moved, eye = exposure.scene(instances, camera, sample.time, sample.point)
             layout = Layout(moved, False)
-            buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)))
-            film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1])
+            buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)),
+                                holdout=exposure.holdout(holdout, sample.time))
+            film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held)
         rgb, alpha = film.picture()
-        return (rgb if colours else None), alpha
+        return (rgb if colours else None), alpha, None if holdout is None else film.held
+
+    def surface(self, triangles, camera):
+        return sample_depths(triangles, camera).min(-1)
 
     front_to_back = staticmethod(order_in_numpy)
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from ..cameras.panorama import FACES, MARGIN, Panorama
 from .exposure import Exposure
+from .lookup import between_pixels
 from .passes import PASSES, PassSettings
 
 
 def render_panorama(render, camera: Panorama, passes, settings: PassSettings, exposure: Exposure | None, progress) -> dict[str, np.ndarray]:
     """The passes, as render() returns them.
 
-    render  (camera, passes, settings, exposure, progress) -> the passes of a pinhole camera
+    render  render() of a pinhole camera, but for its model and what else these passes do not change
 
     Depths are distances from the camera.  There are no vectors: they are 0.  The lens is a pinhole.
     """
@@ -31,8 +32,9 @@ def render_panorama(render, camera: Panorama, passes, settings: PassSettings, ex
            np.full(shape if p.channels == 1 else (*shape, p.channels), p.empty) for p in wanted}
     best, used = np.zeros(shape), [i for i in range(len(FACES)) if shares[i].any()]
     for number, i in enumerate(used):
-        found = render(camera.face(i), tuple(out), _without_neighbours(settings), exposure and _of_face(exposure, i),
-                       lambda f, number=number: progress((number + f) / len(used)))
+        found = render(camera.face(i), passes=tuple(out), settings=_without_neighbours(settings),
+                       exposure=exposure and _of_face(exposure, i),
+                       progress=lambda f, number=number: progress((number + f) / len(used)))
         at = np.nonzero(shares[i] > 0)
         eye, (x, y) = camera.face(i), places[i][at].T
         x, y = x * eye.fx + eye.cx - 0.5, y * eye.fy + eye.cy - 0.5
@@ -43,7 +45,7 @@ def render_panorama(render, camera: Panorama, passes, settings: PassSettings, ex
         for p in wanted:
             if p.mixes:
                 share = (shares[i] / total)[at]
-                values = _between(found[p.name], x, y)
+                values = between_pixels(found[p.name], x, y)
                 out[p.name][at] += values * (share if p.channels == 1 else share[:, None])
             elif p.name != "vector":
                 stretch = np.linalg.norm(np.c_[places[i][target], np.ones(len(target[0]))], axis=1) if p.empty == np.inf else 1.0
@@ -66,16 +68,6 @@ def _seen_by(seen, face) -> tuple[np.ndarray, np.ndarray]:
         share = np.clip((np.pi / 4 + MARGIN - angle) / (2 * MARGIN), 0, 1)
         share = share * share * (3 - 2 * share)
     return np.where(turned[..., 2] > 0, np.nan_to_num(share), 0), place
-
-
-def _between(image, x, y) -> np.ndarray:
-    """The image [h, w] or [h, w, C] at positions in pixels, straight between the four neighbours."""
-    height, width = image.shape[:2]
-    i, j = np.clip(np.floor(y).astype(int), 0, height - 2), np.clip(np.floor(x).astype(int), 0, width - 2)
-    v, u = y - i, x - j
-    if image.ndim == 3:
-        u, v = u[:, None], v[:, None]
-    return (1 - v) * ((1 - u) * image[i, j] + u * image[i, j + 1]) + v * ((1 - u) * image[i + 1, j] + u * image[i + 1, j + 1])
 
 
 def _without_neighbours(settings: PassSettings) -> PassSettings:

@@ -14,6 +14,7 @@ from ..cameras.camera import Camera
 from . import cryptomatte
 from .instances import Moment, ViewedInstance
 from .quantities import NORMAL, Mist, Quantity, vector
+from .shadow import Shadow
 
 FAR = np.float32(1e10)
 """Depth where there is nothing, in files and in Blender, as Blender's own engines write it: filters turn an infinity into NaN."""
@@ -27,11 +28,13 @@ class PassSettings:
 
     mist           the distances of the Mist pass
     before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
+    shadow         the light and the meshes of the pass of shadows, see shadow.py; None: there are no shadows
     """
 
     mist: Mist = field(default_factory=Mist)
     before: Moment | None = None
     after: Moment | None = None
+    shadow: Shadow | None = None
 
     def quantities(self, names, instances: list[ViewedInstance]) -> dict[str, Quantity]:
         """Those quantities, of all that passes may need, whose names are given."""
@@ -56,6 +59,8 @@ class Blended:
     probes   [h, w]     by name (layout.PROBES)
     objects  (name, index) of each object in the picture
     shares   [h, w, K]  what part of each pixel each of the objects covers; None where no pass needs it
+    held     [h, w]     the light that a holdout stops; None without one
+    shadow   [h, w]     the share of a light that splats let through to meshes; None where no pass needs it
     """
 
     camera: Camera
@@ -65,6 +70,8 @@ class Blended:
     probes: dict[str, np.ndarray]
     objects: list[tuple[str, int]]
     shares: np.ndarray | None
+    held: np.ndarray | None = None
+    shadow: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
         """A quantity's mean over what covers each pixel, weighted by how much each splat is seen; 0 where alpha is 0."""
@@ -148,6 +155,10 @@ def _normal(blended: Blended) -> np.ndarray:
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
 
 
+def _held(blended: Blended) -> np.ndarray:
+    return np.zeros_like(blended.alpha) if blended.held is None else blended.held
+
+
 def _object_index(blended: Blended) -> np.ndarray:
     """The index of what covers most of each pixel; that of nothing is 0."""
     numbers = np.unique([0, *(index for _, index in blended.objects)])
@@ -172,6 +183,12 @@ PASSES = {entry.name: entry for entry in (
     Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="A",
          switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up"),
+    Pass("holdout", _held, exposed=True, mixes=True, exr=("Splat Holdout.A",), blender="Splat Holdout", letters="A",
+         switch="fastgs.use_pass_holdout",
+         description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill"),
+    Pass("shadow", lambda b: np.ones_like(b.alpha) if b.shadow is None else b.shadow, ("shadow",), empty=1.0, mixes=True,
+         exr=("Splat Shadow.X",), blender="Splat Shadow", letters="X", switch="fastgs.use_pass_shadow",
+         description="Deliver how much of a light splats let through to the meshes that the camera sees: a factor on their colour"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
          switch="use_pass_z"),

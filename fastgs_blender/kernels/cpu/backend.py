@@ -13,6 +13,7 @@ from ...rendering.looks import graded_picture
 from . import initial, resample, steps, training, visible
 from .decoder import decode_features
 from .expose import expose
+from .holdout import surface
 from .jit import announce
 from .rasterise import rasterise
 from .splats import project_instances
@@ -33,16 +34,16 @@ class CPU:
     def read(self, *arrays):
         return list(arrays)
 
-    def draw(self, instances, camera, layout, probes, progress) -> Buffers:
+    def draw(self, instances, camera, layout, probes, progress, holdout=None) -> Buffers:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
-                            lambda f: progress(0.35 + 0.6 * f))
+                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout)
         return picture.buffers(layout)
 
-    def expose(self, exposure, instances, camera, colours, progress):
+    def expose(self, exposure, instances, camera, colours, progress, holdout=None):
         announce()
-        return expose(exposure, instances, camera, colours, self.colour, progress)
+        return expose(exposure, instances, camera, colours, self.colour, progress, holdout)
 
     def colour(self, buffers, layout, camera):
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))
@@ -54,6 +55,7 @@ class CPU:
         rgb = decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
         return graded_picture(rgb, weight, group.instance.look)
 
+    surface = staticmethod(surface)
     front_to_back = staticmethod(visible.front_to_back)
 
     def splat(self, parameters, template, camera, t, depth=False, band=0.0):

@@ -33,6 +33,8 @@ ENDS = 4.0
 """Steps for a path of one standard deviation, growing with its root: the sum then has the streak's ends to 3e-3."""
 STILL = 0.2
 """Standard deviations of movement up to which the middle of the exposure stands for all of it."""
+SHARP = 16.0
+"""Samples by square pixel of its blur (radius squared) that make the edge of a mesh, which is sharper than any splat, even to 0.02."""
 FADE = 4.0
 """Standard deviations to whose movement a change of opacity from 0 to 1 is equal."""
 FAINT = 0.05
@@ -59,8 +61,9 @@ class Paths:
     needed: np.ndarray
 
 
-def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, progress):
-    """rgb [h, w, 3] (None without colours) and alpha [h, w]; colour_of: the backend's colour()."""
+def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, progress, holdout=None):
+    """rgb [h, w, 3] (None without colours), alpha [h, w] and what the holdout stops [h, w] (None without one); colour_of: the backend's
+    colour()."""
     x0, y0, width, height = camera.window
     film = Film(height, width, {instance.model.colour_space for instance in instances})
     if not exposure.moves:
@@ -69,7 +72,8 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
     left, top = x0 // TILE, y0 // TILE
     grid = left, top, (x0 + width - 1) // TILE - left + 1, (y0 + height - 1) // TILE - top + 1
     levels = np.zeros(grid[2] * grid[3], np.int32)
-    paint(paths.box, np.ceil(np.log2(np.clip(paths.needed, 1, 1 << exposure.levels))).astype(np.int32), *grid, levels)
+    for box, needed in [(paths.box, paths.needed)] + ([] if holdout is None else [_edges(exposure, holdout, camera)]):
+        paint(box, np.ceil(np.log2(np.clip(needed, 1, 1 << exposure.levels))).astype(np.int32), *grid, levels)
     samples = exposure.samples(int(levels.max()))
     picked = {0: (instances, np.arange(len(paths.box)))}
     for i, sample in enumerate(samples):
@@ -85,20 +89,47 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
             _draw_out(splats, keep, paths, len(samples) - 1)
         weights = np.array(sample.weights, np.float32)[levels]
         runs = _runs(weights > 0)
-        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs)
+        hidden_by = exposure.holdout(holdout, sample.time)
+        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs, holdout=hidden_by)
         rgb = colour_of(picture.buffers(layout), layout, eye) if colours and moved else None
-        if moved:
-            _collect(film, rgb, picture.alpha, weights, runs, grid, camera.window)
+        _collect(film, rgb, picture.alpha, picture.held, weights, runs, grid, camera.window)
         progress((i + 1) / len(samples))
     rgb, alpha = film.picture()
-    return (rgb if colours else None), alpha
+    return (rgb if colours else None), alpha, None if holdout is None else film.held
+
+
+def _looks(exposure: Exposure) -> tuple[list, list]:
+    """(time, point of the lens) of a few looks at the scene: over the exposure with the lens' middle, and through two points of its rim."""
+    lens = exposure.aperture
+    return ([(t, (0.0, 0.0)) for t in ((0.0, 0.5, 1.0) if exposure.moves else (0.5,))],
+            [(0.5, (lens.radius / lens.ratio, 0.0)), (0.5, (0.0, lens.radius))] if lens else [])
+
+
+def _edges(exposure: Exposure, holdout, camera) -> tuple[np.ndarray, np.ndarray]:
+    """Of the triangles of a holdout, as of splats: the boxes [T, 4] that they touch, and into how many steps [T] each needs the exposure
+    divided; a step is about a pixel, over which an edge is soft anyway."""
+    times, rim = _looks(exposure)
+    corners = []
+    for time, point in times + rim:
+        eye, triangles = exposure.scene([], camera, time, point)[1], exposure.holdout(holdout, time)
+        view = triangles @ eye.world_to_camera[:3, :3].T + eye.world_to_camera[:3, 3]
+        corners.append(eye.pixels(np.where(view[..., 2:] > eye.near, view, np.nan)))
+    if len({found.shape for found in corners}) > 1:  # other triangles at another time
+        corners = [np.concatenate(corners)]
+        needed = np.full(len(corners[0]), np.inf, np.float32)
+    else:
+        path = sum((np.linalg.norm(b - a, axis=-1).max(-1, initial=0) for a, b in itertools.pairwise(corners[:len(times)])),
+                   np.zeros(len(corners[0])))
+        middle = corners[len(times) // 2]
+        blur = np.max([np.linalg.norm(found - middle, axis=-1).max(-1, initial=0) for found in corners[len(times):]] or [0 * path], 0)
+        needed = np.maximum(_steps(path, path / STEP), _steps(2 * blur, SHARP * blur**2))
+    box = np.concatenate([np.min(corners, (0, 2)), np.max(corners, (0, 2))], -1)
+    return np.where(np.isnan(box), [-1e6, -1e6, 1e6, 1e6], box).astype(np.float32), np.where(np.isnan(needed), np.inf, needed)
 
 
 def _paths(exposure: Exposure, instances, camera) -> Paths:
-    """The paths, from a few times with the lens' middle, and from two points on the lens' rim."""
-    times = [(t, (0.0, 0.0)) for t in ((0.0, 0.5, 1.0) if exposure.moves else (0.5,))]
-    lens = exposure.aperture
-    rim = [(0.5, (lens.radius / lens.ratio, 0.0)), (0.5, (0.0, lens.radius))] if lens else []
+    """The paths, from a few looks at the scene."""
+    times, rim = _looks(exposure)
     total = sum(len(instance.model) for instance in instances)
     looks = [_Look(exposure, instances, camera, *each, total) for each in times + rim]
     middle = looks[len(times) // 2]
@@ -161,7 +192,7 @@ def _gaussians(splats: ProjectedSplats) -> np.ndarray:
 
 def _picked(instances, touching):
     """The instances with those Gaussians only that are marked, and which these are, counted through all."""
-    if touching.mean() > WHOLE:
+    if touching.sum() > WHOLE * len(touching) or not len(touching):
         return instances, np.arange(len(touching))
     out, keep, done = [], [], 0
     for instance in instances:
@@ -208,11 +239,11 @@ def _runs(active: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _collect(film: Film, rgb, alpha, weights, runs, grid, window):
+def _collect(film: Film, rgb, alpha, held, weights, runs, grid, window):
     """Add a picture to the film, each tile with its weight."""
     colours = rgb is not None
     rest = (weights, *grid[:3], *window, rgb if colours else np.zeros((0, 0, 3), np.float32), alpha, film.encoded, colours, TABLE,
-            film.rgb, film.alpha)
+            film.rgb, film.alpha, np.zeros((0, 0), np.float32) if held is None else np.ascontiguousarray(held), film.held)
     run(lambda first, last: collect(first, last, *rest), [(a, b) for first, last in runs for a, b in _pieces(first, last)])
 
 
@@ -221,7 +252,8 @@ def _pieces(first: int, last: int) -> list[tuple[int, int]]:
 
 
 @kernel
-def collect(first, last, weights, left, top, columns, x0, y0, width, height, rgb, alpha, encoded, colours, table, out, out_alpha):
+def collect(first, last, weights, left, top, columns, x0, y0, width, height, rgb, alpha, encoded, colours, table, out, out_alpha, held,
+            out_held):
     """Add the tiles first..last of a picture, in light, times weights [tiles]; encoded: the picture is in sRGB."""
     ends = float32(len(table) - 1)
     for tile in range(first, last):
@@ -231,6 +263,8 @@ def collect(first, last, weights, left, top, columns, x0, y0, width, height, rgb
             for x in range(max(begin_x, 0), min(begin_x + TILE, width)):
                 a = alpha[y, x]
                 out_alpha[y, x] += weight * a
+                if len(held):
+                    out_held[y, x] += weight * held[y, x]
                 if not colours or not a > float32(0.0):
                     continue
                 for c in range(3):

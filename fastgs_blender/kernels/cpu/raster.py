@@ -14,10 +14,12 @@ from numba import float32
 from numba.core import types
 from numba.extending import intrinsic
 
+from ...rendering.holdout import SAMPLES
 from ...rendering.layout import DEPTH_FROM, PROBES
 from ...rendering.oracle import T_STOP
 from . import simd
 from .jit import kernel
+from .occlusion import lose, losses
 
 TILE = 16
 PIXELS = TILE * TILE
@@ -28,6 +30,8 @@ MEAN_X, MEAN_Y, L11, L21, L22 = range(5)
 # columns of a splat's attributes [., 6 + C] float32; RADIUS: half the size of the box in which alpha reaches the cut
 LOG2_OPACITY, ALPHA_MAX, LOG2_CUT, DEPTH, RADIUS_X, RADIUS_Y, CHANNEL = range(7)
 
+NOTHING = np.empty((0, PIXELS, SAMPLES), np.float32)
+"""The depths of a picture without a holdout."""
 AHEAD = 8
 """How many splats ahead memory is asked for: a tile's splats lie all over it."""
 SIZES = (3, 4, 6, 9, 10, 16, 32, 64, 128, 256)
@@ -116,15 +120,19 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
     bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
     planes = 1 + channels + (number or trace)
 
-    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra):
+    def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra,
+                  hiding, held):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
         The window is x0..right, y0..bottom in pixels of the image; out [h, w, C] and alpha [h, w] are the window's.
         starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  extra [h, P w]: the pictures of the P probes,
         side by side; with trace [h, 2 w]: the final transmittance, and beside it the place in the tile's list of the last splat
-        blended, or -1.
+        blended, or -1.  hiding: of a holdout, the depths of the tiles first..last (holdout.Occluder), or NOTHING; held [h, 2 w]: the light
+        that it stops, and beside it which share of the pixel it covers.
         """
         state = np.empty(planes * PIXELS, np.float32)
+        left_over, stopped = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32)
+        when, where = np.empty(0, np.int64), np.empty(0, np.int64)
         for tile in range(first, last):
             left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
             for i in range(PIXELS):
@@ -136,8 +144,14 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                 state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
-            blended = 0
+            blended, event = 0, 0
+            if len(hiding):
+                left_over[:], stopped[:] = SAMPLES, float32(0.0)
+                when, where = losses(hiding[tile - first], DEPTH, starts[tile], starts[tile + 1], ids, attributes)
             for k in range(starts[tile], starts[tile + 1]):
+                while event < len(when) and when[event] == k:
+                    lose(state, left_over, stopped, where[event])
+                    event += 1
                 i = np.intp(ids[k])
                 ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
                 simd.prefetch(geometry, ahead)
@@ -167,10 +181,15 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                         front = state[p] if state[p] > front else front
                     if front <= 0.0:
                         break
+            for k in range(event, len(when)):
+                lose(state, left_over, stopped, where[k])
             for y in range(max(top, y0), min(top + TILE, bottom)):
                 for x in range(max(left, x0), min(left + TILE, right)):
                     p = (y - top) * TILE + x - left
-                    alpha[y - y0, x - x0] = float32(1.0) - abs(state[p])
+                    alpha[y - y0, x - x0] = float32(1.0) - abs(state[p]) - stopped[p]
+                    if len(hiding):
+                        held[y - y0, x - x0] = stopped[p]
+                        held[y - y0, x - 2 * x0 + right] = float32(SAMPLES - left_over[p]) / float32(SAMPLES)
                     for c in range(channels):
                         out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
                     for k in range(number):

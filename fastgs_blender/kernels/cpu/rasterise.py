@@ -10,8 +10,10 @@ from ...cameras.camera import Camera
 from ...rendering.layout import PROBES, Buffers, Layout
 from ...util.threads import ranges, run
 from . import raster, raster_backward
+from .holdout import Occluder
 from .tile_lists import TileLists, list_tiles, tile_cursors
 
+NONE = np.zeros((0, 0), np.float32)
 CHUNK = 16_384
 """Splats in one piece of work."""
 TILES = 64
@@ -24,33 +26,43 @@ BACKWARD_BYTES = 24 << 20
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], and each probe's picture [h, w] by its name."""
+    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], each probe's picture [h, w] by its name, and of a
+    holdout the light that it stops and the share of the pixel that it covers [h, w], or None."""
 
     channels: np.ndarray
     alpha: np.ndarray
     probes: dict[str, np.ndarray]
+    held: np.ndarray | None = None
+    covered: np.ndarray | None = None
 
     def buffers(self, layout: Layout) -> Buffers:
         """The picture by what its channels mean."""
         sums = {name: self.channels[..., where] for name, where in layout.places.items()}
-        return Buffers(self.channels[..., :layout.channels], self.alpha, sums, self.probes)
+        return Buffers(self.channels[..., :layout.channels], self.alpha, sums, self.probes, self.held, self.covered)
 
 
-def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None) -> Picture:
+def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None,
+              holdout: np.ndarray | None = None) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
-    probes  which of layout.PROBES to compute
-    tiles   (first, last) of the runs of tiles to draw; None: all.  The others stay empty
+    probes   which of layout.PROBES to compute
+    tiles    (first, last) of the runs of tiles to draw; None: all.  The others stay empty
+    holdout  triangles [F, 3, 3] float32 that hide splats
     """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
     extra = np.empty((height, len(probes) * width), np.float32)
     listing = TileLists.of(order, geometry, attributes, camera)
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, raster.rasteriser(channels, probes), extra, progress, tiles)
-    return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)})
+    occluder = None if holdout is None else Occluder.of(holdout, camera)
+    held = np.zeros((height, 2 * width), np.float32) if occluder else NONE
+    kernel = raster.rasteriser(channels, probes)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held)
+    return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},
+                   *((held[:, :width], held[:, width:]) if occluder else ()))
 
 
-def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, tiles=None):
+def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, tiles=None,
+           occluder: Occluder | None = None, held=NONE):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
     x0, y0, right, bottom = listing.window
     out = np.zeros((bottom - y0, right - x0, channels), np.float32)
@@ -62,7 +74,7 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
         pieces = _tiles(first, last) if tiles is None else [
             piece for a, b in tiles if a < last and b > first for piece in _tiles(max(a, first), min(b, last))]
-        run(lambda a, b, rest=rest: kernel(a, b, *rest), pieces, share)
+        run(lambda a, b, rest=rest: kernel(a, b, *rest, occluder.depths(a, b) if occluder else raster.NOTHING, held), pieces, share)
     return out, alpha, lists
 
 

@@ -24,6 +24,7 @@ def compile_all(progress=lambda fraction: None) -> None:
     for i, (model, passes) in enumerate(jobs):
         render(model, camera, passes=passes, backend="cpu")
         progress((i + 1) / len(jobs))
+    render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
     order([instance], camera)
     order([instance], camera, 0.5, importance_rank)

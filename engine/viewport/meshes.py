@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes that hide splats in Rendered shading under our engine: Blender draws none there, so their depth is rasterised here."""
+from __future__ import annotations
+
+import numpy as np
+
+from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.util.backends import load_backend
+from .frame_table import Depths
+from .picture import SceneDepth
+
+
+def scene_depth(triangles: np.ndarray, camera: Camera, depths: Depths) -> SceneDepth | None:
+    """What a window would hold had triangles [F, 3, 3] been drawn into it before a camera; None where none is in sight."""
+    backend = load_backend("cpu")
+    depth = backend.numpy(backend.surface(triangles, camera))[::-1]
+    if np.isinf(depth).all():
+        return None
+    values = depths.a + depths.b * depth if camera.orthographic else depths.a + depths.b / depth
+    return SceneDepth(np.where(np.isinf(depth), 1, values).astype(np.float32), depths)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads the meshes of an evaluated scene that hide splats, or catch their shadows, as triangles in the world."""
+from __future__ import annotations
+
+import numpy as np
+
+from . import objects
+
+SURFACES = ('MESH', 'CURVE', 'SURFACE', 'FONT', 'META')
+"""Types of objects that have triangles."""
+
+
+def helpers(scene) -> set[str]:
+    """Names of the objects whose surfaces are no part of the picture beside the splats: shapes that crop these, and native copies."""
+    shapes = {item.object.name for obj in scene.objects if objects.is_splat(obj) for item in obj.fastgs.crops if item.object is not None}
+    return shapes | {obj.name for obj in scene.objects if obj.fastgs.copy_of is not None}
+
+
+def is_held_out(obj, view_layer) -> bool:
+    """Whether Blender's own Holdout is switched on for an object, or for a collection it is in."""
+    return obj.is_holdout or obj.original.holdout_get(view_layer=view_layer)
+
+
+def hidden_by(depsgraph, visible=lambda obj: True) -> np.ndarray | None:
+    """The triangles [F, 3, 3] float32 that hide splats in a render; None where no object does.
+
+    They are those of objects with Blender's Holdout, and of all others that the camera sees if the scene says so.
+    visible(obj) may leave out more.
+    """
+    layer, everything = depsgraph.view_layer, depsgraph.scene.fastgs.use_meshes
+    return triangles(depsgraph, lambda obj: (is_held_out(obj, layer) or (everything and obj.fastgs.hides_splats)) and visible(obj))
+
+
+def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
+    """The triangles [F, 3, 3] float32 of the scene's surfaces as the depsgraph has evaluated them, instances included; None without any.
+
+    wanted(obj) is asked about each object that has a surface, and about the object that makes an instance.
+    """
+    aside, local, found = helpers(depsgraph.scene), {}, []
+    for instance in depsgraph.object_instances:
+        obj = instance.object
+        maker = instance.parent if instance.is_instance else obj
+        if obj.type not in SURFACES or not instance.show_self or objects.is_splat(obj) or obj.name in aside:
+            continue
+        if obj.hide_render or maker.hide_render:  # what a viewport shows and no render
+            continue
+        if not (obj.visible_camera and maker.visible_camera and (wanted(maker) or (maker is not obj and wanted(obj)))):
+            continue
+        matrix = np.array(instance.matrix_world, np.float64)
+        key = obj.data.as_pointer()
+        if key not in local:
+            local[key] = _triangles(obj)
+        found.append((local[key] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
+    return np.concatenate(found) if found else None
+
+
+def _triangles(obj) -> np.ndarray:
+    """An evaluated object's triangles [F, 3, 3] in its own space."""
+    mesh = obj.to_mesh()
+    try:
+        mesh.calc_loop_triangles()
+        points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
+        mesh.vertices.foreach_get("co", points)
+        mesh.loop_triangles.foreach_get("vertices", corners)
+    finally:
+        obj.to_mesh_clear()
+    return points.reshape(-1, 3)[corners.reshape(-1, 3)]

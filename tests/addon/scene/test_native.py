@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Native copies: objects for other engines that hold what a splat object shows on each frame and sub-frame, and that no file holds."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+POINTS = "resize" in bpy.types.PointCloud.bl_rna.functions
+KINDS = ['DISCS'] + ['POINTS'] * POINTS
+
+
+@pytest.fixture
+def moving(fg, make_model, model_file):
+    """The file of a model that moves, with spherical harmonics; a third of it lives in the clip's second half alone."""
+    n, rng = 60, np.random.default_rng(8)
+    windows = np.tile([-1.0, 2.0, -6.0, -6.0], (n, 1))
+    windows[::3, 0] = 0.5
+    return model_file(make_model(n, basis=fg.Fourier(2), motion=rng.normal(size=(n, 4, 3)) * 0.3, opacity=rng.uniform(1, 5, n),
+                                 clip=fg.Clip(60, 24), temporal_kind=fg.Window(), temporal=windows, appearance=fg.SH(1),
+                                 features=rng.normal(0, 0.3, (n, 12))))
+
+
+@pytest.fixture
+def splat(moving, scene):
+    bpy.ops.import_scene.fastgs(filepath=moving)
+    obj = bpy.context.object
+    obj.location, obj.rotation_euler, obj.scale = (1, 2, 3), (0.3, 0.2, 0.1), (1, 2, 1)
+    scene.frame_end = 60
+    return obj
+
+
+def middles(obj, matrix=None):
+    """The Gaussians' middles that a copy holds, in the world, sorted."""
+    data = obj.data
+    if obj.type == 'MESH':
+        at = np.empty(3 * len(data.vertices), np.float32)
+        data.vertices.foreach_get("co", at)
+        at = at.reshape(-1, 6, 3).mean(1)
+    else:
+        at = np.empty(3 * len(data.points), np.float32)
+        data.points.foreach_get("co", at)
+        at = at.reshape(-1, 3)
+    matrix = np.array(obj.matrix_world) if matrix is None else matrix
+    return np.sort(at @ matrix[:3, :3].T + matrix[:3, 3], 0)
+
+
+def truth(fg, path, frame, placement):
+    model = fg.load(path)
+    s = fg.slice_model(model, (frame - 1) / 60)
+    return np.sort(s.position @ placement[:3, :3].T + placement[:3, 3], 0)
+
+
+class _Reader(bpy.types.RenderEngine):
+    """An engine that reads on sub-frames what Cycles would render of each copy."""
+
+    bl_idname = "FASTGS_test_copies"
+    bl_label = "Reader"
+    seen: list = []
+
+    def render(self, depsgraph):
+        scene = depsgraph.scene
+        for subframe in (0.0, 0.25):
+            self.frame_set(scene.frame_current, subframe)
+            for instance in depsgraph.object_instances:
+                if instance.object.fastgs.copy_of is not None:
+                    self.seen.append((scene.frame_current + subframe, middles(instance.object, np.array(instance.matrix_world))))
+        self.end_result(self.begin_result(0, 0, 8, 8))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_copy_follows_frames(scene, fg, module, splat, moving, kind, where):
+    assert bpy.ops.fastgs.native_copy(kind=kind) == {'FINISHED'}
+    copy, = (obj for obj in scene.objects if obj.fastgs.copy_of == splat)
+    assert copy.parent == splat and not module("scene.splats.proxy_nodes").modifier_of(splat).show_render
+    counts = set()
+    for frame, part in ((1, 0.0), (40, 0.0), (20, 0.5)):
+        scene.frame_set(frame, subframe=part)
+        shown = copy.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        wanted = truth(fg, moving, frame + part, where()[splat.name])
+        assert middles(shown) == pytest.approx(wanted, abs=1e-4)
+        counts.add(len(wanted))
+    assert len(counts) == 2, "what does not live on a frame is left out"
+    splat.fastgs.opacity = 0.0
+    bpy.context.view_layer.update()
+    assert len(middles(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()))) == 0
+    splat.fastgs.opacity = 1.0
+    bpy.context.view_layer.update()
+    assert len(middles(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()))) == len(wanted)
+    assert bpy.ops.fastgs.native_copy(kind=kind) == {'FINISHED'} and sum(obj.fastgs.copy_of == splat for obj in scene.objects) == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_final_renders_see_sub_frames(scene, fg, splat, moving, kind, where, add_camera):
+    """The keyed capture frame counts as it is evaluated, of the frame that is rendered."""
+    splat.fastgs.use_capture_frame = True
+    for frame, value in ((1, 0.0), (11, 20.0)):
+        splat.fastgs.capture_frame = value
+        splat.keyframe_insert("fastgs.capture_frame", frame=frame)
+    action = splat.animation_data.action
+    curves = action.fcurves if hasattr(action, "fcurves") else action.layers[0].strips[0].channelbags[0].fcurves
+    for key in curves[0].keyframe_points:
+        key.interpolation = 'LINEAR'
+    bpy.ops.fastgs.native_copy(kind=kind)
+    add_camera()
+    bpy.utils.register_class(_Reader)
+    try:
+        scene.render.engine = _Reader.bl_idname
+        _Reader.seen.clear()
+        scene.frame_start, scene.frame_end = 4, 5
+        placement = where()[splat.name]
+        scene.render.filepath = bpy.app.tempdir + "copy_"
+        bpy.ops.render.render(animation=True)
+        found = dict(_Reader.seen)
+    finally:
+        bpy.utils.unregister_class(_Reader)
+    assert set(found) == {4.0, 4.25, 5.0, 5.25}
+    for frame, places in found.items():
+        assert places == pytest.approx(truth(fg, moving, 1 + 2 * (frame - 1), placement), abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_hold_nothing_of_it(scene, splat, kind, tmp_path):
+    bpy.ops.fastgs.native_copy(kind=kind)
+    name = next(obj.name for obj in scene.objects if obj.fastgs.copy_of == splat)
+    before = middles(bpy.data.objects[name])
+    path = str(tmp_path / "scene.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path, compress=False)
+    assert len(middles(bpy.data.objects[name])) == len(before) > 0, "it is there again after saving"
+    with bpy.data.libraries.load(path) as (_, taken):
+        taken.objects = [name]
+    saved = taken.objects[0].data
+    assert len(saved.vertices if kind == 'DISCS' else saved.points) == 0
+    bpy.ops.wm.open_mainfile(filepath=path)
+    bpy.context.view_layer.update()
+    assert middles(bpy.data.objects[name]) == pytest.approx(before, abs=1e-5)
+
+
+def test_discs_have_the_gaussians_colours_and_shapes(scene, fg, splat, moving, module):
+    bpy.ops.fastgs.native_copy(kind='DISCS')
+    mesh = next(obj.data for obj in scene.objects if obj.fastgs.copy_of == splat)
+    model = fg.load(moving)
+    s = fg.slice_model(model, 0.0)
+    colour = np.empty(4 * len(mesh.vertices), np.float32)
+    mesh.attributes["Color"].data.foreach_get("color", colour)
+    wanted = np.clip(0.5 + 0.28209479 * s.features[:, :3], 0, 100)
+    wanted = np.where(wanted <= 0.04045, wanted / 12.92, ((wanted + 0.055) / 1.055) ** 2.4)
+    assert colour.reshape(-1, 6, 4)[:, 0, :3] == pytest.approx(wanted, abs=1e-4)
+    normals = np.array([polygon.normal for polygon in mesh.polygons])
+    areas = np.array([polygon.area for polygon in mesh.polygons])
+    largest = np.sort(s.scale, 1)[:, 1:].prod(1) * s.opacity
+    assert areas == pytest.approx(largest * 1.5**2 * 3 * np.sqrt(3) / 2, rel=1e-3)
+    module("scene.model_space")
+    turn = fg.freeze(model, 0.0)
+    assert len(turn) == len(mesh.polygons) and np.isfinite(normals).all() and mesh.materials[0].name == "FAST-GS Discs"
+
+
+def test_blenders_own_splats_get_the_attributes_that_they_read(module, fg, moving):
+    """Names, types and values as Blender 5.3 documents them; a point cloud of 5.2 takes all of them."""
+    native = module("scene.splats.native")
+    model = module("fastgs_blender").freeze(fg.load(moving), 0.75)
+    model = model.take(np.arange(20))
+    found = {name: (kind, values) for name, kind, values in native.splat_attributes(model)}
+    assert list(found) == ["rotation", "scale", "radiance:base", "radiance:sh_0", "radiance:sh_1", "radiance:sh_2"]
+    assert np.linalg.norm(found["rotation"][1], axis=1) == pytest.approx(1)
+    assert found["scale"][1] == pytest.approx(np.exp(model.scale))
+    assert found["radiance:base"][1][:, 3] == pytest.approx(1 / (1 + np.exp(-model.opacity)))
+    assert found["radiance:base"][1][:, :3] == pytest.approx(0.5 + 0.28209479 * model.features[:, :3], abs=1e-5)
+    assert found["radiance:sh_1"][1] == pytest.approx(model.features.reshape(20, 4, 3)[:, 2])
+    if POINTS:
+        cloud = bpy.data.pointclouds.new("Splats")
+        native._write_points(cloud, model, True)
+        for name, (kind, values) in found.items():
+            attribute = cloud.attributes[name]
+            assert attribute.domain == 'POINT' and attribute.data_type == kind
+            member = {'QUATERNION': "value", 'FLOAT_VECTOR': "vector", 'FLOAT_COLOR': "color"}[kind]
+            got = np.empty(values.size, np.float32)
+            attribute.data.foreach_get(member, got)
+            assert got == pytest.approx(values.ravel(), abs=1e-6)
+        native._write_points(cloud, model.take(np.arange(3)), True)
+        assert len(cloud.points) == 3
