@@ -223,8 +223,8 @@ class Oracle:
     def numpy(self, array):
         return array
 
-    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress, band: float = 0.0,
-             holdout: np.ndarray | None = None) -> Buffers:
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress,
+             holdout: np.ndarray | None = None, band: float = 0.0) -> Buffers:
         """All instances together, composited into the layout's channels; band: see rasterise()."""
         with np.errstate(all="ignore"):  # what overflows is not drawn
             found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]

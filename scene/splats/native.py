@@ -182,14 +182,14 @@ def _write_points(cloud, model: GaussianModel | None, splats: bool):
 def splat_attributes(model: GaussianModel) -> list[tuple[str, str, np.ndarray]]:
     """(name, type, values) of the attributes that Blender's own splats have beside their positions.
 
-    Colours stay as they were trained: Blender, too, reads them from files as they are.
+    Spherical harmonics stay as they were trained: Blender, too, takes them from files as they are.
     """
     coefficients = model.features.reshape(len(model), -1, 3)
-    base = np.concatenate([0.5 + SH_C0 * coefficients[:, 0], sigmoid(model.opacity)[:, None]], 1)
+    base = np.concatenate([coefficients[:, 0], sigmoid(model.opacity)[:, None]], 1)
     return [
         ("rotation", 'QUATERNION', rotations.unit(model.rotation.astype(np.float64))),
         ("scale", 'FLOAT_VECTOR', np.exp(model.scale)),
-        ("radiance:base", 'FLOAT4' if 'FLOAT4' in bpy.types.Attribute.bl_rna.properties["data_type"].enum_items else 'FLOAT_COLOR', base),
+        ("radiance:base", 'FLOAT4', base),
         *((f"radiance:sh_{k - 1}", 'FLOAT_VECTOR', coefficients[:, k]) for k in range(1, coefficients.shape[1])),
     ]
 

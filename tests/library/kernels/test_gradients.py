@@ -82,7 +82,7 @@ class Functional:
         """Its value by the oracle."""
         instance = Instance(model, np.eye(4), t).viewed(self.camera)
         layout = Layout([instance], self.depth)
-        out = ORACLE.draw([instance], self.camera, layout, (), lambda fraction: None, BAND)
+        out = ORACLE.draw([instance], self.camera, layout, (), lambda fraction: None, band=BAND)
         value = (ORACLE.colour(out, layout, self.camera) * self.rgb).sum() + (out.alpha * self.alpha).sum()
         return value + (out.sums["depth"][..., 0] * self.deep).sum() if self.depth else value
 

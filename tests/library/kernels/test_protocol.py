@@ -18,7 +18,8 @@ import fastgs_blender as fg
 from fastgs_blender.kernels.protocol import PictureBackend, TrainingBackend
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.instances import Instance
-from fastgs_blender.rendering.passes import PASSES
+from fastgs_blender.rendering.passes import PASSES, PassSettings
+from fastgs_blender.rendering.shadow import Light, Shadow
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.model import model_from_points
@@ -46,13 +47,16 @@ def test_a_picture_through_the_protocol(rng, fake):
     """Models with and without decoders together, all passes; and what a viewport sorts."""
     camera = fg.Camera(60, 44, 50, 50, 30, 22, random_pose(rng, 2.5))
     scene = [(random_model(rng, 80, appearance=look), np.eye(4), 0.3) for look in ("rgb", "sigmoid", "sh1", "none")]
+    holdout = rng.normal(size=(9, 3, 3))
+    settings = PassSettings(shadow=Shadow(Light.sun((0, 0, 1)), holdout, size=64))
     for models in (scene, scene[1:2], scene[:1]):
-        wanted, got = (fg.render(models, camera, passes=tuple(PASSES), backend=name) for name in ("cpu", "fake"))
+        wanted, got = (fg.render(models, camera, passes=tuple(PASSES), backend=name, holdout=holdout, settings=settings)
+                       for name in ("cpu", "fake"))
         assert wanted["alpha"].max() > 0.5
         assert all(np.array_equal(got[name], wanted[name]) for name in PASSES)
     seen = [Instance(*each).viewed(camera) for each in scene]
     np.testing.assert_array_equal(visibility.order(seen, camera, backend="fake"), visibility.order(seen, camera, backend="cpu"))
-    assert set(fake.calls) == {"draw", "colour", "numpy", "front_to_back"}
+    assert set(fake.calls) == {"draw", "colour", "numpy", "front_to_back", "surface"}
 
 
 @pytest.mark.parametrize(("density", "mask", "options"), [
