@@ -81,7 +81,7 @@ def parts(model) -> list[Instance]:
 def main(folder: Path):
     model = fg.load(ROOT / "examples/playground.safetensors")
     camera = resized(fg.load_cameras(ROOT / "examples/cameras.json")[0].camera, *SIZE)
-    names = [name for name, entry in PASSES.items() if not entry.level]
+    names = [name for name, entry in PASSES.items() if not entry.level and not entry.meshes]
     image = fg.render(parts(model), camera, passes=names, settings=PassSettings(Mist(2.5, 5.0)))
     sheet(folder / "passes.webp", [(name.replace("_", " "), shown(name, image)) for name in names], 3)
 

@@ -167,7 +167,7 @@ def _passes(args) -> tuple[str, ...]:
             raise FastGSError("a PNG holds colour and alpha only; --passes needs --format exr.")
         return ("rgb", "alpha")
     if args.passes is None:
-        return tuple(name for name, entry in PASSES.items() if entry.level < 3)
+        return tuple(name for name, entry in PASSES.items() if entry.level < 3 and not entry.meshes)
     passes = tuple(dict.fromkeys(name.strip() for name in args.passes.split(",") if name.strip()))
     unknown = [name for name in passes if name not in PASSES]
     if unknown or not passes:

@@ -98,6 +98,7 @@ class Pass:
     exposed   whether it is an average over the exposure; the others show the picture's own time through the middle of the lens
     mixes     whether values of neighbouring pixels may be mixed
     title     what panels call it, if not as Blender names the pass
+    meshes    whether it says something of the meshes of a scene: files of a model alone have none, unless they are asked for
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
               if nothing else is said
     """
@@ -117,6 +118,7 @@ class Pass:
     exposed: bool = False
     mixes: bool = False
     title: str = ""
+    meshes: bool = False
     level: int = 0
 
     @property
@@ -183,10 +185,10 @@ PASSES = {entry.name: entry for entry in (
     Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="A",
          switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up"),
-    Pass("holdout", _held, exposed=True, mixes=True, exr=("Splat Holdout.A",), blender="Splat Holdout", letters="A",
+    Pass("holdout", _held, exposed=True, mixes=True, meshes=True, exr=("Splat Holdout.A",), blender="Splat Holdout", letters="A",
          switch="fastgs.use_pass_holdout",
          description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill"),
-    Pass("shadow", lambda b: np.ones_like(b.alpha) if b.shadow is None else b.shadow, ("shadow",), empty=1.0, mixes=True,
+    Pass("shadow", lambda b: np.ones_like(b.alpha) if b.shadow is None else b.shadow, ("shadow",), empty=1.0, mixes=True, meshes=True,
          exr=("Splat Shadow.X",), blender="Splat Shadow", letters="X", switch="fastgs.use_pass_shadow",
          description="Deliver how much of a light splats let through to the meshes that the camera sees: a factor on their colour"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),

@@ -54,14 +54,15 @@ class Light:
     @classmethod
     def disc(cls, centre, x, y, samples: int = 32) -> Light:
         """An ellipse around a centre, with the half axes x and y."""
-        u, v = _spread(samples)
-        return cls(centre + np.sqrt(u) * np.cos(2 * np.pi * v) * np.asarray(x, float) + np.sqrt(u) * np.sin(2 * np.pi * v) * np.asarray(y))
+        u, v, side = _spread(samples)
+        radius, turn = side * np.sqrt(u), 2 * np.pi * v
+        return cls(centre + radius * (np.cos(turn) * np.asarray(x, float) + np.sin(turn) * np.asarray(y, float)))
 
     @classmethod
     def rectangle(cls, centre, x, y, samples: int = 32) -> Light:
         """A rectangle (or parallelogram) around a centre, which reaches to x and to y and as far to the other side."""
-        u, v = _spread(samples)
-        return cls(centre + (2 * u - 1) * np.asarray(x, float) + (2 * v - 1) * np.asarray(y))
+        u, v, side = _spread(samples)
+        return cls(centre + side * ((2 * u - 1) * np.asarray(x, float) + (2 * v - 1) * np.asarray(y, float)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +142,11 @@ class Shadow:
 
 
 def _spread(count: int) -> np.ndarray:
-    """Points of the unit square [2, count, 1], even for every count (Roberts' R2 sequence)."""
-    k = np.arange(1, max(count, 1) + 1)[:, None]
-    return np.stack([(0.5 + k / PLASTIC) % 1, (0.5 + k / PLASTIC**2) % 1])
+    """Points of the unit square, even for every count (Roberts' R2 sequence), each twice: for either side (1, -1) of the light's centre.
+    [3, count, 1]: u, v, side; a single point is the centre."""
+    k = np.arange(max(count, 1))[:, None] // 2 + 1
+    side = 1.0 - 2 * (np.arange(len(k))[:, None] % 2) if len(k) > 1 else np.zeros((1, 1))
+    return np.stack([(0.5 + k / PLASTIC) % 1, (0.5 + k / PLASTIC**2) % 1, side])
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
