@@ -13,6 +13,7 @@ from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Source
 from ..util.errors import FastGSError, LossWarning
+from ..util.threads import ranges, run
 from ..util.version import VERSION
 
 LIMIT = 1e18
@@ -128,14 +129,18 @@ def _unusable_rows(array: np.ndarray, limit: float) -> np.ndarray | None:
     A few rows at a time, so that no temporary array is as large as the model.
     """
     n = len(array)
-    flat = array.reshape(n, -1) if array.size else np.zeros((n, 0), np.float32)
-    step = max(1, (1 << 18) // max(1, flat.shape[1]))
-    mask = None
-    for start in range(0, n if flat.size else 0, step):
-        part = flat[start:start + step]
+    flat = array.reshape(n, -1) if array.size else np.zeros((0, 0), np.float32)
+    pieces = ranges(len(flat), max(1, (1 << 18) // max(1, flat.shape[1])))
+
+    def bad(first: int, last: int) -> np.ndarray | None:
+        part = flat[first:last]
         with np.errstate(invalid="ignore"):
-            if part.max() <= limit and part.min() >= -LIMIT:
-                continue
-            mask = np.zeros(n, bool) if mask is None else mask
-            mask[start:start + step] = ~((part <= limit) & (part >= -LIMIT)).all(1)
+            return None if part.max() <= limit and part.min() >= -LIMIT else ~((part <= limit) & (part >= -LIMIT)).all(1)
+
+    found = run(bad, pieces)
+    if all(part is None for part in found):
+        return None
+    mask = np.zeros(n, bool)
+    for (first, last), part in zip(pieces, found, strict=True):
+        mask[first:last] = False if part is None else part
     return mask

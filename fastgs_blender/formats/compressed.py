@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The compressed variant of our own file: quantised (quantising.py), in spatial order, each column packed with zstd.
+"""The compressed variant of our own file: quantised (quantising.py), in spatial order, each column packed with zstd (columns.py).
 
-It is a safetensors file of bytes.  `segment.<i>` holds SEGMENT Gaussians and can be read without the others: the packed columns one
-after another, each a zstd frame of its whole numbers (zigzag: 0, -1, 1, -2, ...), first all lowest bytes, then all second ones, and so on.
-The metadata's JSON says, beside what an uncompressed file says,
+It is a safetensors file of bytes.  `segment.<i>` holds at most SEGMENT Gaussians and can be read without the others: the packed columns
+one after another.  The metadata's JSON says, beside what an uncompressed file says,
 
     compressed.count       Gaussians of each segment
-    compressed.steps       exponents of the steps, see quantising.Steps
-    compressed.blocks      for each segment [column, bytes packed, bytes of a number, CRC-32 of what is packed], ...
+    compressed.steps       of each segment, see quantising.Steps
+    compressed.blocks      for each segment a list of its columns, see columns.Block
 """
 from __future__ import annotations
 
-import zlib
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -20,34 +17,27 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import TensorFile
-from ..util.threads import thread_count
+from ..util.threads import run
+from . import columns
 from .description import whole_number
-from .quantising import LIVES, NEIGHBOURS, Steps, quantised, restored
-from .static import morton_order, plausible_count
+from .quantising import ATTRIBUTES, LIVES, SPREADS, Steps, restored, scales, spread
+from .rate import Loss, allotted
+from .static import plausible_count
 
 SEGMENT = 1 << 16
-LEVEL = 19
-"""Of zstd: slow to pack, and as fast as any other to unpack."""
-MOST = 1 << 31
+CONTEXTS = ("shape", "tint", "life")
+"""Arrays of one column by which others may be put in order."""
+LARGEST = 60
+"""Exponents in a header lie within +- LARGEST."""
 
 
-def packed(model: GaussianModel, fineness: float) -> tuple[dict[str, np.ndarray], dict]:
+def packed(model: GaussianModel, loss: Loss) -> tuple[dict[str, np.ndarray], dict]:
     """Arrays of bytes by name, and the entry of the header."""
-    import zstandard
-
-    model = model.take(morton_order(model.position))
     tensors, counts, listed, steps = {}, [], [], []
-    for i, start in enumerate(range(0, len(model), SEGMENT)):
-        columns, own = quantised(model.take(slice(start, start + SEGMENT)), fineness)
-        data, blocks = b"", []
-        for name, codes in columns.items():
-            for k, column in enumerate(_flat(codes).T):
-                raw, width = _planes(column)
-                block = zstandard.ZstdCompressor(level=LEVEL).compress(raw)
-                blocks.append([f"{name}/{k}", len(block), width, zlib.crc32(block)])
-                data += block
+    for i, (codes, own) in enumerate(allotted(model, loss, SEGMENT)):
+        data, blocks = packed_segment(codes, own, model)
         tensors[f"segment.{i}"] = np.frombuffer(data, np.uint8)
-        counts.append(len(columns["weight"]))
+        counts.append(len(codes["shape"]))
         listed.append(blocks)
         steps.append({key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in asdict(own).items()})
     return tensors, {"count": counts, "steps": steps, "blocks": listed}
@@ -61,9 +51,8 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
     counts, steps, blocks = (about.get(key) if isinstance(about, dict) else None for key in ("count", "steps", "blocks"))
     if not all(isinstance(v, list) for v in (counts, steps, blocks)) or not len(counts) == len(steps) == len(blocks):
         raise FastGSError("its header does not say which segments it has; copy the file again.")
-    wanted = range(len(counts)) if segments is None else segments
-    parts = []
-    for i in wanted:
+    parts, total = [], 0
+    for i in range(len(counts)) if segments is None else segments:
         count = whole_number(counts[i], "the number of Gaussians of a segment")
         if count > SEGMENT:
             raise FastGSError(f"its segment {i} would have {count} Gaussians, more than a segment may have; copy the file again.")
@@ -71,88 +60,98 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
         if data.dtype != np.uint8 or data.ndim != 1:
             raise FastGSError(f"its segment {i} holds no bytes; copy the file again.")
         plausible_count(count, len(data))
-        parts.append((data.tobytes(), count, _steps(steps[i], kinds), blocks[i]))
-    with ThreadPoolExecutor(max(1, min(len(parts), thread_count()))) as pool:
-        arrays = list(pool.map(lambda part: _segment(*part, kinds), parts))
-    if not arrays:
-        return kinds
-    return replace(kinds, **{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
+        parts.append((data, count, _steps(steps[i], kinds), blocks[i], total))
+        total += count
+    arrays = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
+    run(lambda *part: _segment(*part, kinds, arrays), parts)
+    return replace(kinds, **arrays)
 
 
-def _segment(data: bytes, count: int, steps: Steps, blocks, kinds: GaussianModel) -> dict[str, np.ndarray]:
-    columns, at = {}, 0
-    shapes = _shapes(kinds, count, blocks)
-    if not isinstance(blocks, list) or len(blocks) != sum(int(np.prod(shape[1:], dtype=int)) for shape in shapes.values()):
+def _segment(data: np.ndarray, count: int, steps: Steps, blocks, first: int, kinds: GaussianModel, arrays: dict[str, np.ndarray]) -> None:
+    """Unpack a segment into the model's arrays, from row `first` on."""
+    shapes = columns_of(kinds)
+    if not isinstance(blocks, list) or len(blocks) != sum(int(np.prod(shape, dtype=int)) for shape in shapes.values()):
         raise FastGSError("a segment of it lists other columns than its model has; copy the file again.")
-    listed = iter(blocks)
+    order, codes, at, listed = columns.Order(), {}, 0, iter(blocks)
     for name, shape in shapes.items():
-        codes = np.empty((shape[0], int(np.prod(shape[1:], dtype=int))), np.int32)
-        for k in range(codes.shape[1]):
-            block = next(listed)
-            good = isinstance(block, list) and len(block) == 4 and block[0] == f"{name}/{k}" and all(type(v) is int for v in block[1:])
-            if not good or not 0 <= block[1] <= len(data) - at or not 1 <= block[2] <= 4:
+        width = int(np.prod(shape, dtype=int))
+        flat = np.empty((width, count), np.int32)
+        order.follow(None)
+        for k in range(width):
+            block = columns.Block.checked(next(listed), f"{name}/{k}", order)
+            if not 0 <= block.size <= len(data) - at:
                 raise FastGSError(f"its header does not say where the column {name}/{k} of a segment lies; copy the file again.")
-            part = data[at:at + block[1]]
-            at += block[1]
-            if zlib.crc32(part) != block[3]:
-                raise FastGSError(f"the column {name}/{k} of a segment is damaged (its checksum is another); copy the file again.")
-            codes[:, k] = _numbers(part, shape[0], block[2])
-        columns[name] = codes.reshape(shape)
+            flat[k] = columns.unpacked(data[at:at + block.size], block, count, order)
+            order.follow(flat[k] - block.centre)
+            at += block.size
+        codes[name] = np.moveaxis(flat.reshape((*shape, count)), -1, 0)
+        order.columns |= contexts(name, codes, steps)
     with np.errstate(all="ignore"):
-        return {name: np.ascontiguousarray(array, np.float32) for name, array in restored(columns, steps, kinds).items()}
+        for name, array in restored(codes, steps, kinds).items():
+            arrays[name][first:first + count] = array
 
 
-def _shapes(kinds: GaussianModel, count: int, blocks) -> dict[str, tuple[int, ...]]:
-    """The shapes of a segment's columns, in the order in which they are packed."""
-    four = any(isinstance(block, list) and block[:1] == ["rotation/3"] for block in blocks) if isinstance(blocks, list) else False
-    return {
-        "grain": (count,), "weight": (count,), "life": (count,), "mu_tau": (count,), "motion": (count, kinds.basis.terms, 3),
-        "anchor": (-(-count // NEIGHBOURS), 3), "position": (count, 3), "scale": (count, 3),
-        "rotation_motion": (count, kinds.rotation_basis.terms, 4), "rotation": (count, 4 if four else 3), "opacity": (count,),
-        "features": (count, kinds.appearance.width), **{f"temporal.{k}": (count,) for k in range(kinds.temporal_kind.width)}}
+def columns_of(kinds: GaussianModel) -> dict[str, tuple[int, ...]]:
+    """The columns of a segment, in the order in which they are packed, and the shape of each Gaussian's row."""
+    four = kinds.rotation_basis.terms and not kinds.rotation_basis.centred
+    shapes: dict[str, tuple[int, ...]] = {
+        "shape": (), "tint": (), "life": (), "scale": (3,), "opacity": (), "features": (kinds.appearance.width,), "mu_tau": (),
+        "motion": (kinds.basis.terms, 3), "position": (3,), "rotation_motion": (kinds.rotation_basis.terms, 4),
+        "rotation": (4 if four else 3,)}
+    for k, logarithm in enumerate(kinds.temporal_kind.logarithms):
+        shapes |= {f"temporal.{k}": ()} if logarithm else {f"temporal.{k}.high": (), f"temporal.{k}.low": ()}
+    return shapes
+
+
+def packed_segment(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> tuple[bytes, list[list]]:
+    """The packed columns of a segment, and what its header says of them."""
+    order, data, blocks = columns.Order(), b"", []
+    for name in columns_of(kinds):
+        order.follow(None)
+        for k, column in enumerate(_flat(codes[name]).T):
+            part, block = columns.packed(f"{name}/{k}", column, order)
+            data += part
+            blocks.append(block.listed())
+            order.follow(column - block.centre)
+        order.columns |= contexts(name, codes, steps)
+    return data, blocks
+
+
+def contexts(name: str, codes: dict[str, np.ndarray], steps: Steps) -> dict[str, np.ndarray]:
+    """By what other columns may be put in order once an array's columns are known."""
+    if name == "scale":
+        scale = scales(codes, steps)
+        return {"grain": steps.grain(scale, codes["shape"]), "spread": spread(scale)}
+    return {name: codes[name]} if name in CONTEXTS else {}
 
 
 def _flat(codes: np.ndarray) -> np.ndarray:
     return codes.reshape(len(codes), int(np.prod(codes.shape[1:], dtype=int)))
 
 
-def _planes(codes: np.ndarray) -> tuple[bytes, int]:
-    """The bytes of a column of whole numbers, lowest first, and how many bytes a number has."""
-    codes = np.clip(codes, -MOST, MOST - 1)
-    zigzag = ((codes << 1) ^ (codes >> 63)).astype(np.uint32)
-    width = max(1, (int(zigzag.max(initial=0)).bit_length() + 7) // 8)
-    return zigzag.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :width].T.tobytes(), width
-
-
-def _numbers(part: bytes, count: int, width: int) -> np.ndarray:
-    """The inverse of _planes() after unpacking; nothing is allocated on the word of the packed bytes."""
-    import zstandard
-
-    try:
-        if zstandard.get_frame_parameters(part).content_size != count * width:
-            raise FastGSError("a column of a segment holds another number of Gaussians than its header says; copy the file again.")
-        raw = zstandard.ZstdDecompressor().decompress(part)
-    except zstandard.ZstdError as error:
-        raise FastGSError("a column of a segment cannot be unpacked; copy the file again.") from error
-    if len(raw) != count * width:
-        raise FastGSError("a column of a segment is cut short; copy the file again.")
-    values = np.zeros((count, 4), np.uint8)
-    values[:, :width] = np.frombuffer(raw, np.uint8).reshape(width, count).T
-    zigzag = values.reshape(-1).view("<u4")
-    return ((zigzag >> 1) ^ (0 - (zigzag & 1))).view(np.int32)
-
-
 def _steps(values, kinds: GaussianModel) -> Steps:
-    """The steps of a segment; raises FastGSError unless all are small whole numbers of the right shapes."""
-    shapes = {"motion": (LIVES, kinds.basis.terms), "turn": (LIVES, kinds.rotation_basis.terms), "features": (kinds.appearance.width,)}
-    found = {}
-    for name, shape in shapes.items():
-        table = np.array(values[name] if isinstance(values, dict) and name in values else None, dtype=object)
-        if table.shape != shape or not all(type(v) is int and abs(v) <= 64 for v in table.ravel()):
-            raise FastGSError(f"its header does not say how finely the {name} of a segment is kept; copy the file again.")
-        found[name] = table.astype(int)
-    base = values.get("base")
-    names = ("position", "scale", "rotation", "opacity", "features", "temporal", "mu_tau")
-    if not isinstance(base, dict) or not all(type(base.get(name)) is int and abs(base[name]) <= 64 for name in names):
-        raise FastGSError("its header does not say how finely its arrays are kept; copy the file again.")
-    return Steps({name: base[name] for name in names}, **found)
+    """The steps of a segment; raises FastGSError unless all are numbers of the right shapes within reason."""
+    values = values if isinstance(values, dict) else {}
+    tables = {}
+    for name, shape in (("turn", (SPREADS,)), ("motion", (LIVES, kinds.basis.terms)), ("swing", (LIVES, kinds.rotation_basis.terms))):
+        table = np.array(values.get(name), dtype=object)
+        if table.shape != shape or not all(type(v) is int and abs(v) <= LARGEST for v in table.ravel()):
+            raise FastGSError(f"its header does not say how finely a segment is kept ({name}); copy the file again.")
+        tables[name] = table.astype(int)
+    base, tint, least = values.get("base"), values.get("tint"), values.get("least")
+    width = kinds.appearance.width
+    good = isinstance(base, dict) and isinstance(tint, list) and len(tint) == width and type(least) is int and abs(least) <= 200
+    if not good or not all(_is_step(v) for v in (*(base.get(name) for name in ATTRIBUTES), *tint)):
+        raise FastGSError("its header does not say how finely the numbers of a segment are kept; copy the file again.")
+    chained, paired = values.get("chained"), values.get("paired")
+    good = isinstance(chained, list) and all(isinstance(name, str) for name in chained) and isinstance(paired, list)
+    if not good or not all(isinstance(p, list) and len(p) == 2 and all(type(k) is int and 0 <= k < width for k in p) for p in paired):
+        raise FastGSError("its header does not say which columns of a segment are differences; copy the file again.")
+    if {k for k, _ in paired} & {other for _, other in paired}:
+        raise FastGSError("its header says of a column that it is a difference from one that is a difference itself; copy the file again.")
+    return Steps({name: float(base[name]) for name in ATTRIBUTES}, np.array(tint, float), tables["turn"], tables["motion"], tables["swing"],
+                 chained, [(k, other) for k, other in paired], least)
+
+
+def _is_step(value) -> bool:
+    return isinstance(value, float) and 2.0**-LARGEST <= value <= 2.0**LARGEST

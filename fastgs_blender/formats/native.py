@@ -11,9 +11,10 @@ from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
-from . import compressed
+from . import compressed, compressed_v2
 from .base import LIMIT, Format, generator
 from .description import describe, read_json, understand, whole_number
+from .rate import Loss
 
 VERSION = 1
 """Raised when a reader of the old version would misread a new file; additions that it may pass over do not raise it."""
@@ -22,18 +23,18 @@ DECODER = ("w1", "w2")
 REQUIRED = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space")
 
 
-COMPRESSED = 2
-"""The version of a compressed file."""
+COMPRESSED = {2: compressed_v2, 3: compressed}
+"""The versions of compressed files, and what reads them; the last one is written."""
 
 
 @dataclass(frozen=True)
 class Native(Format):
     """The format FAST-GS safetensors; it holds every model whole.
 
-    fineness  write the compressed variant (compressed.py), whose steps are divided by this; None: every number as it is
+    loss  write the compressed variant (compressed.py), whose pictures may lose so much; None: every number as it is
     """
 
-    fineness: float | None = None
+    loss: Loss | None = None
 
     name = "FAST-GS safetensors"
     extensions = reads = (".safetensors",)
@@ -45,11 +46,11 @@ class Native(Format):
         with open_tensors(path) as file:
             if KEY not in file.metadata:
                 raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
-            kinds, about = _kinds(file.metadata[KEY])
+            kinds, version, about = _kinds(file.metadata[KEY])
             look = kinds["appearance"]
             empty = GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, look.width)), **kinds)
-            if about is not None:
-                model = compressed.unpacked(file, about, empty)
+            if version in COMPRESSED:
+                model = COMPRESSED[version].unpacked(file, about, empty)
                 return replace(model, appearance=_with_decoder(file, look))
             position = file.entries.get("position")
             shapes = empty.shapes(position.shape[0] if position and position.shape else 1)
@@ -64,22 +65,22 @@ class Native(Format):
         return replace(empty, appearance=kinds["appearance"], **arrays)
 
     def fit(self, model):
-        if self.fineness is None:
+        if self.loss is None:
             return model, []
-        if not 0.01 <= self.fineness <= 100:
-            raise FastGSError(f"the fineness of a compressed file is from 0.01 to 100 (1 is usual), not {self.fineness!r}.")
         flat = [array.reshape(len(model), -1) for array in model.arrays.values()] if len(model) else []
         bad = ~np.logical_and.reduce([(np.abs(array) < LIMIT).all(1) for array in flat]) if flat else np.zeros(0, bool)
         lost = [f"{bad.sum()} Gaussians whose numbers are not finite"] if bad.any() else []
-        return model.take(~bad), [*lost, f"its numbers are quantised (fineness {self.fineness:g}), and its Gaussians come in another order"]
+        lost += [f"its numbers are quantised so that pictures lose about {self.loss.decibels:g} dB",
+                 "Gaussians that hardly show are left out, and the others come in another order"]
+        return model.take(~bad), lost
 
     def write(self, model, targets):
         about = {"version": VERSION, "generator": generator(), "model": describe(model)}
-        if self.fineness is None:
+        if self.loss is None:
             tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
         else:
-            tensors, about["compressed"] = compressed.packed(model, self.fineness)
-            about["version"] = COMPRESSED
+            tensors, about["compressed"] = compressed.packed(model, self.loss)
+            about["version"] = max(COMPRESSED)
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
         write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
@@ -94,18 +95,18 @@ def _with_decoder(file: TensorFile, look):
     return replace(look, **{key: file.read(f"decoder.{key}") for key in DECODER})
 
 
-def _kinds(text: str) -> tuple[dict, dict | None]:
-    """The model's kinds from the JSON in the metadata, and how it is compressed; None: it is not."""
+def _kinds(text: str) -> tuple[dict, int, dict]:
+    """The model's kinds from the JSON in the metadata, the version of the format, and how it is compressed, if it is."""
     about = read_json(text)
     version = whole_number(about.get("version") if isinstance(about, dict) else None, "the version of its format")
-    if version > COMPRESSED:
-        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {COMPRESSED}); "
+    if version > max(COMPRESSED):
+        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {max(COMPRESSED)}); "
                           "update FAST-GS for Blender.")
     values = about.get("model")
     missing = [key for key in REQUIRED if not isinstance(values, dict) or key not in values]
     if missing:
         raise FastGSError(f"its header says nothing about {', '.join(missing)}; the file is damaged.")
-    return understand(values), about.get("compressed", {}) if version == COMPRESSED else None
+    return understand(values), version, about.get("compressed", {})
 
 
 def _check(file: TensorFile, name: str, shape: tuple[int, ...]) -> None:

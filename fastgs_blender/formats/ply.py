@@ -9,12 +9,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 from typing import BinaryIO
 
 import numpy as np
 
 from ..util.errors import FastGSError
 from ..util.reading import open_file
+from ..util.threads import ranges, run
 
 MAX_HEADER = 1 << 20
 """Bytes.  The longest header we write has some 70 KB."""
@@ -160,20 +162,35 @@ def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]
     with open_file(path) as stream:
         length = stream.seek(0, 2)
         stream.seek(header.size)
-        blocks = (_binary_blocks if header.order else _ascii_blocks)(stream, header, length)
-        next(blocks)  # the checks, before anything is allocated
+        if header.order:
+            begin, row = _checked_binary(stream, header, length), vertex.row(header.order)
+        else:
+            blocks = _ascii_blocks(stream, header, length)
+            next(blocks)  # the checks, before anything is allocated
         out = {key: np.empty((vertex.count, len(names)), np.float32) for key, names in groups.items()}
-        row = 0
-        with np.errstate(over="ignore", invalid="ignore"):
+        if not header.order:
+            at = 0
             for block in blocks:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    for key, index in columns.items():
+                        out[key][at:at + len(block)] = block[:, index]
+                at += len(block)
+            return out
+        plain, reader = {p.code for p in vertex.properties} == {"f4"}, Lock()
+
+        def read(first: int, last: int) -> None:
+            with reader:
+                stream.seek(begin + first * row.itemsize)
+                data = stream.read((last - first) * row.itemsize)
+            if len(data) != (last - first) * row.itemsize:
+                raise _cut_short(header)
+            block = np.frombuffer(data, header.order + "f4").reshape(last - first, -1) if plain else np.frombuffer(data, row)
+            with np.errstate(over="ignore", invalid="ignore"):
                 for key, index in columns.items():
-                    target = out[key][row:row + len(block)]
-                    if block.dtype.names:
-                        for i, name in enumerate(groups[key]):
-                            target[:, i] = block[name]
-                    else:
-                        target[:] = block[:, index]
-                row += len(block)
+                    for i, (at, name) in enumerate(zip(index, groups[key], strict=True)):
+                        out[key][first:last, i] = block[:, at] if plain else block[name]
+
+        run(read, ranges(vertex.count, max(1, BLOCK // row.itemsize)))
     return out
 
 
@@ -188,8 +205,8 @@ def _split(header: Header) -> tuple[tuple[Element, ...], tuple[Element, ...]]:
     return header.elements[:at], header.elements[at + 1:]
 
 
-def _binary_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.ndarray | None]:
-    """First None, when all is checked; then structured rows or, if all columns are float, arrays [rows, columns]."""
+def _checked_binary(stream: BinaryIO, header: Header, length: int) -> int:
+    """Where the vertices begin, when all is checked."""
     before, after = _split(header)
     _check_work(element for element in before if element.has_lists)
     for element in before:
@@ -200,29 +217,19 @@ def _binary_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np
             if place > length:
                 raise _cut_short(header)
             stream.seek(place)
-    vertex, row = header.vertex, header.vertex.row(header.order)
-    end = stream.tell() + vertex.count * row.itemsize
+    begin = stream.tell()
+    end = begin + header.vertex.count * header.vertex.row(header.order).itemsize
     for element in after:
         if element.has_lists:
             break
         end += element.count * element.row(header.order).itemsize
     else:
         if end < length:
-            begin = stream.tell()
             stream.seek(end)
             _check_rest(stream.read(4097))
-            stream.seek(begin)
     if end > length:
         raise _cut_short(header)
-    yield None
-    plain = {p.code for p in vertex.properties} == {"f4"}
-    step = max(1, BLOCK // row.itemsize)
-    for start in range(0, vertex.count, step):
-        rows = min(step, vertex.count - start)
-        data = stream.read(rows * row.itemsize)
-        if len(data) != rows * row.itemsize:
-            raise _cut_short(header)
-        yield (np.frombuffer(data, header.order + "f4").reshape(rows, -1) if plain else np.frombuffer(data, row))
+    return begin
 
 
 def _check_rest(rest: bytes) -> None:

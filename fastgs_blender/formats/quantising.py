@@ -1,175 +1,332 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Quantising a model: every array becomes whole numbers and powers of two to multiply them with; compressed.py packs these.
+"""Quantising a model: every array becomes whole numbers and steps to multiply them with; compressed.py packs these.
 
-How finely a Gaussian is kept follows from how much of a picture it is.  Three whole numbers of each Gaussian say it, and everything that
-a reader computes with them is exact in float64, so that all machines read the same model:
+How finely a number is kept follows from how much pictures change with it (sensitivity.py).  At a given size of a file the pictures' error
+is least where each number adds the same: a step is in inverse proportion to the root of the sensitivity.  Two whole numbers of each
+Gaussian say so for its attributes together, as powers of two on steps that the segment states:
 
-    grain    log2 of the step of its position
-    weight   log2 of its share of pictures (size before a middling camera, opacity, lifetime) relative to a typical Gaussian's
-    life     -log2 of the length of its lifetime
+    shape   of position (relative to the Gaussian's size), scale, rotation, opacity, temporal centre and temporal opacity
+    tint    of its colour's features
+    life    -log2 of the length of its lifetime, in which motion and the temporal centre are measured
 
-A coefficient of motion matters by what it moves within the lifetime.  With the basis' functions orthogonalised there (QR), coefficients
-are rounded from the last to the first, each absorbing what rounding the later ones has moved (Babai's nearest plane); the step of
-coefficient k is the position's, divided by the length of function k's own part, a table of powers of two by life and k.
+All that a reader computes is exact or rounded once in float64, so that all machines read the same model.
+
+A coefficient of motion matters by what it moves within the lifetime, each moment by its opacity.  With the basis' functions orthogonalised
+there (QR), coefficients are rounded from the last to the first, each absorbing what rounding the later ones has moved (Babai's nearest
+plane); the step of coefficient k is the position's, divided by the length of function k's own part, a table of powers of two by life and k.
+
+Columns in `chained` are differences from the Gaussian before, which the writer takes from what a reader has: errors do not add up.
 
 A Gaussian has 24 quaternions and orders of its axes that look the same; that nearest to no rotation is kept.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
 
-from ..model.appearance import SH, momentary
 from ..model.basis import Basis
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
 from .fitting import lifetimes
+from .sensitivity import OPAQUE, UNSEEN, Sensitivity
 
 SAMPLES = 16
 """Times in a lifetime at which its motion is looked at."""
 LIVES = 10
 """Values of `life`."""
-FOCAL, PIXEL = 400.0, 0.55
-"""A middling camera: its focal length in pixels, and the width that its pixels and the blur add to a Gaussian's."""
-ROUNDING = 0.35
+ROUNDING = 0.4
 """Coefficients of motion are rounded towards 0 by this instead of 0.5: zeros cost least."""
-NEIGHBOURS = 64
-"""Gaussians whose positions are counted from one anchor."""
-SMALL_WEIGHT, LARGE_WEIGHT = -6, 6
-STEPS = {"position": 0.06, "scale": 0.18, "rotation": 0.06, "opacity": 0.025, "features": 0.04, "temporal": 0.5, "mu_tau": 0.04}
-"""At fineness 1 and weight 0: of the size in pixels, of ln, of a quaternion, of opacity, of colour, of ln, of a lifetime."""
-BOUNDS = {"scale": (-6, -1), "rotation": (-9, -1), "opacity": (-9, -4), "features": (-9, -1), "temporal": (-5, 1), "mu_tau": (-7, 0)}
-"""log2 of the least and greatest step."""
+CLASSES = 12
+"""`shape` and `tint` lie within +- CLASSES."""
+SPREADS = 6
+"""Rows of the table of rotations' steps, by how far a Gaussian is from round."""
+SHAPE = ("position", "scale", "opacity")
+"""Whose sensitivities decide a Gaussian's `shape`."""
+ATTRIBUTES = ("position", "scale", "rotation", "opacity", "mu_tau", "temporal")
+"""Those whose steps follow a Gaussian's `shape`."""
+BOUNDS = {"position": 1.0, "scale": 2.0, "rotation": 0.5, "opacity": 0.25, "features": 0.5, "temporal": 4.0, "mu_tau": 1.0}
+"""The largest steps: of a Gaussian's size, of ln, of a quaternion, of opacity 0..1, of colour, of ln, of a lifetime."""
+FINEST = 2.0**-12
+"""The smallest step, in the same units."""
+GRID = 26
+"""A position's step is at least the model's extent / 2^GRID: float32 holds no more."""
+LEAST_OPACITY = 1e-3
 
 
 @dataclass(frozen=True)
 class Steps:
-    """What a file records beside whole numbers: exponents of powers of two.
+    """What a file records beside whole numbers.
 
-    base      {array: exponent at weight 0}
-    motion    [LIVES, K] of the motion's coefficients relative to the grain
-    turn      [LIVES, R] of the rotation's relative to the rotation's own step
-    features  [F] added to the exponent of each column
+    base      step by attribute at shape 0 (features: see tint)
+    tint      [F] steps of the features at tint 0
+    turn      [SPREADS] exponents of two on the rotation's step, by spread()
+    motion    [LIVES, K] exponents on the position's step
+    swing     [LIVES, R] exponents on the rotation's step, of the coefficients of its basis
+    chained   names of columns, as "scale/0", that are differences from the Gaussian before
+    paired    (column of the features, the column that it is a difference from); the latter is none itself
+    least     exponent of the smallest step of a position
     """
 
-    base: dict[str, int]
-    motion: np.ndarray
+    base: dict[str, float]
+    tint: np.ndarray
     turn: np.ndarray
-    features: np.ndarray
+    motion: np.ndarray
+    swing: np.ndarray
+    chained: list[str] = field(default_factory=list)
+    paired: list[tuple[int, int]] = field(default_factory=list)
+    least: int = -60
 
-    def of(self, name: str, weight: np.ndarray) -> np.ndarray:
-        """Exponents [N] of an array's steps."""
-        return np.clip(self.base[name] - weight, *BOUNDS[name])
+    def of(self, name: str, shape: np.ndarray) -> np.ndarray:
+        """Steps [N] of an attribute, float64."""
+        return np.clip(np.ldexp(self.base[name], shape), FINEST, BOUNDS[name])
+
+    def of_features(self, tint: np.ndarray) -> np.ndarray:
+        """Steps [N, F] of the features, float64."""
+        return np.clip(np.ldexp(self.tint, tint[:, None]), FINEST, BOUNDS["features"])
+
+    def grain(self, scale: np.ndarray, shape: np.ndarray) -> np.ndarray:
+        """Exponents [N] of two that are the steps of positions, from ln of scale [N, 3] as a reader has it."""
+        middle = np.rint(np.sort(scale, axis=1)[:, 1] * LOG2E)
+        own = np.frexp(self.of("position", shape))[1]
+        return np.clip(np.clip(middle, -200, 200).astype(np.int64) + own, self.least, 200)
+
+    def turning(self, scale: np.ndarray, shape: np.ndarray) -> np.ndarray:
+        """Steps [N] of rotations: a Gaussian that is nearly round may be turned more."""
+        return np.clip(np.ldexp(self.of("rotation", shape), self.turn[spread(scale)]), FINEST, BOUNDS["rotation"])
 
 
-def quantised(model: GaussianModel, fineness: float = 1.0) -> tuple[dict[str, np.ndarray], Steps]:
-    """Whole numbers by column [N, ...] of a model of finite numbers, and their steps.
+LOG2E = 1.4426950408889634
 
-    fineness  2 halves every step.
+
+def spread(scale: np.ndarray) -> np.ndarray:
+    """A row of Steps.turn for each ln of scale [N, 3]: by ln of the longest axis over the shortest."""
+    return np.clip(np.rint((scale.max(1) - scale.min(1)) * 1.5), 0, SPREADS - 1).astype(int)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A model to be quantised: in its canonical form, with the logarithms of the steps that its sensitivities ask for.
+
+    shape, tint   [N] log2 of steps relative to `base` and `colour`, for an error of 1 by each number
+    base          {attribute: log2 of its step at shape 0}
+    colour        [F] log2 of the features' steps at tint 0
+    turn          [SPREADS] exponents
+    low, high     [N] begin and end of lifetimes
     """
-    model = _canonical(model)
+
+    model: GaussianModel
+    shape: np.ndarray
+    tint: np.ndarray
+    base: dict[str, float]
+    colour: np.ndarray
+    turn: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def part(self, index: slice) -> Prepared:
+        """Some of its Gaussians."""
+        own = {name: getattr(self, name)[index] for name in ("shape", "tint", "low", "high")}
+        return replace(self, model=self.model.take(index), **own)
+
+
+def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
+    """The model (canonical(), as its sensitivities were measured) and how finely its numbers must be kept."""
     low, high = lifetimes(model)
-    life = np.clip(np.rint(-np.log2(np.clip(high - low, 1e-9, 1))), 0, LIVES - 1).astype(int)
-    size, weight = _importance(model, high - low)
-    base = {name: _exponent(step / fineness) for name, step in STEPS.items()}
-    extra = np.zeros(model.features.shape[1], int)
-    look = momentary(model.appearance)
-    extra[:] = 1 if isinstance(look, SH) else 0
-    if look.name == "features":
-        extra[3:] = 1
-    steps = Steps(base, np.zeros((LIVES, model.basis.terms), int), np.zeros((LIVES, model.rotation_basis.terms), int), extra)
-    grain = _exponent(size) + base["position"] - weight
-    columns = {"grain": grain, "weight": weight, "life": life}
+    life = _life(low, high)
+    promise = np.maximum(found.promise, 1e-6 * max(float(np.median(found.promise)), 1e-30))
+    rows = dict(found.rows)
+    opacity = sigmoid(np.minimum(model.opacity, OPAQUE))
+    rows["opacity"] = rows["opacity"] / np.maximum(opacity * (1 - opacity), 1e-4)[:, None] ** 2
+    rows["position"], rows["scale"], rows["rotation"] = rows["position"] / 3, rows["scale"] / 3, rows["rotation"] / 3
+    size = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)[:, 1:2]
+    rows["position"] = rows["position"] * size**2
+    rows["mu_tau"] = rows["mu_tau"] * np.ldexp(1.0, -2 * life)[:, None]
+    steps = {}
+    for name, squares in rows.items():
+        ratio = np.where(squares > 0, squares / promise[:, None], np.nan)
+        with np.errstate(all="ignore"):
+            usual = np.array([np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in ratio.T])
+        whole = squares + UNSEEN * usual * promise[:, None]
+        steps[name] = -0.5 * np.log2(np.maximum(whole, 1e-38))
+    base = {name: float(np.median(steps[name])) for name in ("position", "scale", "rotation", "opacity", "mu_tau")}
+    shape = np.mean([steps[name][:, 0] - base[name] for name in SHAPE], axis=0)
+    for name in ("rotation", "mu_tau"):
+        base[name] = float(np.median(steps[name][:, 0] - shape))
+    base["temporal"] = float(np.median(steps["temporal"] - shape[:, None])) if steps["temporal"].size else 0.0
+    kind = spread(model.scale.astype(np.float64))
+    rest = steps["rotation"][:, 0] - shape - base["rotation"]
+    turn = np.array([round(float(np.median(rest[kind == k]))) if (kind == k).any() else 0 for k in range(SPREADS)])
+    colour = np.median(steps["features"], axis=0)
+    tint = np.mean((steps["features"] - colour)[:, :3], axis=1)
+    colour = np.median(steps["features"] - tint[:, None], axis=0)
+    return Prepared(model, shape, tint, base, colour, turn, low, high)
 
-    columns["mu_tau"] = _rounded(model.mu_tau, steps.of("mu_tau", weight) - life)
-    mu = np.ldexp(columns["mu_tau"].astype(np.float64), steps.of("mu_tau", weight) - life)
-    position = _trajectory(columns, "motion", model.basis, model.position, model.motion, model.mu_tau, mu, (low, high), grain, steps.motion)
-    starts = range(0, len(model), NEIGHBOURS)
-    anchor = np.array([np.median(position[at:at + NEIGHBOURS], axis=0) for at in starts]).reshape(-1, 3).astype(np.float32)
-    columns["anchor"] = anchor.view("<i4").astype(np.int64)
-    columns["position"] = _rounded(position - np.repeat(anchor, NEIGHBOURS, axis=0)[:len(model)], grain[:, None])
-    columns["scale"] = _rounded(model.scale, steps.of("scale", weight)[:, None])
-    fine = turning(columns, steps)
-    rotation = _trajectory(columns, "rotation_motion", model.rotation_basis, model.rotation, model.rotation_motion, model.mu_tau, mu,
-                           (low, high), fine, steps.turn)
-    whole = model.rotation_basis.terms and not model.rotation_basis.centred  # else the constant term is the unit quaternion of the middle
-    columns["rotation"] = _rounded(rotation if whole else rotation[:, 1:], fine[:, None])
-    columns["opacity"] = _rounded(sigmoid(model.opacity), steps.of("opacity", weight))
-    columns["features"] = _rounded(model.features, steps.of("features", weight)[:, None] + extra)
+
+def _life(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(-np.log2(np.clip(high - low, 1e-9, 1))), 0, LIVES - 1).astype(int)
+
+
+def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Steps]:
+    """Whole numbers by column [N, ...], and their steps.
+
+    level  log2 of the error that each number may add, root mean square: one more doubles every step
+    """
+    model, low, high = ready.model, ready.low, ready.high
+    life = _life(low, high)
+    whole = int(np.floor(level))
+    shape, tint = (np.clip(np.rint(values + level) - whole, -CLASSES, CLASSES).astype(int) for values in (ready.shape, ready.tint))
+    base = {name: float(np.exp2(value + whole)) for name, value in ready.base.items()}
+    extent = float(np.abs(model.position).max(initial=1e-9))
+    steps = Steps(base, np.exp2(ready.colour + whole), ready.turn, np.zeros((LIVES, model.basis.terms), int),
+                  np.zeros((LIVES, model.rotation_basis.terms), int), least=int(np.ceil(np.log2(extent))) - GRID)
+    columns = {"shape": shape, "tint": tint, "life": life}
+    columns["scale"] = model.scale, steps.of("scale", shape)[:, None]
+    columns["opacity"] = sigmoid(model.opacity), steps.of("opacity", shape)
+    columns["features"] = model.features, steps.of_features(tint)
     for k, logarithm in enumerate(model.temporal_kind.logarithms):
-        column = model.temporal[:, k]
-        columns[f"temporal.{k}"] = _rounded(column, steps.of("temporal", weight)) if logarithm else column.view("<i4").astype(np.int64)
-    return columns, steps
+        if logarithm:
+            columns[f"temporal.{k}"] = model.temporal[:, k], steps.of("temporal", shape)
+    columns["mu_tau"] = model.mu_tau, np.ldexp(steps.of("mu_tau", shape), -life)
+    codes = {name: value for name, value in columns.items() if name in ("shape", "tint", "life")}
+    values = {}
+    for name in columns:
+        if name not in codes:
+            _chain(name, columns, codes, values, steps)
+    grain = steps.grain(values["scale"], shape)
+    t = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, max(SAMPLES, model.basis.terms + 1, model.rotation_basis.terms + 1))
+    weight = np.stack([model.temporal_kind.factor(moments, model.mu_tau, model.temporal) for moments in t.T], 1)
+    weight /= np.sqrt(np.maximum((weight**2).sum(1, keepdims=True), 1e-12))
+    span = (t, weight)
+    position = _trajectory(codes, "motion", model.basis, model.position, model.motion, model.mu_tau, values["mu_tau"], span,
+                           np.ldexp(1.0, grain), life, steps.motion)
+    fine = steps.turning(values["scale"], shape)
+    rotation = _trajectory(codes, "rotation_motion", model.rotation_basis, model.rotation, model.rotation_motion, model.mu_tau,
+                           values["mu_tau"], span, fine, life, steps.swing)
+    whole = model.rotation_basis.terms and not model.rotation_basis.centred  # else the constant term is the unit quaternion of the middle
+    codes["rotation"] = _rounded(rotation if whole else rotation[:, 1:], fine[:, None])
+    codes["position"] = chained(position, np.ldexp(1.0, grain)[:, None])
+    for k, logarithm in enumerate(model.temporal_kind.logarithms):
+        if not logarithm:
+            bits = model.temporal[:, k].view("<u4")
+            codes[f"temporal.{k}.high"], codes[f"temporal.{k}.low"] = (bits >> 16).astype(np.int64), (bits & 0xFFFF).astype(np.int64)
+    return codes, steps
 
 
-def restored(columns: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
+def _chain(name: str, columns: dict, codes: dict, values: dict, steps: Steps) -> None:
+    """Quantise an attribute, each of its columns as it is or as differences, whichever costs fewer bits; values: as a reader has it."""
+    true, step = columns[name]
+    true = true.astype(np.float64).reshape(len(true), -1)
+    step = np.broadcast_to(step.reshape(len(true), -1), true.shape)
+    out, known = np.zeros(true.shape, np.int64), np.zeros(true.shape)
+    order = range(true.shape[1])
+    pairs = name == "features" and true.shape[1] % 3 == 0
+    if pairs:
+        order = [3 * j + k for j in range(true.shape[1] // 3) for k in (1, 0, 2)]
+    for k in order:
+        from_ = {0: k + 1, 2: k - 1}.get(k % 3) if pairs else None
+        choices = [(False, None), (True, None)] + ([(False, from_), (True, from_)] if from_ is not None else [])
+        best = min(choices, key=lambda c: _bits(true[:, k] - (known[:, c[1]] if c[1] is not None else 0), step[:, k], c[0]))
+        target = true[:, k] - (known[:, best[1]] if best[1] is not None else 0)
+        if best[0]:
+            out[:, k] = chained(target[:, None], step[:, k:k + 1])[:, 0]
+            steps.chained.append(f"{name}/{k}")
+            known[:, k] = np.cumsum(out[:, k] * step[:, k])
+        else:
+            out[:, k] = _rounded(target, step[:, k])
+            known[:, k] = out[:, k] * step[:, k]
+        if best[1] is not None:
+            steps.paired.append((k, best[1]))
+            known[:, k] += known[:, best[1]]
+    shape = columns[name][0].shape
+    codes[name], values[name] = out.reshape(shape), known.reshape(shape)
+
+
+def _bits(values: np.ndarray, step: np.ndarray, chain: bool) -> float:
+    """Roughly what values [N] cost, as they are or as differences."""
+    if not len(values):
+        return 0.0
+    part = np.diff(values, prepend=0) if chain else values
+    codes = np.clip(np.rint(part / step), -1000, 1000).astype(np.int64)
+    count = np.bincount(codes - codes.min())
+    count = count[count > 0]
+    return float(-(count * np.log2(count / len(codes))).sum())
+
+
+def chained(values: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Whole numbers [N, D] whose running sums, each times its step [N, 1], stay within half a step of values [N, D]."""
+    out = np.empty(values.shape, np.int64)
+    steps = step[:, 0].tolist()
+    for k, column in enumerate(values.T.tolist()):
+        sum_, codes = 0.0, []
+        for value, own in zip(column, steps, strict=True):
+            code = round((value - sum_) / own)
+            codes.append(code)
+            sum_ += code * own
+        out[:, k] = codes
+    return out
+
+
+def _rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
+    return np.rint(values.astype(np.float64) / step).astype(np.int64)
+
+
+def restored(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
     """The arrays of a model, float32, of columns of whole numbers; kinds: a model of its kinds."""
-    weight, life, grain = (columns[name].astype(np.int32) for name in ("weight", "life", "grain"))
-    life = np.clip(life, 0, LIVES - 1)
-    fine = turning(columns, steps)
-    rotation = _scaled(columns["rotation"], fine[:, None])
+    shape, tint, life = codes["shape"], codes["tint"], np.clip(codes["life"], 0, LIVES - 1)
+    n = len(shape)
+
+    def attribute(name: str, step: np.ndarray) -> np.ndarray:
+        return values_of(name, codes, step, steps)
+
+    scale = scales(codes, steps)
+    grain = np.ldexp(1.0, steps.grain(scale, shape))
+    fine = steps.turning(scale, shape)
+    rotation = codes["rotation"] * fine[:, None]
     if rotation.shape[1] == 3:
-        real = np.sqrt(np.maximum(0.02, 1 - (rotation.astype(np.float64) ** 2).sum(1)))
+        real = np.sqrt(np.maximum(0.02, 1 - (rotation**2).sum(1)))
         rotation = np.concatenate([real[:, None], rotation], 1)
-    anchor = np.repeat(columns["anchor"].astype("<i4").view("<f4"), NEIGHBOURS, axis=0)[:len(weight)]
-    opacity = np.clip(_scaled(columns["opacity"], steps.of("opacity", weight)), 1e-3, 1 - 1e-3)
+    opacity = np.clip(attribute("opacity", steps.of("opacity", shape)), LEAST_OPACITY, 1 - LEAST_OPACITY)
     arrays = {
-        "position": anchor + _scaled(columns["position"], grain[:, None]),
-        "motion": _scaled(columns["motion"], (grain[:, None] + steps.motion[life])[..., None]),
-        "scale": _scaled(columns["scale"], steps.of("scale", weight)[:, None]),
+        "position": np.cumsum(codes["position"] * grain[:, None], axis=0),
+        "motion": codes["motion"] * np.ldexp(grain[:, None], steps.motion[life])[..., None],
+        "scale": scale,
         "rotation": rotation,
-        "rotation_motion": _scaled(columns["rotation_motion"], (fine[:, None] + steps.turn[life])[..., None]),
+        "rotation_motion": codes["rotation_motion"] * np.ldexp(fine[:, None], steps.swing[life])[..., None],
         "opacity": np.log(opacity) - np.log1p(-opacity),
-        "features": _scaled(columns["features"], steps.of("features", weight)[:, None] + steps.features),
-        "mu_tau": _scaled(columns["mu_tau"], steps.of("mu_tau", weight) - life),
+        "features": attribute("features", steps.of_features(tint)),
+        "mu_tau": attribute("mu_tau", np.ldexp(steps.of("mu_tau", shape), -life)),
     }
-    arrays["temporal"] = np.empty((len(weight), kinds.temporal_kind.width), np.float32)
+    arrays["temporal"] = np.empty((n, kinds.temporal_kind.width), np.float32)
     for k, logarithm in enumerate(kinds.temporal_kind.logarithms):
-        column = columns[f"temporal.{k}"]
-        arrays["temporal"][:, k] = _scaled(column, steps.of("temporal", weight)) if logarithm else column.astype("<i4").view("<f4")
+        if logarithm:
+            arrays["temporal"][:, k] = attribute(f"temporal.{k}", steps.of("temporal", shape))
+        else:
+            bits = codes[f"temporal.{k}.high"].astype(np.uint32) << 16 | codes[f"temporal.{k}.low"].astype(np.uint32)
+            arrays["temporal"][:, k] = bits.view(np.float32)
     return arrays
 
 
-def turning(columns: dict[str, np.ndarray], steps: Steps) -> np.ndarray:
-    """Exponents [N] of rotations' steps: a Gaussian that is nearly round may be turned more."""
-    codes, weight = columns["scale"].astype(np.int64), columns["weight"].astype(np.int64)
-    spread = np.ldexp((codes.max(1) - codes.min(1)).astype(np.float64), steps.of("scale", weight))  # ln of longest over shortest
-    return steps.of("rotation", weight) - np.clip(np.frexp(spread)[1], -2, 2)
+def values_of(name: str, codes: dict[str, np.ndarray], step: np.ndarray, steps: Steps) -> np.ndarray:
+    """The values of an attribute from its codes [N, ...] and their steps [N] or [N, D], float64."""
+    n = len(codes[name])
+    flat = codes[name].reshape(n, -1) * step.reshape(n, -1)
+    for k in range(flat.shape[1]):
+        if f"{name}/{k}" in steps.chained:
+            np.cumsum(flat[:, k], out=flat[:, k])
+    for k, other in steps.paired if name == "features" else ():
+        flat[:, k] += flat[:, other]
+    return flat.reshape(codes[name].shape)
 
 
-def _scaled(codes: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-    """codes x 2^exponent as float32."""
-    powers = ((np.clip(exponent, -120, 120) + 127).astype(np.int32) << 23).view(np.float32)  # the bits of 2^exponent
-    return codes.astype(np.float32) * powers
+def scales(codes: dict[str, np.ndarray], steps: Steps) -> np.ndarray:
+    """ln of scale [N, 3], float64: other steps depend on it."""
+    return values_of("scale", codes, steps.of("scale", codes["shape"]), steps)
 
 
-def _exponent(values) -> np.ndarray | int:
-    """The nearest whole log2."""
-    found = np.rint(np.log2(values)).astype(int)
-    return int(found) if found.ndim == 0 else found
-
-
-def _rounded(values: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-    return np.rint(np.ldexp(values.astype(np.float64), -exponent)).astype(np.int64)
-
-
-def _importance(model: GaussianModel, life: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The size [N] that a position's step is measured in, and the weight [N]."""
-    eyes = [camera.position for camera in model.surroundings.cameras] or [np.median(model.position, axis=0)]
-    distance = np.min([np.linalg.norm(model.position - np.asarray(eye), axis=1) for eye in eyes], axis=0)
-    distance = np.maximum(distance, 0.5 * max(float(np.median(distance)), 1e-9))
-    extent = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)
-    pixels = np.sqrt(np.maximum(extent[:, 1] * extent[:, 2], 1e-30)) * FOCAL / distance
-    pixels = np.clip(np.sqrt(pixels**2 + PIXEL**2), PIXEL, 1e4)
-    share = sigmoid(model.opacity) * pixels * np.sqrt(np.clip(life, 0.02, 1))
-    weight = np.clip(np.rint(np.log2(np.maximum(share / np.median(share), 1e-9))), SMALL_WEIGHT, LARGE_WEIGHT).astype(int)
-    return pixels * distance / FOCAL, weight
-
-
-def _canonical(model: GaussianModel) -> GaussianModel:
+def canonical(model: GaussianModel) -> GaussianModel:
     """The same Gaussians with unit quaternions of constant term, and their axes in the order that is nearest to no rotation."""
     turns, orders = [], []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -190,38 +347,36 @@ def _canonical(model: GaussianModel) -> GaussianModel:
         scale=np.take_along_axis(model.scale, np.array(orders)[best], 1))
 
 
-def _trajectory(columns: dict, name: str, basis: Basis, constant, coefficients, mu_true, mu, span, fine, table) -> np.ndarray:
-    """Fills columns[name] with coefficients as whole numbers [N, K, D] and the table of steps; returns the constant [N, D] that fits.
+def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu_true, mu, span, fine, life, table) -> np.ndarray:
+    """Fills codes[name] with coefficients as whole numbers [N, K, D] and the table of steps; returns the constant [N, D] that fits.
 
-    mu_true, mu  temporal centres before and after rounding; span: begin and end of lifetimes; fine: exponents [N] of the steps
+    mu_true, mu  temporal centres before and after rounding; span: times [N, T] and their weights; fine: the steps [N]
     """
     n, terms = len(constant), basis.terms
-    codes = np.zeros((n, terms, constant.shape[1]), np.int64)
+    found_codes = np.zeros((n, terms, constant.shape[1]), np.int64)
+    codes[name] = found_codes
     if not terms:
-        columns[name] = codes
         return constant.astype(np.float64)
-    low, high = span
-    t = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, max(SAMPLES, terms + 1))
-    root = np.sqrt(t.shape[1])
+    t, weight = span[0], span[1][..., None]
 
     def design(centre):
         return basis.weights(t - centre[:, None].astype(np.float64) if basis.centred else t)
 
-    true = (constant[:, None] + design(mu_true) @ coefficients.astype(np.float64)) / root
-    functions = np.concatenate([np.ones((n, t.shape[1], 1)), design(mu)], 2) / root
+    true = (constant[:, None] + design(mu_true) @ coefficients.astype(np.float64)) * weight
+    functions = np.concatenate([np.ones((n, t.shape[1], 1)), design(mu)], 2) * weight
     q, r = np.linalg.qr(functions)
     wanted = q.transpose(0, 2, 1) @ true
     own = np.abs(np.einsum("nii->ni", r))
-    life = columns["life"]
     for j in np.unique(life):
-        table[j] = np.clip(-np.rint(np.log2(np.maximum(np.median(own[life == j, 1:], axis=0), 2.0**-30))), -30, 30)
+        usual = np.sqrt(np.mean(own[life == j, 1:] ** 2, axis=0))
+        table[j] = np.clip(-np.rint(np.log2(np.maximum(usual, 2.0**-30))), -30, 30)
     found = np.zeros((n, terms + 1, constant.shape[1]))
     for k in range(terms, 0, -1):
         usable = own[:, k] > 1e-9
         rest = wanted[:, k] - np.einsum("nj,njd->nd", r[:, k, k + 1:], found[:, k + 1:])
         x = np.where(usable[:, None], rest / np.where(usable, r[:, k, k], 1)[:, None], 0)
-        x = np.ldexp(x, -(fine + table[life, k - 1])[:, None])
-        codes[:, k - 1] = np.clip(np.sign(x) * np.floor(np.abs(x) + ROUNDING), -2**30, 2**30)
-        found[:, k] = np.ldexp(codes[:, k - 1].astype(np.float64), (fine + table[life, k - 1])[:, None])
-    columns[name] = codes
+        step = np.ldexp(fine, table[life, k - 1])[:, None]
+        x = x / step
+        found_codes[:, k - 1] = np.clip(np.sign(x) * np.floor(np.abs(x) + ROUNDING), -2**30, 2**30)
+        found[:, k] = found_codes[:, k - 1] * step
     return (wanted[:, 0] - np.einsum("nj,njd->nd", r[:, 0, 1:], found[:, 1:])) / r[:, 0, 0, None]

@@ -12,13 +12,13 @@ MOMENTS = 33
 """Times of the clip at which temporal opacity is looked at."""
 
 
-def scores(model: GaussianModel) -> np.ndarray:
+def scores(model: GaussianModel, eyes: list | None = None) -> np.ndarray:
     """How much of a picture, and for how long, each Gaussian can be, [N]: the area of its two longer axes before the capture's nearest
-    camera (or the middle of the model, where no cameras are known), times its opacity over the clip.  0: never drawn.
+    camera (eyes, where they are given; the middle of the model, where none is known), times its opacity over the clip.  0: never drawn.
 
     As 4DGS-1K's score (Yuan et al. 2025) it is spatial times temporal; what stands before a Gaussian is not looked at.
     """
-    eyes = [camera.position for camera in model.surroundings.cameras] or [np.median(model.position, axis=0)]
+    eyes = eyes or [camera.position for camera in model.surroundings.cameras] or [np.median(model.position, axis=0)]
     distance = np.min([np.linalg.norm(model.position - np.asarray(eye), axis=1) for eye in eyes], axis=0)
     distance = np.maximum(distance, 0.5 * max(float(np.median(distance)), 1e-9))
     extent = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)

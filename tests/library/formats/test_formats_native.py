@@ -193,7 +193,7 @@ def value(*keys):
 
 
 BAD = {
-    "a newer version": (value("version")(3), "newer FAST-GS.*update"),
+    "a newer version": (value("version")(4), "newer FAST-GS.*update"),
     "version 1.5": (value("version")(1.5), "version"),
     "no version": (value("version")(None), "version"),
     "version in words": (value("version")("one"), "version"),

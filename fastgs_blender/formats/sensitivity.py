@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much a model's pictures change with each of its numbers, measured on pictures of it.
+
+A picture C is backpropagated against random signs r: the square of a parameter's gradient is then, on average, the sum over the pixels of
+(dC/dp)^2 (Hutchinson 1990), the diagonal of the Gauss-Newton matrix.  A small error e of p changes the mean squared error of the pictures
+by about that times e^2.  Since blending is linear in each splat's opacity, it is exact for leaving a Gaussian out.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..cameras.viewpoints import camera_of
+from ..model.appearance import Features
+from ..model.framing import is_subject, without_backdrop
+from ..model.gaussians import AXES, GaussianModel
+from ..model.pruning import scores
+from ..model.slicing import sigmoid
+from ..rendering.api import render
+from ..util.backends import load_backend
+from ..util.errors import FastGSError
+
+WIDTH = 400
+"""Pixels of the pictures' longer side."""
+GOLDEN = 0.6180339887498949
+"""Multiples of it, modulo 1, are spread evenly."""
+FORWARD = 0.6
+"""Length of the mean direction to the Gaussians from which on they are taken to stand before the cameras."""
+DOWN = dict(zip(AXES, ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)), strict=True))
+BACKGROUND = 0.5
+"""Grey that the pictures lie on, so that dark Gaussians before nothing count."""
+OPAQUE = 4.5
+"""Logit of the largest opacity at which sensitivities are measured: beyond it alpha is cut and nothing could be measured."""
+UNSEEN = 0.01
+"""How much of what its size, opacity and lifetime promise a Gaussian counts for beside what pictures show of it."""
+Shot = tuple[Camera, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Change of the mean squared error of pictures (colours 0..1) by a squared error of each number: averages over shots, float64.
+
+    rows [N, D] by name of the array: position, scale and rotation summed over their columns (D = 1), features and temporal by column,
+    opacity and mu_tau as one column
+    promise [N] what a Gaussian's size before the nearest camera, its opacity and its lifetime let expect, on a scale of its own
+    """
+
+    rows: dict[str, np.ndarray]
+    promise: np.ndarray
+
+    def take(self, index: np.ndarray) -> Sensitivity:
+        """Of some of the Gaussians."""
+        return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
+
+
+def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
+    """Cameras and times to judge a model by: those of its capture, else a guess (guessed_cameras()); `first` begins another series."""
+    eyes = [smaller(camera_of(view)) for view in model.surroundings.cameras] or guessed_cameras(model)
+    numbers = range(first, first + count)
+    return [(eyes[int(len(eyes) * ((k * GOLDEN * GOLDEN + 0.37) % 1))], (0.5 + k * GOLDEN) % 1) for k in numbers]
+
+
+def smaller(camera: Camera) -> Camera:
+    """The camera with pictures of at most WIDTH pixels."""
+    factor = min(1.0, WIDTH / max(camera.width, camera.height))
+    width, height = (max(1, round(side * factor)) for side in (camera.width, camera.height))
+    lens = (value * factor for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    return Camera(width, height, *lens, camera.world_to_camera)
+
+
+def guessed_cameras(model: GaussianModel) -> list[Camera]:
+    """Where the cameras of a capture may have stood that its file does not name.
+
+    Reconstructions put their origin amid the cameras.  Where all Gaussians lie to one side of it, cameras stand around it and look there;
+    else they stand in a ring around the subject.
+    """
+    part = without_backdrop(model)
+    part = part if len(part) else model
+    position = part.position[is_subject(part.position)].astype(np.float64)
+    down = np.array(DOWN[model.axes])
+    away = np.linalg.norm(position, axis=1, keepdims=True)
+    mean = (position / np.maximum(away, 1e-12)).mean(0)
+    if np.linalg.norm(mean) >= FORWARD:
+        depth = float(np.median(position @ mean) / np.linalg.norm(mean))
+        frame = looking(np.zeros(3), mean, down)
+        local = position @ frame[:, :3].T
+        aspect = np.percentile(np.abs(local[:, 0]) / np.maximum(local[:, 2], 0.1 * depth), 80)
+        focal = float(np.clip(0.5 / max(aspect, 1e-6), 0.5, 1.2)) * WIDTH
+        places = [frame[:, :3].T @ (np.array([x, y, 0.0]) * depth) for x, y in
+                  ((0.0, 0.0), (-0.12, 0.05), (0.12, -0.05), (-0.06, -0.05), (0.06, 0.05), (0.0, -0.05), (-0.12, 0.0), (0.12, 0.03))]
+        aims = [0.5 * place + mean / np.linalg.norm(mean) * depth for place in places]
+    else:
+        middle = np.median(position, axis=0)
+        reach = float(np.percentile(np.linalg.norm(position - middle, axis=1), 80)) + 2 * float(np.exp(np.median(part.scale)))
+        side = np.cross(down, [0.36, 0.48, 0.8])
+        side /= np.linalg.norm(side)
+        other, focal = np.cross(down, side), 1.0 * WIDTH
+        angles = np.arange(12) * 2 * np.pi / 12
+        places = [middle + 2.4 * reach * (np.cos(a) * side + np.sin(a) * other - (0.2 + 0.3 * (k % 2)) * down)
+                  for k, a in enumerate(angles)]
+        aims = [middle] * len(places)
+    height = round(0.75 * WIDTH)
+    return [Camera(WIDTH, height, focal, focal, WIDTH / 2, height / 2, np.vstack([looking(place, aim - place, down), [0, 0, 0, 1]]))
+            for place, aim in zip(places, aims, strict=True)]
+
+
+def looking(place: np.ndarray, direction: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """World to camera [3, 4] of a camera at a place that looks in a direction."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(down, z)
+    x /= max(np.linalg.norm(x), 1e-12)
+    turn = np.array([x, np.cross(z, x), z])
+    return np.concatenate([turn, (-turn @ place)[:, None]], 1)
+
+
+def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[float], None] = lambda fraction: None) -> Sensitivity:
+    """Of a model's numbers, in these pictures.  Raises FastGSError where the backend that can differentiate pictures is missing."""
+    backend = differentiable()
+    parameters = parameters_of(model, backend)
+    parameters["opacity"] = backend.array(np.minimum(model.opacity, OPAQUE))
+    n, rows = len(model), {}
+    for k, (camera, t) in enumerate(series):
+        picture = backend.splat(parameters, model, camera, float(t))
+        rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
+        seen = rgb + BACKGROUND * (1 - alpha)[..., None]
+        signs = np.random.default_rng([k, 12]).integers(0, 2, rgb.shape).astype(np.float32) * 2 - 1
+        signs *= (seen >= 0) & (seen <= 1)
+        gradients = backend.backward(picture, backend.array(signs), backend.array(-BACKGROUND * signs.sum(2)))
+        for name in ("position", "scale", "rotation", "opacity", "features", "mu_tau", "temporal"):
+            found = backend.numpy(gradients[name]).reshape(n, -1).astype(np.float64) ** 2 / (rgb.size * len(series))
+            found = found.sum(1, keepdims=True) if name in ("position", "scale", "rotation") else found
+            rows[name] = rows[name] + found if name in rows else found
+        progress((k + 1) / len(series))
+    eyes = np.unique([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera, _ in series], axis=0)
+    return Sensitivity(rows, scores(model, list(eyes)) * sigmoid(model.opacity))
+
+
+def pictures(model: GaussianModel, series: list[Shot]) -> list[np.ndarray]:
+    """What the shots show, over grey, colours within 0..1."""
+    found = []
+    for camera, t in series:
+        out = render(model, camera, t)
+        found.append(np.clip(out["rgb"] + BACKGROUND * (1 - out["alpha"])[..., None], 0, 1))
+    return found
+
+
+def mean_square(first: list[np.ndarray], second: list[np.ndarray]) -> float:
+    """Mean squared difference of two series of pictures."""
+    return float(np.mean([np.mean(np.square(a - b), dtype=np.float64) for a, b in zip(first, second, strict=True)]))
+
+
+def removal(model: GaussianModel, found: Sensitivity) -> np.ndarray:
+    """What leaving out each Gaussian alone changes the mean squared error of the pictures by, [N].
+
+    What no picture shows may be seen from elsewhere: it counts a little, by its promise.
+    """
+    opacity = sigmoid(np.minimum(model.opacity, OPAQUE))
+    harm = found.rows["opacity"][:, 0] / (1 - opacity) ** 2
+    shown = (harm > 0) & (found.promise > 0)
+    usual = float(np.median(harm[shown] / found.promise[shown])) if shown.any() else 1.0
+    return harm + UNSEEN * usual * found.promise
+
+
+def parameters_of(model: GaussianModel, backend) -> dict:
+    """The model's arrays, its decoder's among them, as a TrainingBackend takes them."""
+    look = model.appearance
+    decoder = {"w1": look.w1, "w2": look.w2} if isinstance(look, Features) else {}
+    return {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
+
+
+def differentiable():
+    """The TrainingBackend that pictures are differentiated with; raises FastGSError where it is missing."""
+    try:
+        return load_backend("cpu")
+    except ImportError as error:
+        raise FastGSError("compressing measures pictures of the model, which needs the Python package numba; install it.") from error
