@@ -11,8 +11,10 @@ from bpy_extras.io_utils import ImportHelper
 from ..engine import compiling
 from ..fastgs_blender.formats import FORMATS, readable
 from ..fastgs_blender.formats.sequences import grouped
+from ..scene import upright
 from ..scene.splats.importing import Options, import_files
 from ..scene.splats.proxy import LIMIT
+from .upright import AXES
 
 PATTERNS = tuple(f"*{name}" if name.startswith(".") else name for name in readable())
 """What the file dialog shows."""
@@ -35,10 +37,12 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         name="Numbered Files as Sequences", description="Make one object, an animation, of chosen files whose names differ in one number; "
         "else each file becomes an object", default=True)
     orientation: EnumProperty(
-        name="Orientation",
+        name="Upright", description="Which axis of the file points up; the view shows what another one does, when the file is there",
         items=(
-            ('AUTO', "Upright", "Turn the object from the axes that the file records to Blender's", 0),
-            ('KEEP', "As in the File", "Leave the object unrotated", 1),
+            ('AUTO', "As the File Says", "The axis that the file names, or that is usual in its format", 0),
+            ('KEEP', "Unturned", "The file's own axes are Blender's", 1),
+            *((axis, f"{name} Up", f"{what}; a file that says another one itself is believed", number + 1)
+              for axis, name, what, number in AXES),
         ),
         default='AUTO')
     proxy_points: IntProperty(
@@ -93,8 +97,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
             self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
             return {'CANCELLED'}
         done = import_files(context, paths, Options(
-            self.proxy_points, self.orientation == 'AUTO', self.relative_path, self.set_scene_range, self.use_engine,
-            self.view))
+            self.proxy_points, self.orientation != 'KEEP', self.relative_path, self.set_scene_range, self.use_engine, self.view,
+            self.orientation if self.orientation in upright.TURNS else None))
         if done.objects:
             compiling.start_on_first_use()
         return done.report(self)

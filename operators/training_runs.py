@@ -2,15 +2,12 @@
 """Operators on the list of training runs: pause, resume, stop, remove, and bring models and reports into Blender."""
 from __future__ import annotations
 
-import threading
 import time
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import objects
-from ..scene.splats import proxy
 from ..scene.splats.splat_object import sentence
 from ..scene.training import displays, installation, results, watch
 
@@ -130,24 +127,20 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
     bl_options = {'REGISTER', 'UNDO'}
 
     def invoke(self, context, event):
-        """Read an unfinished run in a thread, so that Blender stays usable meanwhile."""
+        """Read the model in a thread, so that Blender stays usable meanwhile."""
         try:
             _, job, state = self.found()
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
-        if state.kind == 'FINISHED':
-            return self.execute(context)
-        self.job, self._answer = job.id, None
-        self._thread = threading.Thread(target=self._read, args=(job.out,), daemon=True)
-        self._thread.start()
+        self.job, self._reading = job.id, results.Reading(job.out, state.kind == 'FINISHED')
         self._timer = context.window_manager.event_timer_add(0.1, window=context.window)
         context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(f"Reading the model of {job.name} so far")
+        context.workspace.status_text_set(f"Reading the model of {job.name}")
         return {'RUNNING_MODAL'}
 
     def modal(self, context, event):
-        if event.type != 'TIMER' or self._thread.is_alive():
+        if event.type != 'TIMER' or not self._reading.done:
             return {'PASS_THROUGH'}
         self.cancel(context)
         return self.execute(context)
@@ -156,33 +149,11 @@ class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         context.workspace.status_text_set(None)
 
-    def _read(self, out):
-        """Write the model so far, read it into memory and prepare its proxy; touches nothing of Blender's data."""
-        try:
-            path = intermediate().write_model(out)
-            proxy.prepare(objects.load_model(str(path)))
-            self._answer = path
-        except FastGSError as error:
-            self._answer = error
-        except Exception as error:  # in a thread nobody else would tell
-            self._answer = FastGSError(f"{out}: its model so far could not be read ({error}).")
-
     def act(self, context, known, job, state):
-        answer = getattr(self, "_answer", None)
-        if isinstance(answer, FastGSError):
-            raise answer
-        if state.kind == 'FINISHED':
-            obj, so_far = results.add_finished(context, job), ""
-        else:
-            obj, so_far = results.add_model(context, job, answer or intermediate().write_model(job.out)), " so far"
-        return f"{obj.name}: {obj.fastgs.gaussian_count:,} Gaussians{so_far}"
-
-
-def intermediate():
-    """The module that makes models of unfinished runs, loaded only when it is needed: it brings the trainer along."""
-    from ..fastgs_blender.training.run import intermediate as module
-
-    return module
+        finished = state.kind == 'FINISHED'
+        path = (getattr(self, "_reading", None) or results.Reading(job.out, finished)).path
+        obj = results.add_finished(context, job) if finished else results.add_model(context, job, path)
+        return f"{obj.name}: {obj.fastgs.gaussian_count:,} Gaussians{'' if finished else ' so far'}"
 
 
 class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):

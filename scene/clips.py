@@ -13,7 +13,7 @@ from .snapshot import clock
 
 @dataclass(frozen=True)
 class Played:
-    """The scene's frames on which a clip plays, without what shows before and after: start <= frame < end."""
+    """The frames of the scene on which a clip itself plays: start <= frame < end."""
 
     start: float
     end: float

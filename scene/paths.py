@@ -3,19 +3,29 @@
 
 So everything in Blender that looks after paths knows them: the first save makes them relative, saving elsewhere, appending and linking
 keep them right, and External Data's Make Relative, Make Absolute, Report Missing and Find Missing do what they do for images.
-Blender opens such a file only if it is Alembic's or USD's, and packs none.
+Blender opens such a file only if it is Alembic's or USD's, and packs none.  Of a sequence, whose path is a folder or a pattern of names
+and no file, the datablock names the first file, and a property of it says what that file stands for.
 
 The functions import bpy when they are called, for the reason that updates.py gives.
 """
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
+from ..fastgs_blender.formats.sequences import numbered_files, stands_for_many
+from ..fastgs_blender.util.errors import FastGSError
+
 KEY = "filepath"
 """Where earlier versions stored the path, in the object's own property."""
+SEQUENCE = "fastgs_sequence"
+"""Custom property of a cache file that names the first file of a sequence: the pattern in that file's folder, or FOLDER; as bytes."""
+FOLDER = "."
 
 
 def get(settings) -> str:
     """The path that an object's settings (FASTGS_PG_object) hold; "" where there is none."""
-    return settings.file.filepath if settings.file is not None else _earlier(settings)
+    return _path_of(settings.file) if settings.file is not None else _earlier(settings)
 
 
 def shown(settings) -> str:
@@ -27,8 +37,9 @@ def put(settings, path: str) -> None:
     """Let an object show the file at a path, absolute or beginning with // for the .blend's folder; "" for none."""
     import bpy
 
+    path = path.rstrip("/\\") or path
     before = settings.file
-    if before is None or before.filepath != path:
+    if before is None or _path_of(before) != path:
         settings.file = _of(path) if path else None
         if before is not None and not before.users and before.library is None:
             bpy.data.batch_remove([before])
@@ -54,8 +65,6 @@ def after_import(context, _=None) -> None:
 
 
 def _take_over(obj, source):
-    import os
-
     import bpy
 
     path = _earlier(obj.fastgs) if obj.is_editable and obj.fastgs.file is None else ""
@@ -68,14 +77,48 @@ def _of(path: str):
     import bpy
 
     files = bpy.data.cache_files
-    found = next((file for file in files if file.library is None and file.filepath == path), None)
+    found = next((file for file in files if file.library is None and _path_of(file) == path), None)
     if found is None:
         there = set(files)
         bpy.ops.cachefile.open(filepath=bpy.path.basename(path))  # gives it its name; the operator takes no // path
         found = next(file for file in files if file not in there)
-        found.filepath = path
+        found.filepath, pattern = _first(path)
+        if pattern:
+            found[SEQUENCE] = os.fsencode(pattern)
         found.user_clear()  # the operator counts a user that it does not have
     return found
+
+
+def _path_of(file) -> str:
+    """The path that a cache file stands for."""
+    path, pattern = file.filepath, file.get(SEQUENCE)
+    if pattern is None:
+        return path
+    folder, _ = _parted(path)
+    return (folder.rstrip("/\\") or folder) if os.fsdecode(pattern) == FOLDER else folder + os.fsdecode(pattern)
+
+
+def _first(path: str) -> tuple[str, str]:
+    """(a path as Blender looks after it, the pattern in its folder or FOLDER): of a sequence the path of the first file; else "" """
+    import bpy
+
+    there = bpy.path.abspath(path)
+    if not stands_for_many(there):
+        return path, ""
+    try:
+        first = numbered_files(Path(there))[0][1].name
+    except (FastGSError, OSError):  # whoever reads the sequence says why
+        return path, ""
+    if os.path.isdir(there):
+        return path.rstrip("/\\") + "/" + first, FOLDER
+    folder, pattern = _parted(path)
+    return folder + first, pattern
+
+
+def _parted(path: str) -> tuple[str, str]:
+    """The folder, with what divides it from the name, and the name; // at the beginning stays whole on every system."""
+    end = max(path.rfind("/"), path.rfind("\\")) + 1
+    return path[:end], path[end:]
 
 
 def _stored(settings):

@@ -23,11 +23,15 @@ from .. import fastgs_blender as fg
 
 log = logging.getLogger(__name__)
 
-WIDTHS = 1024, 4096
+WIDTHS = 1024, 16384
 """Least and largest width of a panorama in pixels; between them it is that of the world's images."""
+STRIP = 2048
+"""Rows that are rendered at a time: the other Blender's memory stays bounded."""
 PLAIN_WIDTH = 2048
 """Width of the panorama of a world without images, such as a sky."""
 KEPT = 2
+MOST_BYTES = 1 << 30
+"""Of all panoramas that are kept, beside the newest."""
 PATIENCE = 600
 """Seconds that a Blender may take for a world; by then it hangs."""
 
@@ -35,7 +39,7 @@ _CHILD = """
 import sys
 import bpy
 import numpy as np
-file, name, target, width, frame, subframe, space = sys.argv[sys.argv.index("--") + 1:]
+file, name, target, width, strip, frame, subframe, space = sys.argv[sys.argv.index("--") + 1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if space:
     bpy.ops.wm.set_working_color_space(working_space=space, convert_colors=False)
@@ -55,19 +59,27 @@ cycles = scene.cycles
 cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = 1, False, False
 cycles.pixel_filter_type, cycles.filter_width = 'GAUSSIAN', 0.01  # the pixels' centres, without noise
 render = scene.render
-render.resolution_x, render.resolution_y, render.resolution_percentage = int(width), int(width) // 2, 100
+width, height, strip = int(width), int(width) // 2, int(strip)
+render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+render.use_border = render.use_crop_to_border = True
 render.film_transparent = False
 if hasattr(render.image_settings, "media_type"):
     render.image_settings.media_type = 'IMAGE'
 render.image_settings.file_format, render.image_settings.color_depth, render.image_settings.color_mode = 'OPEN_EXR', '32', 'RGB'
 render.image_settings.exr_codec = 'NONE'
 render.filepath = target + ".exr"
-bpy.ops.render.render(write_still=True)
-image = bpy.data.images.load(render.filepath)
-image.colorspace_settings.name = 'Non-Color'
-values = np.empty((image.size[1], image.size[0], 4), np.float32)
-image.pixels.foreach_get(values.ravel())
-np.save(target, values[..., :3])
+values = np.lib.format.open_memmap(target + ".npy", "w+", np.float32, (height, width, 3))
+for low in range(0, height, strip):
+    high = min(low + strip, height)
+    render.border_min_y, render.border_max_y = low / height, high / height
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(render.filepath)
+    image.colorspace_settings.name = 'Non-Color'
+    rows = np.empty((high - low, width, 4), np.float32)
+    image.pixels.foreach_get(rows.ravel())
+    values[low:high] = rows[..., :3]
+    bpy.data.images.remove(image)
+values.flush()
 """
 
 
@@ -88,6 +100,13 @@ class Panorama:
         columns = left % width, (left + 1) % width
         rows = [self.values[low + i, columns[0]] * (1 - across) + self.values[low + i, columns[1]] * across for i in (0, 1)]
         return rows[0] * (1 - up) + rows[1] * up
+
+    def reduced(self, width: int) -> np.ndarray:
+        """Its values, of every so many pixels the mean, so that they are at most so wide."""
+        values = self.values
+        while values.shape[1] > width:
+            values = values.reshape(len(values) // 2, 2, values.shape[1] // 2, 2, 3).mean((1, 3))
+        return values
 
     def behind(self, camera: fg.Camera) -> np.ndarray:
         """What a camera sees of it: [h, w, 3] float32 of the camera's window."""
@@ -151,13 +170,17 @@ class Sky:
                 found = f'The world "{wish.name}" could not be rendered: its plain colour is shown, and the log holds the reason.'
         with self._lock:
             self._found[wish.key] = found
-            while len(self._found) > KEPT:
+            while len(self._found) > KEPT or (len(self._found) > 1 and self._nbytes > MOST_BYTES):
                 del self._found[next(iter(self._found))]
+
+    @property
+    def _nbytes(self) -> int:
+        return sum(found.values.nbytes for found in self._found.values() if isinstance(found, Panorama))
 
     def _rendered(self, wish, folder) -> np.ndarray:
         script, target = folder / "panorama.py", folder / "panorama"
         script.write_text(_CHILD, "utf-8")
-        given = ["--", folder / "world.blend", wish.name, target, str(wish.width), *(str(v) for v in wish.frame), wish.space]
+        given = ["--", folder / "world.blend", wish.name, target, str(wish.width), str(STRIP), *(str(v) for v in wish.frame), wish.space]
         blender = [bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "1", "-P"]
         hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
         self._process = subprocess.Popen([*(blender if bpy.app.binary_path else [sys.executable]), script, *given],

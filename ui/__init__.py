@@ -3,7 +3,7 @@
 import bpy
 
 from ..scene import settings
-from . import camera_panel, capture_panel, keymap, menus, object_panels, preferences, render_panels, training_panel, viewport_panel
+from . import camera_panel, capture_panel, keymap, manual, menus, object_panels, preferences, render_panels, training_panel, viewport_panel
 
 CLASSES = (
     *object_panels.CLASSES,
@@ -21,6 +21,7 @@ def register():
         bpy.utils.register_class(cls)
     menus.register()
     keymap.register()
+    manual.register()
     training_panel.register()
     if settings.preferences():
         settings.apply(settings.preferences())
@@ -28,6 +29,7 @@ def register():
 
 def unregister():
     training_panel.unregister()
+    manual.unregister()
     keymap.unregister()
     menus.unregister()
     for cls in reversed(CLASSES):

@@ -37,7 +37,8 @@ def draw_model(layout, context):
     row = layout.row(align=True)
     sub = row.row(align=True)
     sub.alert = error is not None
-    sub.prop(obj.fastgs, "filepath", text="")
+    sub.use_property_split = True
+    sub.prop(obj.fastgs, "filepath")
     row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
     if error:
         box = layout.box()

@@ -28,6 +28,8 @@ from .textures import ORDER_WIDTH, upload, upload_list
 FORMAT = 'RGBA16F'
 HALF = 65_504
 """The largest number that half floats hold."""
+SKY_WIDTH = 8192
+"""The most pixels around of a panorama on the GPU."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Picture:
         self.groups: list[Group] = []
         self.camera = None
         self.deep = False
-        self._drawn = self._sky = self._shown = None
+        self._drawn = self._sky = self._shown = self._put = self._before = None
         self._targets = []
         self._no_depth = None
 
@@ -125,7 +127,7 @@ class Picture:
         self._drawn = same
 
     def resolve(self, working: np.ndarray, background=None, border=WHOLE, opacity: float = 1.0, frame=WHOLE,
-                outside: float = 1.0, depths: Depths | None = None) -> None:
+                outside: float = 1.0, depths: Depths | None = None, share: float = 1.0) -> None:
         """Draw the picture over the whole of the active framebuffer: premultiplied, linear.
 
         working     [3, 3] from linear Rec.709 to the target's primaries
@@ -133,10 +135,12 @@ class Picture:
         border      the part of the framebuffer to draw: left, bottom, right, top, 0..1
         frame       where colours are as they are; elsewhere they are darkened, to the share `outside` of what they were
         depths      of the framebuffer: splats are hidden by what it holds, pixel by pixel, if the picture is deep; None: they are not
+        share       of the picture in what is shown; the rest is what keep() kept
         """
         sky = isinstance(background, Panorama)
         if sky and (self._sky is None or self._sky[0] is not background):
-            texels = np.concatenate([background.values, np.ones_like(background.values[..., :1])], -1)
+            values = background.reduced(SKY_WIDTH)
+            texels = np.concatenate([values, np.ones_like(values[..., :1])], -1)
             self._sky = background, upload(np.minimum(texels, HALF), half=True)
         elif not sky:
             self._sky = None
@@ -149,16 +153,38 @@ class Picture:
                 framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
                 self._finish(working, (0, 0, 0) if sky else background, border, opacity, frame, outside)
             self._shown = wanted, textures, framebuffer
-        self._show(depths if self.groups else None)
+        if share >= 1:
+            self._before = None
+        self._show(depths if self.groups else None, share)
 
-    def _show(self, depths):
+    def keep(self) -> None:
+        """Keep what resolve() drew last, so that what is drawn next can fade in over it."""
+        self._before, self._shown, self._targets, self.size, self._drawn = self._put, None, [], None, None
+
+    def _show(self, depths, share):
         """Put the finished picture into the active framebuffer."""
-        inputs = {"t_shown": self._shown[1]["t_first"]}
+        new = self._shown[1]["t_first"]
+        inputs = {"t_shown": new}
         if depths is not None:
             table = resolve_table(self.camera, self.size, Group("linear"), np.eye(3), depths=depths)
             inputs |= {"t_resolve": upload(table), "t_own": self._targets[0][0]["t_own"]}
-        with shaders.drawing('ALPHA_PREMULT', 'NONE' if depths is None else 'LESS_EQUAL'):
-            shaders.fill(*shaders.show(depths is not None), inputs)
+        self._put = inputs
+        if self._before is None:
+            self._put_in(inputs)
+        else:
+            self._put_in(self._before | {"t_over": new}, 1 - share, share)
+            self._put_in(inputs | {"t_over": new}, share, 0.0)
+
+    def _put_in(self, inputs, share=1.0, rest=0.0):
+        """Put a share of a finished picture into the active framebuffer, tested by its depth where it has one."""
+        deep, fading = "t_own" in inputs, "t_over" in inputs
+        shader, batch = shaders.show(deep, fading)
+        with shaders.drawing('ALPHA_PREMULT', 'LESS_EQUAL' if deep else 'NONE'):
+            shader.bind()
+            if fading:
+                shader.uniform_float("share", share)
+                shader.uniform_float("rest", rest)
+            shaders.fill(shader, batch, inputs)
 
     def _finish(self, *options):
         """Make scene-linear colour of all groups, in the active framebuffer; for the options see resolve()."""
@@ -185,7 +211,7 @@ class Picture:
 
     def _resolve(self, group, textures, *options, first=True, own=False, summed=False, raw=False, size=None):
         sky = self._sky if first and not raw else None
-        values = resolve_table(self.camera, size or self.size, group, *options, sky=sky and sky[0].values.shape[1::-1], first=first,
+        values = resolve_table(self.camera, size or self.size, group, *options, sky=sky and (sky[1].width, sky[1].height), first=first,
                                summed=summed, raw=raw)
         with shaders.drawing('ALPHA_PREMULT' if first and not raw else 'ADDITIVE_PREMULT'):
             shaders.fill(*shaders.resolve(group.instance is not None, own, sky is not None),
@@ -204,7 +230,8 @@ class Picture:
 
     def free(self) -> None:
         """Free the targets."""
-        self._targets, self.groups, self.size, self._drawn, self._no_depth, self._sky, self._shown = [], [], *[None] * 5
+        self._targets, self.groups = [], []
+        self.size = self._drawn = self._no_depth = self._sky = self._shown = self._put = self._before = None
 
     def _kind(self, number):
         return self.groups[number].instance is not None, self.deep or len(self.groups) > 1

@@ -58,10 +58,15 @@ def resolve(features: bool, own: bool, sky: bool):
 
 
 @cache
-def show(deep: bool):
-    """(shader, batch) that puts a picture of its size into the active viewport; `deep`: with its depth."""
+def show(deep: bool, fading: bool = False):
+    """(shader, batch) that puts a picture of its size into the active viewport; `deep`: with its depth; `fading`: a share of it."""
     info = _whole("fastgs_show_iface")
     names = ["t_shown"]
+    if fading:
+        info.define("FADING")
+        info.push_constant('FLOAT', "share")
+        info.push_constant('FLOAT', "rest")
+        names.append("t_over")
     if deep:
         _deep(info)
         names += ["t_resolve", "t_own"]

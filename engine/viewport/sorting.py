@@ -34,6 +34,7 @@ class Sorted:
     left_out   (object's name, why it is not shown), see Snapshot.load
     order      [V] float32: which Gaussians to draw, the nearest first, counted through all instances; or [V, 2], with the share of
                its opacity that crops take from each
+    share      of the Gaussians that was to be drawn
     """
 
     instances: list[Instance]
@@ -41,6 +42,7 @@ class Sorted:
     models: dict[str, Source]
     left_out: list[tuple[str, str]]
     order: np.ndarray
+    share: float = 1.0
 
 
 def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> Sorted:
@@ -63,7 +65,7 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
                              "reference" if compiling.is_running() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
-    return Sorted(instances, [item.key for item, _ in pairs], models, left_out, listed(viewed, order))
+    return Sorted(instances, [item.key for item, _ in pairs], models, left_out, listed(viewed, order), share)
 
 
 def listed(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray:

@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 
 RESTING = 0.25
 """Seconds without a change after which a view counts as still."""
+FADE = 0.25
+"""Seconds in which the picture of a moving view becomes that of a still one."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ class View:
         self._last: tuple[Snapshot, fg.Camera] | None = None
         self._moved = 0.0
         self._density, self._rough = 1.0, False
+        self._whole: tuple[tuple, bool] | None = None
+        self._fading: float | None = None
 
     @property
     def stale(self) -> bool:
@@ -89,8 +93,8 @@ class View:
 
     @property
     def coarse(self) -> bool:
-        """Whether the picture is one for a moving view: it has fewer splats, or is hidden pixel by pixel."""
-        return self._density < 1.0 or self._rough
+        """Whether the picture is one for a moving view: it has fewer splats, is hidden pixel by pixel, or fades out."""
+        return self._density < 1.0 or self._rough or self._fading is not None
 
     @property
     def shows(self) -> bool:
@@ -141,7 +145,7 @@ class View:
             self.fallback.draw()
         elif self._answer is not None:
             try:
-                self._draw(snapshot, camera, display, around, still, deep)
+                self._draw(snapshot, camera, display, around, still, deep, wait)
             except TooLarge:
                 self._fall_back("the models do not fit into the GPU's textures")
             except Exception as error:  # what a driver says about a shader comes as a bare Exception
@@ -166,7 +170,7 @@ class View:
         self.worker.forget(self)
         self.picture.free()
         self.fallback.free()
-        self._answer = self._order = self._asked = self._depth = self._last = None
+        self._answer = self._order = self._asked = self._depth = self._last = self._whole = self._fading = None
 
     def _ask(self, snapshot, camera, display, key, wait):
         if key == self._asked:
@@ -182,12 +186,14 @@ class View:
         else:
             self.worker.ask(self, work)
 
-    def _draw(self, snapshot, camera, display, around, still, deep):
+    def _draw(self, snapshot, camera, display, around, still, deep, at_once):
         answer = self._answer
         self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
-        each = bool(around and around.surfaces and (still or around.moving))
+        fine = still and answer.share >= 1  # all that a still picture has more than a moving one comes at once, and fades in
+        each = bool(around and around.surfaces and (fine or around.moving))
         depth = self._depth_of(around) if each else None
         self._rough = bool(around and around.surfaces and not each)
+        share = self._share(answer.share >= 1 and not self._rough, at_once)
         if self._order is None or self._order[0] is not answer:
             self._order = answer, Order(answer.order)
         pairs, missing = snapshot.pairs(_known(answer.models), read=False)
@@ -198,7 +204,24 @@ class View:
             self.atlas.clear()  # the last object is gone or hidden
         self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth,
                           deep or around is not None, gone)
-        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None and not around.moving else None)
+        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None and not around.moving else None,
+                             share=share)
+
+    def _share(self, whole: bool, at_once: bool) -> float:
+        """The share of what is drawn now in the picture: where it replaces that of a moving view, of the same moment, it fades in."""
+        now, before = time.monotonic(), self._whole
+        self._whole = self._seen, whole
+        if before is None or before[0] != self._seen or not whole or at_once:
+            self._fading = None
+        elif not before[1]:
+            self._fading = now
+            self.picture.keep()
+        if self._fading is None:
+            return 1.0
+        share = (now - self._fading) / FADE
+        if share >= 1:
+            self._fading = None
+        return min(share, 1.0)
 
     def _depth_of(self, around):
         """The depth of what is in the window, read once for each of its states."""

@@ -40,6 +40,7 @@ class FourDGS(Format):
     """See the module."""
 
     name = "4dgs"
+    says_axes = True
     extensions = reads = (".4dgs",)
 
     def sniff(self, head, path):

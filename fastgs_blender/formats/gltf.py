@@ -44,6 +44,7 @@ class Gltf(StaticFormat):
     """See the module."""
 
     name = "glTF KHR_gaussian_splatting"
+    says_axes = True
     extensions = (".glb",)
     reads = (".glb", ".gltf")
     linear = True

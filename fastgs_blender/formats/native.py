@@ -37,6 +37,7 @@ class Native(Format):
     loss: Loss | None = None
 
     name = "FAST-GS safetensors"
+    says_axes = True
     extensions = reads = (".safetensors",)
 
     def sniff(self, head, path):

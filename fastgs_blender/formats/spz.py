@@ -46,6 +46,7 @@ class Spz(StaticFormat):
     """See the module."""
 
     name = "SPZ"
+    says_axes = True
     extensions = reads = (".spz",)
     degree = 4
     antialiased = True

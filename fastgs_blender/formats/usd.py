@@ -40,6 +40,7 @@ class Usd(StaticFormat):
     """See the module."""
 
     name = "OpenUSD ParticleField"
+    says_axes = True
     reads = (".usdc", ".usda", ".usd", ".usdz")
 
     def __init__(self, extension: str = ".usdc"):

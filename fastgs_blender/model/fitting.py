@@ -33,10 +33,16 @@ class Fit:
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """values [S, ...] -> coefficients [K + 1, ...] and what the fit makes of the values [S, ...]."""
-        flat = values.reshape(len(values), -1)
-        coefficients = self.solve @ flat
-        shape = (len(coefficients),) + values.shape[1:]
-        return coefficients.reshape(shape), (self.design @ coefficients).reshape(values.shape)
+        coefficients = self.coefficients(values)
+        return coefficients, self.values(coefficients)
+
+    def coefficients(self, values: np.ndarray) -> np.ndarray:
+        """values [S, ...] -> coefficients [K + 1, ...]."""
+        return (self.solve @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+    def values(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients [K + 1, ...] -> the values [S, ...] that they make."""
+        return (self.design @ coefficients.reshape(len(coefficients), -1)).reshape(-1, *coefficients.shape[1:])
 
 
 def motion_families(name: str, t: np.ndarray) -> list[Family]:

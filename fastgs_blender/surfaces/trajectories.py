@@ -39,7 +39,9 @@ PROBES = 3000
 TAIL = 99
 """The percentile of the distances that has a tolerance of its own: a mean hides a hand that is followed badly."""
 COUNTED = 4_000_000
-"""Number of distances that the percentile is taken from, at most."""
+"""Number of distances that their mean and percentile are taken from, about, where there are more."""
+BATCH = 1000
+"""Number of samples whose largest distances are looked at together."""
 CHUNK = 1_000_000
 """Numbers held at once by a thread while fitting, so that they stay in the processor's cache."""
 
@@ -117,8 +119,8 @@ class MovingSurface:
 class Paths:
     """The paths of N samples in a basis: constant [N, 3], coefficients [N, K, 3].
 
-    part, mean, tail, largest  the part that is followed worst for its size, and the mean, the percentile TAIL and the largest of the
-                               distances from the true paths over its samples and all times
+    part, mean, tail, largest  the part that is followed worst for its size, and the mean and the percentile TAIL (of COUNTED distances where
+                               there are more) and the largest of the distances from the true paths over its samples and all times
     sample, time               where on that part and at which of the times the distance is largest
     """
 
@@ -155,7 +157,7 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, ba
               progress: Callable[[float], None]) -> Paths:
     """Positions by least squares, in the smallest basis that keeps every part within the tolerances of the mean and of the percentile."""
     part = surface.part[samples.triangle]
-    probes = _probes(part)
+    probes = _probes(part, PROBES)
     probe_paths, probe_part = surface.follow(samples, probes), part[probes]
     sizes = surface.sizes
 
@@ -179,9 +181,9 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, ba
     fit = Fit.of(chosen, t)
     constant = np.empty((len(samples), 3), np.float32)
     coefficients = np.empty((len(samples), chosen.terms, 3), np.float32)
-    mean, largest, time = (np.empty(len(samples), kind) for kind in (np.float64, np.float32, np.int64))
-    every = -(-len(samples) * len(t) // COUNTED)
-    kept = np.empty((len(t), -(-len(samples) // every)), np.float32)
+    measured = _probes(part, max(COUNTED // len(t), PROBES))
+    distance = np.empty((len(measured), len(t)), np.float32)
+    bound = np.empty(len(samples), np.float32)
 
     def piece(start, stop):
         # A fit is linear, so that it commutes with the mean of a triangle's corners: each vertex is fitted once.
@@ -191,21 +193,37 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, ba
         corner, weights = corner.reshape(-1, 3), samples.weights[start:stop]
         blended = _blend(solution, corner, weights)
         constant[start:stop], coefficients[start:stop] = blended[:, 0], blended[:, 1:]
-        off = _blend((fitted - paths).astype(np.float32), corner, weights.astype(np.float32))
-        distance = lengths(off)
-        mean[start:stop], time[start:stop], largest[start:stop] = distance.mean(1, dtype=np.float64), distance.argmax(1), distance.max(1)
-        chosen_rows = np.arange(-(-start // every) * every, stop, every)
-        kept[:, chosen_rows // every] = distance[chosen_rows - start].T
+        off = (fitted - paths).astype(np.float32)
+        bound[start:stop] = np.einsum("nk,nk->n", lengths(off).max(0)[corner], weights)
+        first, last = np.searchsorted(measured, (start, stop))
+        own = measured[first:last] - start
+        distance[first:last] = lengths(_blend(off, corner[own], weights[own].astype(np.float32)))
 
     run(piece, ranges(len(samples), _rows(12 * len(t))), progress)
-    count = np.maximum(np.bincount(part, minlength=len(sizes)), 1)
-    mean = np.bincount(part, mean, len(sizes)) / count
-    held = [kept[:, part[::every] == p] for p in range(len(sizes))]
+    held = [distance[part[measured] == p] for p in range(len(sizes))]
+    mean = np.array([values.mean(dtype=np.float64) if values.size else 0.0 for values in held])
     percentile = np.array([np.percentile(values, TAIL) if values.size else 0.0 for values in held])
     worst = int((np.maximum(mean / tolerance, percentile / tail) / sizes).argmax())
-    sample = int(np.where(part == worst, largest, -1).argmax())
-    return Paths(chosen, constant, coefficients, worst, float(mean[worst]), float(percentile[worst]), float(largest[sample]), sample,
-                 int(time[sample]))
+    largest, sample, time = _farthest(surface, samples, fit, np.flatnonzero(part == worst), bound)
+    return Paths(chosen, constant, coefficients, worst, float(mean[worst]), float(percentile[worst]), largest, sample, time)
+
+
+def _farthest(surface: MovingSurface, samples: SurfaceSamples, fit: Fit, which: np.ndarray, bound: np.ndarray) -> tuple[float, int, int]:
+    """(distance, sample, time): of some samples, that which the fit leaves farthest from its path, and when.
+
+    bound [N]  what the distances of each sample do not exceed; most samples need not be looked at
+    """
+    order = which[np.argsort(-bound[which], kind="stable")]
+    best = 0.0, int(order[0]), 0
+    for start, stop in ranges(len(order), BATCH):
+        rows = order[start:stop]
+        if start and bound[rows[0]] <= best[0]:
+            break
+        paths = surface.follow(samples, rows)
+        away = lengths(fit(paths)[1] - paths)
+        time, row = np.unravel_index(away.argmax(), away.shape)
+        best = max(best, (float(away[time, row]), int(rows[row]), int(time)), key=lambda found: found[0])
+    return best
 
 
 def _blend(values: np.ndarray, corner: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -227,7 +245,7 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
     """
     basis: Basis = Static()
     if moving:
-        probes = samples.triangle[_probes(np.zeros(len(samples), int))]
+        probes = samples.triangle[_probes(np.zeros(len(samples), int), PROBES)]
         truth = tangents(surface.corners(probes), surface.pose).rotation
         basis = choose(rotation_families(t), t, lambda fit: _angles(fit(truth)[1], truth).mean() / TURN, max_order)
 
@@ -248,17 +266,19 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
     def piece(start, stop):
         used, which = np.unique(triangles[start:stop], return_inverse=True)
         frames = tangents(surface.corners(used), surface.pose, across[start:stop], which)
-        solution, fitted = fit(frames.rotation)
+        solution = fit.coefficients(frames.rotation)
         constant[start:stop], coefficients[start:stop] = solution[0], np.moveaxis(solution[1:], 0, 1)
         stretch[start:stop] = frames.stretch
-        return float(_angles(fitted, frames.rotation).sum())
+        some = np.arange(-start % every, stop - start, every)
+        return float(_angles(fit.values(solution[:, some]), frames.rotation[:, some]).sum())
 
+    every = -(-len(triangles) * len(t) // COUNTED)
     total = sum(run(piece, ranges(len(triangles), _rows(40 * len(t))), progress))
     # Samples were spread by the largest area: in the pose of reference they lie closer than the mean by this factor.
     largest, pose = surface.areas.max(0)[triangles], surface.areas[surface.areas.sum(1).argmax()][triangles]
     stretch *= np.sqrt(np.where(pose > 0, pose / np.maximum(largest, 1e-300), 1))[:, None]
     width = usual * np.clip(stretch, NARROWEST, WIDEST) * limit
-    return Turning(basis, row, constant, coefficients, width, total / (len(triangles) * len(t)))
+    return Turning(basis, row, constant, coefficients, width, total / (-(-len(triangles) // every) * len(t)))
 
 
 def _angles(fitted, truth) -> np.ndarray:
@@ -267,14 +287,14 @@ def _angles(fitted, truth) -> np.ndarray:
     return 2 * np.arccos(np.clip(np.abs(np.einsum("...d,...d->...", fitted, truth)) / length, 0, 1))
 
 
-def _probes(part: np.ndarray) -> np.ndarray:
-    """Indices of evenly spaced samples of each part."""
+def _probes(part: np.ndarray, count: int) -> np.ndarray:
+    """Indices, increasing, of about `count` evenly spaced samples; of each part at least a tenth of PROBES."""
     found = []
     for p in np.unique(part):
         own = np.flatnonzero(part == p)
-        wanted = max(PROBES * len(own) // len(part), PROBES // 10)
-        found.append(own[np.unique(np.linspace(0, len(own) - 1, wanted).astype(int))])
-    return np.concatenate(found)
+        wanted = min(max(count * len(own) // len(part), PROBES // 10), len(own))
+        found.append(own if wanted == len(own) else own[np.unique(np.linspace(0, len(own) - 1, wanted).astype(int))])
+    return np.sort(np.concatenate(found))
 
 
 def _rows(numbers: int) -> int:

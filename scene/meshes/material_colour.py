@@ -46,9 +46,24 @@ class MaterialColours:
                 chosen = piece.material[local] == slot
                 places = Places(piece, local[chosen], weights[rows[chosen]], self._images)
                 material = piece.materials[min(slot, len(piece.materials) - 1)] if piece.materials else None
-                out[rows[chosen]] = _material(material, places, self._notes)
-        out[:, :3] = linear_to_srgb(np.clip(out[:, :3], 0, 1))
+                found = _once(_material(material, places, self._notes))
+                out[rows[chosen]] = np.c_[linear_to_srgb(np.clip(found[:, :3], 0, 1)), found[:, 3:]]
         return out
+
+
+def _once(values: np.ndarray) -> np.ndarray:
+    """One row [1, C] of values that are the same everywhere (Places.constant); else the values [n, C]."""
+    return values[:1] if values.strides[0] == 0 else values
+
+
+def _beside(colour: np.ndarray, alpha: np.ndarray, count: int) -> np.ndarray:
+    """Colours [n, 3] and opacities [n, 1] as [n, 4], the same everywhere where both are."""
+    colour, alpha = _once(colour), _once(alpha)
+    if len(colour) == len(alpha):
+        joined = np.concatenate([colour, alpha], 1)
+    else:
+        joined = np.concatenate([np.broadcast_to(values, (count, values.shape[1])) for values in (colour, alpha)], 1)
+    return np.broadcast_to(joined, (count, 4))
 
 
 class Places:
@@ -146,14 +161,14 @@ class _Reader:
         colour = node.inputs.get("Color")
         if colour is None:
             raise Unreadable(f'node "{node.name}"')
-        return np.c_[self.value(colour, 3), np.ones(len(self._places))]
+        return _beside(self.value(colour, 3), self._places.constant(1.0), len(self._places))
 
     def _shader_bsdf_principled(self, node):
         colour = self.value(node.inputs["Base Color"], 3)
         strength = self.value(node.inputs["Emission Strength"], 1)
-        if strength.any():
+        if _once(strength).any():
             colour = colour + strength * self.value(node.inputs["Emission Color"], 3)
-        return np.c_[colour, self.value(node.inputs["Alpha"], 1)]
+        return _beside(colour, self.value(node.inputs["Alpha"], 1), len(self._places))
 
     def _shader_emission(self, node):
         return np.c_[self.value(node.inputs["Color"], 3) * self.value(node.inputs["Strength"], 1), np.ones(len(self._places))]

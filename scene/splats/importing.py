@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from ...fastgs_blender.util.errors import FastGSError, printable
-from .. import startup
+from .. import startup, upright
 from ..cameras import framing
 from ..frame_range import fit_scene
 from . import splat_object
@@ -20,7 +20,8 @@ class Options:
     """How files are imported.
 
     limit       the most points of an object's proxy
-    orient      turn objects from their files' axes to Blender's
+    orient      turn models from their files' axes to Blender's
+    up          the axis that points up in files that do not say it, a key of upright.TURNS; None: as is usual
     relative    keep paths relative to the .blend, where that is possible
     fit_range   set the scene's range and frame rate from the first file
     use_engine  make FAST-GS the scene's render engine
@@ -33,6 +34,7 @@ class Options:
     fit_range: bool = False
     use_engine: bool = False
     view: str = 'KEEP'
+    up: str | None = None
 
 
 @dataclass
@@ -67,9 +69,13 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
         with warnings.catch_warnings(record=True) as remarks:
             warnings.simplefilter("always")
             try:
-                done.objects.append(splat_object.create(context, path, options.limit, options.orient, options.relative))
+                obj = splat_object.create(context, path, options.limit, options.orient, options.relative, options.up)
             except FastGSError as error:
                 done.errors.append(splat_object.sentence(error))
+            else:
+                done.objects.append(obj)
+                if options.up is not None and upright.axis_of(obj) != options.up:
+                    done.remarks.append(f'The file of "{obj.name}" says which axis points up, and it does; Upright lets another one')
         done.warnings += [printable(remark.message) for remark in remarks]
     if done.objects:
         _set_up(context, done, options)

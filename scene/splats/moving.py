@@ -12,12 +12,13 @@ from bpy.app.handlers import persistent
 
 from ...fastgs_blender.rendering.crops import kept_by
 from ...fastgs_blender.rendering.filters import hidden
+from ...fastgs_blender.rendering.looks import look_numbers
 from ...fastgs_blender.util.errors import FastGSError
 from .. import model_space, objects, snapshot
 from ..colour import rec709_to_working
-from ..time import clip_frame
+from ..time import shown_frames
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, OFFSET
-from .proxy_points import Shown, choose, show
+from .proxy_points import Shown, choose, shared_out, show
 
 MOVED = "fastgs_moved"
 """Custom property of an evaluated mesh that was written here."""
@@ -36,21 +37,24 @@ class _Chosen:
         if len(model) != usual:
             taken = np.sort(choose(model, len(self.index)).index)
             self.index = self.index[:len(taken)]
+        self.taken = taken
         self.part = model.take(taken) if len(taken) and taken[-1] < len(model) else None
 
     def of(self, model, mesh) -> bool:
         return self.model is model and np.array_equal(self.key, _read(mesh, GAUSSIAN, "value", np.int32))
 
 
-_chosen: dict[int, _Chosen] = {}
+_chosen: dict[tuple[int, int], _Chosen] = {}
+"""By the mesh's session_uid, and the place of a frame among those that show at once."""
 
 
 @persistent
 def follow(scene, depsgraph=None) -> None:
     """Handler, after each evaluation: put the points of all proxies where their Gaussians are."""
     splats = [obj for obj in bpy.data.objects if objects.is_splat(obj)]
-    for uid in _chosen.keys() - {obj.data.session_uid for obj in splats if obj.data is not None}:
-        _chosen.pop(uid, None)  # a render runs in a thread of its own
+    there = {obj.data.session_uid for obj in splats if obj.data is not None}
+    for key in [key for key in _chosen if key[0] not in there]:
+        _chosen.pop(key, None)  # a render runs in a thread of its own
     for obj in splats if depsgraph is not None else ():
         evaluated = obj.evaluated_get(depsgraph)
         if evaluated.is_evaluated and evaluated.type == 'MESH' and _shows_points(evaluated.data):
@@ -63,28 +67,60 @@ def _shows_points(mesh) -> bool:
 
 
 def _move(obj, depsgraph):
+    stored = obj.original.data
     try:
         source = objects.load_model(objects.abspath(obj))
         retime = snapshot.retime_of(obj)
-        at = clip_frame(*snapshot.clock(depsgraph.scene), retime, source.clip)
-        model, t = source.moment(source.clip.t_of_frame(at or 0.0), retime.hold)
+        frames = shown_frames(*snapshot.clock(depsgraph.scene), retime, source.clip)
+        moments = [source.moment(source.clip.t_of_frame(frame), retime.hold) for frame, _ in frames or [(0.0, 0.0)]]
     except FastGSError:  # the panel, and FAST-GS itself, say why; the points stay where they were made
         return
-    stored = obj.original.data
     if stored.is_editmode or GAUSSIAN not in stored.attributes:
         return
-    chosen = _chosen.get(stored.session_uid)
-    if chosen is None or not chosen.of(model, stored):
-        chosen = _chosen[stored.session_uid] = _Chosen(model, stored, len(source))
-    if chosen.part is not None:
-        shown = show(chosen.part, t, stored.get(LARGER, 1.0))
-        seen = np.full(len(chosen.index), at is not None)
-        settings = snapshot.settings_of(obj, depsgraph)
-        if settings.crops:
-            seen &= kept_by(settings.crops, shown.position.astype(np.float64))
-        if settings.filters or settings.mask:
-            seen &= ~hidden(model, settings.filters, settings.mask)[chosen.index]
-        _write(obj, chosen.index, shown, seen)
+    parts = [_chosen_of(stored, number, model, len(source)) for number, (model, _) in enumerate(moments)]
+    if any(chosen.part is None for chosen in parts):
+        return
+    settings, larger = snapshot.settings_of(obj, depsgraph), stored.get(LARGER, 1.0)
+    looks = [_seen(chosen, t, settings, larger) for chosen, (_, t) in zip(parts, moments)]
+    if not frames:
+        looks = [(shown, np.zeros_like(seen)) for shown, seen in looks]
+    shares = [share for _, share in frames] or [1.0]
+    _write(obj, *_together(parts, looks, shares))
+
+
+def _chosen_of(stored, number: int, model, usual: int) -> _Chosen:
+    key = stored.session_uid, number
+    found = _chosen.get(key)
+    if found is None or not found.of(model, stored):
+        found = _chosen[key] = _Chosen(model, stored, usual)
+    return found
+
+
+def _seen(chosen: _Chosen, t: float, settings, larger: float):
+    """(how the chosen Gaussians look at a time, which of them the object's crops, filters and mask leave)."""
+    shown = show(chosen.part, t, larger, look_numbers(settings, chosen.model.colour_space))
+    seen = np.ones(len(chosen.index), bool)
+    if settings.crops:
+        seen &= kept_by(settings.crops, shown.position.astype(np.float64))
+    if settings.filters or settings.mask:
+        seen &= ~hidden(chosen.model, settings.filters, settings.mask)[chosen.taken]
+    return shown, seen
+
+
+def _together(parts: list[_Chosen], looks, shares: list[float]):
+    """(index, Shown, seen) of all frames that show at once, echoes and fading loops: each has its share of the points.
+
+    Together they cover what their opacities let them: the points grow as the frames become more.
+    """
+    if len(parts) == 1 and shares[0] == 1:
+        return parts[0].index, *looks[0]
+    mine = [np.flatnonzero(shared_out(len(chosen.index), shares) == number) for number, chosen in enumerate(parts)]
+    index = np.concatenate([chosen.index[m] for chosen, m in zip(parts, mine)])
+    order = np.argsort(index, kind="stable")
+    position, axes, colour = (np.concatenate([getattr(shown, name)[m] for (shown, _), m in zip(looks, mine)])[order]
+                              for name in ("position", "axes", "colour"))
+    seen = np.concatenate([seen[m] for (_, seen), m in zip(looks, mine)])[order]
+    return index[order], Shown(position, axes * np.float32(np.sqrt(np.sum(shares))), colour), seen
 
 
 def _write(obj, index, shown: Shown, seen):

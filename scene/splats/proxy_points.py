@@ -14,6 +14,8 @@ from ...fastgs_blender.model.framing import inside_backdrop, is_subject, without
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
+from ...fastgs_blender.rendering.instances import ObjectSettings
+from ...fastgs_blender.rendering.looks import Look, graded, look_numbers, size_factor
 from ...fastgs_blender.util import rotations
 from ..colour import srgb_to_linear
 
@@ -32,6 +34,8 @@ EDGE = 1.5
 MOST_LARGER = 2.5
 BRIEF = 0.5
 """Gaussians that are seen for less than this share of the clip are chosen for each moment anew."""
+GOLDEN = 0.6180339887498949
+"""Multiples of it, without their whole parts, fill 0..1 evenly."""
 
 
 _chosen: weakref.WeakKeyDictionary[Source, tuple[int, Points]] = weakref.WeakKeyDictionary()
@@ -126,17 +130,30 @@ def _choose(source: Source, limit: int) -> Points:
     )
 
 
-def show(chosen: GaussianModel, t: float, larger: float = 1.0) -> Shown:
-    """How chosen Gaussians, a model of their own, look at the time t: ellipsoids, `larger` as in Points."""
+def show(chosen: GaussianModel, t: float, larger: float = 1.0, look: np.ndarray | None = None) -> Shown:
+    """How chosen Gaussians, a model of their own, look at the time t: ellipsoids, `larger` as in Points.
+
+    look  their object's, a row of looks.look_numbers(); None: as in the file
+    """
+    look = look_numbers(ObjectSettings(), chosen.colour_space) if look is None else look
     s = slice_model(chosen, t, cull=False)
     finite = np.isfinite(np.concatenate([s.position, s.scale, s.features], 1)).all(1)
-    seen = finite & (s.opacity >= chosen.raster.alpha_cut)
+    opacity = np.minimum(s.opacity * look[Look.OPACITY], 1)
+    seen = finite & (opacity >= chosen.raster.alpha_cut)
     with np.errstate(over="ignore", invalid="ignore"):
-        axes = rotations.to_matrices(s.rotation) * (EDGE * larger * np.sqrt(s.opacity)[:, None] * s.scale)[:, None, :]
+        seen &= 1 + np.exp(-chosen.opacity.astype(np.float64)) <= look[Look.FAINTEST]
+        size = EDGE * larger * np.sqrt(opacity) * size_factor(s.scale.max(1), look)
+        axes = rotations.to_matrices(s.rotation) * (size[:, None] * s.scale)[:, None, :]
     return Shown(
         position=np.where(finite[:, None], s.position, 0).astype(np.float32),
         axes=np.where(seen[:, None, None], axes, 0).astype(np.float32),
-        colour=_colour(s, chosen).astype(np.float32))
+        colour=_colour(s, chosen, look).astype(np.float32))
+
+
+def shared_out(count: int, shares: list[float]) -> np.ndarray:
+    """Which of several pictures each of `count` points is for [count]: as many as their shares, spread evenly."""
+    ends = np.cumsum(shares) / np.sum(shares)
+    return np.searchsorted(ends[:-1], (np.arange(count) + 0.5) * GOLDEN % 1, "right")
 
 
 def _every(model) -> np.ndarray:
@@ -215,7 +232,9 @@ def _fair_order(position, kind, importance, box, limit: int) -> np.ndarray:
     return by_cell[np.lexsort((-importance[by_cell], rank))][:limit]
 
 
-def _colour(s: Slice, model: GaussianModel) -> np.ndarray:
+def _colour(s: Slice, model: GaussianModel, look: np.ndarray | None = None) -> np.ndarray:
     """Linear colour [M, 3] from no particular side: of SH the constant term, of features the base without the decoder's rest."""
     rgb = np.clip(np.nan_to_num(model.appearance.plain_colours(s.features)), 0, 100)
+    if look is not None:
+        rgb = np.clip(np.nan_to_num(graded(rgb, look)), 0, 100)
     return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)

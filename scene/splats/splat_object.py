@@ -7,11 +7,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...fastgs_blender.formats import fingerprint
+from ...fastgs_blender.formats import fingerprint, identify
 from ...fastgs_blender.formats.sequences import title
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.util.errors import FastGSError, printable
-from .. import model_space, objects, paths
+from .. import model_space, objects, paths, upright
 from . import proxy
 
 
@@ -21,12 +21,14 @@ def sentence(error: Exception) -> str:
     return text[:1].upper() + text[1:]
 
 
-def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, relative: bool = False) -> bpy.types.Object:
+def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, relative: bool = False,
+           up: str | None = None) -> bpy.types.Object:
     """A new object that shows the file, selected and active, at the world's origin; its clip starts with the scene.
 
     limit     the most points of its proxy
     orient    turn its model from the file's axes to Blender's; the object itself stays unrotated
     relative  keep the path relative to the .blend, where that is possible
+    up        the axis that points up in a file that does not say it, a key of upright.TURNS; None: as is usual in its format
 
     Raises FastGSError for a file that cannot be read, before anything is made.
     """
@@ -34,6 +36,8 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     model = objects.load_model(path)
     name = bpy.path.display_name_from_filepath(title(Path(path)))
     turn = np.array(objects.axes_matrix(model.axes), np.float64) if orient else np.eye(4)
+    if up is not None and not says_axes(path, model):
+        turn[:3, :3] = upright.TURNS[up]
     obj = bpy.data.objects.new(name, proxy.new_mesh(name, model, limit, turn))
     proxy.show_in_all_engines(obj)
     paths.put(obj.fastgs, _relative(path) if relative else path)
@@ -41,6 +45,11 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     write_facts(obj, model, path)
     _place(context, obj)
     return obj
+
+
+def says_axes(path: str, model: Source) -> bool:
+    """Whether a file says which of its axes points up; others have the axes that are usual in captures."""
+    return model.axes != "RDF" or identify(path).says_axes
 
 
 def write_facts(obj: bpy.types.Object, model: Source, path: str) -> None:

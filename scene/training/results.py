@@ -2,6 +2,7 @@
 """Brings what a training run has made into Blender: its model as an object, its report as text."""
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,51 @@ from ...fastgs_blender.util.errors import FastGSError, printable
 from ...fastgs_blender.util.reading import read_json, reading
 from .. import objects
 from ..filming.film import filmed_objects
-from ..splats import splat_object
+from ..splats import proxy, splat_object
 from . import alignment
+
+
+class Reading:
+    """Reads a run's model into memory and prepares its proxy in a thread, so that adding it to the scene takes no time.
+
+    Of a run that has not finished it is the model of the last checkpoint.  Nothing of Blender's data is touched.
+    """
+
+    def __init__(self, out: str, finished: bool):
+        self._out, self._finished = out, finished
+        self._path: Path | None = None
+        self._error: FastGSError | None = None
+        self._thread = threading.Thread(target=self._read, name="FAST-GS model", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        """Whether the model has been read, or cannot be."""
+        return not self._thread.is_alive()
+
+    @property
+    def path(self) -> Path:
+        """The model's file, when it has been read; waits until then.  Raises FastGSError."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        return self._path
+
+    def _read(self):
+        try:
+            path = Path(self._out) / MODEL if self._finished else _model_so_far(self._out)
+            proxy.prepare(objects.load_model(str(path)))
+            self._path = path
+        except FastGSError as error:
+            self._error = error
+        except Exception as error:  # in a thread nobody else would tell
+            self._error = FastGSError(f"{self._out}: its model could not be read ({error}).")
+
+
+def _model_so_far(out: str) -> Path:
+    from ...fastgs_blender.training.run import intermediate  # only when it is needed: it brings the trainer along
+
+    return intermediate.write_model(out)
 
 
 def add_model(context, job, path) -> bpy.types.Object:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looks at the training jobs once a second: starts the next one, shows pictures and logs, and says when one has ended."""
+"""Looks at the training jobs once a second: starts the next one, shows pictures and logs, says when one has ended and adds its model."""
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 
@@ -14,10 +13,14 @@ from . import displays, installation, results
 
 log = logging.getLogger(__name__)
 EVERY = 1.0
+SOON = 0.1
+"""Seconds between two looks while a model is being read."""
 SETTLED = 0.4
 """Seconds after which panels that moved stand still."""
 
 _found: list[tuple[Job, State]] | None = None
+_readings: list[tuple[Job, results.Reading]] = []
+"""Of models that are to be added to the scene."""
 
 
 def found() -> list[tuple[Job, State]]:
@@ -72,29 +75,45 @@ def _look_and_report():
         elif state.kind in ('FINISHED', 'FAILED') and not job.reported and known.report_end(job):
             displays.update(job)
             report_end(job, state)
+    _add_models()
     if before != rows:
         redraw()
     busy = any(state.running or state.kind == 'QUEUED' for _, state in rows)
-    return EVERY if busy else None
+    return SOON if _readings else EVERY if busy else None
 
 
 def report_end(job: Job, state: State) -> None:
-    """Report that a job has ended, and add its model to the scene from which it was started."""
+    """Report that a job has ended, and let its model be read, where it is to be added to the scene from which it was started."""
     good = state.kind == 'FINISHED'
     text = f"{job.name}: {summary(state) if good else state.text}"
     log.log(logging.INFO if good else logging.ERROR, text)
     window = next(iter(bpy.context.window_manager.windows), None)
     if window is None:
         return
+    if good and job.scene.get("import") and belongs_here(job):
+        _readings.append((job, results.Reading(job.out, True)))
     with bpy.context.temp_override(window=window):
-        if good and job.scene.get("import") and belongs_here(job):
-            with contextlib.suppress(RuntimeError, FastGSError):  # it is in a mode in which nothing can be added; the panel has a button
-                results.add_finished(bpy.context, job)
-                bpy.ops.ed.undo_push(message="Add Trained Model")
         if not bpy.app.background:
             bpy.context.window_manager.popup_menu(
                 lambda menu, context: menu.layout.label(text=text), title="Training has finished" if good else "Training has failed",
                 icon='INFO' if good else 'ERROR')
+
+
+def _add_models() -> None:
+    """Add the models that have been read by now to the scene."""
+    for row in [row for row in _readings if row[1].done]:
+        _readings.remove(row)
+        job, reading = row
+        window = next(iter(bpy.context.window_manager.windows), None)
+        if window is None or not belongs_here(job):  # another file has been opened meanwhile
+            continue
+        with bpy.context.temp_override(window=window):
+            try:
+                reading.path  # noqa: B018  what went wrong
+                results.add_finished(bpy.context, job)
+                bpy.ops.ed.undo_push(message="Add Trained Model")
+            except (RuntimeError, FastGSError) as error:  # of a mode in which nothing can be added; the panel has a button
+                log.warning("%s: its model was not added: %s", job.name, error)
 
 
 def belongs_here(job: Job) -> bool:
@@ -144,6 +163,7 @@ def register():
 def unregister():
     global _found
     _found = None
+    _readings.clear()
     for timer in (_tick, _redraw):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)

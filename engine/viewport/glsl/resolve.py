@@ -111,6 +111,10 @@ SHOW = constants.RESOLVE + """
 void main()
 {
   vec4 shown = texelFetch(t_shown, ivec2(v_uv * vec2(textureSize(t_shown, 0))), 0);
+#ifdef FADING
+  /* one picture over another, of which a share is drawn afterwards: together they are the mean of both by their shares */
+  shown *= share / max(1.0 - rest * texelFetch(t_over, ivec2(v_uv * vec2(textureSize(t_over, 0))), 0).a, 1e-6);
+#endif
 #ifdef DEEP
   vec4 size = texelFetch(t_resolve, ivec2(RESOLVE_SIZE, 0), 0), depths = texelFetch(t_resolve, ivec2(RESOLVE_DEPTHS, 0), 0);
   vec4 own = texelFetch(t_own, min(ivec2(v_uv * size.xy), ivec2(size.xy) - ivec2(1)), 0);

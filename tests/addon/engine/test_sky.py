@@ -134,6 +134,29 @@ def test_directions(module):
     assert panorama.towards(np.array([[0, 0, 1.0], [0, 0, -1.0]]))[:, 2] == pytest.approx([1, -1], abs=0.01)
 
 
+def test_large_images_keep_their_detail(scene, world, module, monkeypatch):
+    """A panorama is as wide as the world's widest image; it is rendered in strips, which leave no seam."""
+    sky = module("scene.sky")
+    wish = lambda: sky.Wish(bpy.context.evaluated_depsgraph_get().scene_eval.world, (1, 0.0))  # noqa: E731
+    assert wish().width == sky.WIDTHS[0]
+    for size, width in ((5000, 8192), (8192, 8192), (16384, 16384), (40_000, 16384)):
+        world["around"].image = bpy.data.images.new("Large", size, 2)
+        assert wish().width == width
+        bpy.data.images.remove(world["around"].image)
+    world["around"].image = bpy.data.images["Around"]
+    monkeypatch.setattr(sky, "WIDTHS", (128, 128))
+    found = []
+    for strip in (sky.STRIP, 24):
+        monkeypatch.setattr(sky, "STRIP", strip)
+        sky.sky.stop()
+        sky.sky.ask(wish())
+        sky.sky.wait(300)
+        found.append(sky.sky.latest())
+    np.testing.assert_array_equal(*(panorama.values for panorama in found))
+    assert found[0].values.shape == (64, 128, 3) and np.ptp(found[0].values) > 0.5
+    np.testing.assert_allclose(found[0].reduced(32).mean((0, 1)), found[0].values.mean((0, 1)), rtol=1e-5)
+
+
 def test_a_world_that_cannot_be_rendered_is_told_and_its_plain_colour_shown(scene, world, module, add_camera, monkeypatch, render, caplog):
     monkeypatch.setattr(module("scene.sky"), "_CHILD", "raise SystemExit('no Cycles here')")
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.1, 0.2, 0.3, 1)

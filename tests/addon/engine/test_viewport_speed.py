@@ -2,6 +2,7 @@
 """What a viewport spares itself: splats that are drawn already, reading the depth, waiting for the order; and what it hides."""
 from __future__ import annotations
 
+import itertools
 import time
 from types import SimpleNamespace
 
@@ -38,6 +39,7 @@ def still(parts, monkeypatch):
     def wait():
         now[0] += 2 * parts.view.RESTING
 
+    wait.now = now
     return wait
 
 
@@ -178,6 +180,31 @@ def test_scrubbing_draws_fewer_splats(window, two, still, view):
     assert view.coarse and view._order[1].count < 0.3 * whole[1]
     still()
     np.testing.assert_array_equal(window(two, at=1.0, density=0.25), whole[0])
+
+
+@pytest.mark.parametrize("surfaces", [False, True])
+def test_a_still_picture_fades_in(parts, window, two, still, view, drawn, surfaces):
+    """From the picture of the moving view to that of the still one in steps of a few percent, and nothing is blended for them."""
+    whole = window(two, at=1.0, wall=4.0, surfaces=surfaces)
+    options = dict(at=1.0, density=0.1, wall=4.0, state=1, surfaces=surfaces)
+    window(two, **options)
+    coarse = window(two, **options)
+    assert np.abs(coarse - whole).mean() > 0.01
+    still()
+    window(two, wait=False, **options)  # asks for the rest
+    deadline = time.monotonic() + 60
+    while not view.stale and time.monotonic() < deadline:
+        time.sleep(0.01)
+    shown = [coarse, window(two, wait=False, **options)]
+    np.testing.assert_allclose(shown[1], coarse, atol=2e-3)
+    count = len(drawn)
+    while view.coarse and len(shown) < 50:
+        still.now[0] += parts.view.FADE / 10
+        shown.append(window(two, wait=False, **options))
+    assert 10 <= len(shown) <= 14 and len(drawn) == count
+    np.testing.assert_allclose(shown[-1], whole, atol=2e-3)
+    steps = [np.abs(b - a).mean() for a, b in itertools.pairwise(shown)]
+    assert max(steps) < 0.15 * np.abs(coarse - whole).mean()
 
 
 def test_what_was_deleted_goes_at_once(window, two, view):

@@ -122,3 +122,25 @@ def test_a_viewport_draws_what_it_has_and_asks_for_the_frame(scene, module, sequ
     loaded, left_out = taken.load()
     again, _ = taken.load(read=False)
     assert not left_out and again[0].model is loaded[0].model
+
+
+@pytest.mark.parametrize("whole_folder", [False, True])
+def test_external_data_knows_sequences(module, folder, scene, tmp_path, capfd, whole_folder):
+    """Reported where the files are gone, found where they have gone to, relative with the first save: as for one file."""
+    objects, home = module("scene.objects"), tmp_path / "scenes"
+    home.mkdir()
+    bpy.ops.import_scene.fastgs(filepath=str(folder if whole_folder else folder / "take_###.ply"))
+    obj = bpy.context.object
+    bpy.ops.wm.save_as_mainfile(filepath=str(home / "x.blend"))
+    name = folder.name if whole_folder else f"{folder.name}/take_###.ply"
+    assert obj.fastgs.filepath == f"//../{name}"
+    capfd.readouterr()
+    bpy.ops.file.report_missing_files()
+    assert "take_" not in capfd.readouterr().out
+    (tmp_path / "moved").mkdir()
+    folder.rename(tmp_path / "moved" / folder.name)
+    bpy.ops.file.report_missing_files()
+    assert "take_001.ply" in capfd.readouterr().out
+    bpy.ops.file.find_missing_files(directory=str(tmp_path))
+    assert obj.fastgs.filepath == f"//../moved/{name}" and len(objects.load_model(objects.abspath(obj))) > 0
+    bpy.ops.wm.open_mainfile(filepath=str(home / "x.blend"))

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -224,14 +225,36 @@ def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tm
     model, other = load(out / "model.safetensors"), load(so_far)
     assert np.array_equal(model.position, other.position) and np.array_equal(model.motion, other.motion)
     assert (model.clip, model.axes, model.basis) == (other.clip, other.axes, other.basis)
-    reader = SimpleNamespace()  # what the operator's thread does leaves Blender's data little to do
-    module("operators.training_runs").FASTGS_OT_train_import._read(reader, str(out))
+    results = module("scene.training.results")
+    path = results.Reading(str(out), False).path  # what the thread does leaves Blender's data little to do
     monkeypatch.setattr(module("scene.splats.proxy_points"), "_choose", None)
-    again = module("scene.training.results").add_model(bpy.context, jobs.all()[0], reader._answer)
+    again = results.add_model(bpy.context, jobs.all()[0], path)
     assert again == obj and again.fastgs.filepath.endswith("so-far.safetensors")
     assert bpy.ops.fastgs.train_report() == {'FINISHED'}
     assert "Held-out PSNR" in bpy.data.texts["FAST-GS Report"].as_string()
     assert bpy.ops.fastgs.train_forget() == {'FINISHED'} and not jobs.all()
+
+
+def test_a_finished_runs_model_is_read_beside_blender(module, fg, make_model, scene, tmp_path, monkeypatch):
+    """Nothing of it is done by Blender's own thread but what is left when it has been read."""
+    watch, results = module("scene.training.watch"), module("scene.training.results")
+    fg.save(make_model(40), tmp_path / "model.safetensors")
+    job = SimpleNamespace(id="toy", name="Toy", out=str(tmp_path), capture="",
+                          scene={"import": True, "blend": bpy.data.filepath, "process": os.getpid()})
+    gate, prepare = threading.Event(), results.proxy.prepare
+    monkeypatch.setattr(results.proxy, "prepare", lambda *given: gate.wait(GUARD) and prepare(*given))
+    shown = lambda: [obj.name for obj in scene.objects if obj.get("fastgs_job") == "toy"]  # noqa: E731
+    watch.report_end(job, SimpleNamespace(kind='FINISHED', values={}, text=""))
+    watch._add_models()
+    assert not shown() and len(watch._readings) == 1
+    gate.set()
+    until(lambda: watch._readings[0][1].done)
+    watch._add_models()
+    assert shown() == ["Toy"] and not watch._readings
+
+    (tmp_path / "model.safetensors").write_bytes(b"nonsense")
+    with pytest.raises(fg.FastGSError, match=r"model\.safetensors"):
+        results.Reading(str(tmp_path), True).path  # noqa: B018
 
 
 @pytest.fixture

@@ -25,6 +25,17 @@ def test_each_axis_can_point_up(make_model, model_file, module, placement, axis)
     assert np.allclose(placement(obj)[:3, :3] @ (0, 1, 0), (0, 0, 1), atol=1e-5)
 
 
+@pytest.mark.parametrize("axis", UP)
+def test_an_import_asks_for_the_axis_of_files_that_do_not_say_it(fg, make_model, model_file, placement, tmp_path, axis):
+    """In the panel of the last operation another choice imports again; files that say their axes win."""
+    still = make_model(40, clip=fg.Clip(1), features=np.zeros((40, 3)), appearance=fg.SH(0))
+    fg.save(still, tmp_path / "still.ply")
+    bpy.ops.import_scene.fastgs(filepath=str(tmp_path / "still.ply"), orientation=axis)
+    assert np.allclose(placement(bpy.context.object)[:3, :3] @ UP[axis], (0, 0, 1), atol=1e-5)
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(axes="RUB")), orientation=axis)
+    assert np.allclose(placement(bpy.context.object)[:3, :3] @ (0, 1, 0), (0, 0, 1), atol=1e-5)
+
+
 def test_what_was_applied_stays_and_crop_boxes_come_along(make_model, model_file, placement, scene):
     bpy.ops.import_scene.fastgs(filepath=model_file(make_model(axes="RDF")))
     obj = bpy.context.object

@@ -105,6 +105,59 @@ def test_points_follow_the_objects_own_time(scene, fg, module, moving):
     assert max(now()[1].values()) == 0
 
 
+@pytest.fixture
+def still(scene, fg, module, moving):
+    """now(): (middles, sizes, {Gaussian: colour}) of the object's points on frame 20; the object, and now."""
+    bpy.ops.import_scene.fastgs(filepath=moving)
+    obj = bpy.context.object
+
+    def now(frame=20):
+        scene.frame_set(frame)
+        evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        mesh = evaluated.data
+        colour, number = np.empty(4 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.int32)
+        mesh.attributes["Color"].data.foreach_get("color", colour)
+        mesh.attributes["Gaussian"].data.foreach_get("value", number)
+        return *balls(mesh, np.array(evaluated.matrix_world)), dict(zip(number.tolist(), colour.reshape(-1, 4)[:, :3]))
+
+    return obj, now
+
+
+def test_points_follow_looks(still, fg, moving):
+    obj, now = still
+    _, sizes, colours = now()
+    seen = [k for k in sizes if sizes[k] > 0]
+    obj.fastgs.splat_scale, obj.fastgs.exposure, obj.fastgs.tint = 2.0, 1.0, (1.0, 0.5, 0.25)
+    _, larger, brighter = now()
+    assert [larger[k] for k in seen] == pytest.approx([2 * sizes[k] for k in seen], rel=1e-3)
+    wanted = np.array([colours[k] * (2.0, 1.0, 0.5) for k in seen])
+    assert np.allclose([brighter[k] for k in seen], wanted, atol=1e-4) and wanted.max() > 0.1
+    obj.fastgs.splat_scale, obj.fastgs.opacity = 1.0, 0.25
+    _, fainter, _ = now()
+    assert [fainter[k] for k in seen] == pytest.approx([0.5 * sizes[k] for k in seen], rel=1e-3)
+    obj.fastgs.opacity, obj.fastgs.opacity_cut = 1.0, 0.999  # theirs is 0.993
+    assert max(now()[1].values()) == 0
+    obj.fastgs.opacity_cut = 0.0
+    obj.fastgs.filters.add().high = 1e9  # all sizes
+    assert max(now()[1].values()) == 0
+
+
+def test_echoes_share_the_points(still, fg, moving):
+    """Two of three points show the frame itself, one the echo of half the opacity; together they cover as much as both."""
+    obj, now = still
+    here, sizes, _ = now()
+    before, sizes_before, _ = now(10)
+    obj.fastgs.echoes, obj.fastgs.echo_spacing, obj.fastgs.echo_fade = 1, 10.0, 0.5
+    middles, larger, _ = now()
+    echo = np.array([np.allclose(middles[k], before[k], atol=1e-4) for k in middles])
+    assert all(np.allclose(middles[k], before[k] if is_echo else here[k], atol=1e-4) for k, is_echo in zip(middles, echo))
+    assert echo.mean() == pytest.approx(1 / 3, abs=0.01)
+    wanted = [np.sqrt(1.5) * (sizes_before if is_echo else sizes)[k] for k, is_echo in zip(middles, echo)]
+    assert [larger[k] for k in middles] == pytest.approx(wanted, rel=1e-3)
+    obj.fastgs.echoes = 0
+    assert {k: tuple(v) for k, v in now()[0].items()} == {k: tuple(v) for k, v in here.items()}
+
+
 def test_other_engines_panel_says_what_they_show(scene, module, moving):
     panel = module("ui.render_panels").FASTGS_PT_other_engine
     scene.render.engine = 'CYCLES'

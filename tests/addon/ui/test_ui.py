@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels: what they say, when they show, and that all they draw exists."""
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -197,3 +198,16 @@ def test_import_options_draw(module):
     assert set(names) <= set(bpy.ops.import_scene.fastgs.get_rna_type().properties.keys())
     assert {"relative_path", "as_sequence", "orientation", "proxy_points", "view", "set_scene_range", "use_engine"} == set(names)
     assert labels[1:] == [f"{known.name} ({', '.join(known.reads)})" for known in module("fastgs_blender.formats").FORMATS]
+
+
+def test_the_manual_of_every_operator_and_property_is_a_page_that_is_there(module):
+    from urllib.parse import urlparse
+    from urllib.request import url2pathname
+
+    from bl_operators.wm import WM_OT_doc_view_manual as manual
+
+    names = [f"bpy.ops.{cls.bl_idname}" for cls in module("operators").CLASSES if issubclass(cls, bpy.types.Operator)]
+    names += ["bpy.types.FASTGS_PG_object.start_frame", "bpy.types.FASTGS_PG_training.capture"]
+    pages = {name: Path(url2pathname(urlparse(manual._lookup_rna_url(name, verbose=False)).path)) for name in names}
+    assert all(page.is_file() for page in pages.values())
+    assert (pages["bpy.ops.fastgs.bake"].name, pages["bpy.ops.fastgs.train"].name) == ("baking.md", "training-in-blender.md")

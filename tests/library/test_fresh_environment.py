@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The README's commands in a fresh environment: this project as pip installs it, what it says it needs, and nothing else."""
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import venv
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from test_docs_commands import FEW, ROOT, lines
+from toy_captures import write_capture
+
+RUN = """
+import json, sys
+import fastgs_blender
+from fastgs_blender import cli
+sys.exit(next((code for line in json.load(sys.stdin) if (code := cli.main(line))), 0))
+"""
+
+
+def needed(names: list[str], found: dict[str, metadata.Distribution]) -> dict[str, metadata.Distribution]:
+    """The distributions of these names and all that they need, as they are installed here."""
+    for name in names:
+        if re.sub(r"[-_.]+", "-", name).lower() not in found:
+            distribution = metadata.distribution(name)
+            found[re.sub(r"[-_.]+", "-", name).lower()] = distribution
+            wanted = [Requirement(text) for text in distribution.requires or []]
+            needed([r.name for r in wanted if r.marker is None or r.marker.evaluate({"extra": ""})], found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory):
+    """The Python of an environment with the project, built and unpacked as pip does it, beside links to its dependencies alone."""
+    folder = tmp_path_factory.mktemp("fresh")
+    source = folder / "source"
+    shutil.copytree(ROOT / "fastgs_blender", source / "fastgs_blender", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    venv.create(folder / "env", with_pip=False)
+    python = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    site = Path(subprocess.run([python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], check=True, capture_output=True,
+                               text=True).stdout.strip())
+    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation",
+                    "--no-index", "--target", site, source], check=True, capture_output=True)
+    own = metadata.Distribution.at(next(site.glob("fastgs_blender-*.dist-info")))
+    wanted = [Requirement(text) for text in own.requires]
+    for distribution in needed([r.name for r in wanted if r.marker is None or r.marker.evaluate({"extra": ""})], {}).values():
+        for top in {path.parts[0] for path in distribution.files if ".." not in path.parts}:
+            if not (site / top).exists() and distribution.locate_file(top).exists():
+                (site / top).symlink_to(distribution.locate_file(top))
+    return python, site
+
+
+def test_the_readmes_commands_run(fresh, tmp_path):
+    python, site = fresh
+    shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("*.py"))
+    write_capture(tmp_path / "my-capture")
+    commands = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in lines(ROOT / "README.md")]
+    assert {command[0] for command in commands} >= {"info", "render", "cameras", "convert", "train", "eval"}
+    commands = [[*command, *(FEW if command[0] == "train" else [])] for command in commands]
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run([python, "-c", RUN], input=json.dumps(commands), cwd=tmp_path, env=clean, capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0, done.stderr
+    assert not {"torch", "bpy", "pytest"} & {path.name for path in site.iterdir()}
+
+
+def test_the_command_and_the_types_are_installed(fresh, tmp_path):
+    python, site = fresh
+    assert (site / "fastgs_blender" / "py.typed").exists()
+    script = next(path for path in (site / "bin").iterdir() if path.name.startswith("fastgs"))
+    done = subprocess.run([python, script, "--version"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": ""}, capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0 and done.stdout.startswith("fastgs"), done.stderr
