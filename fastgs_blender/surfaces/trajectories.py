@@ -119,7 +119,7 @@ class MovingSurface:
 class Paths:
     """The paths of N samples in a basis: constant [N, 3], coefficients [N, K, 3].
 
-    part, mean, tail, largest  the part that is followed worst for its size, and the mean and the percentile TAIL (of COUNTED distances where
+    part, mean, tail, largest  the part that is followed worst for its size, and the mean and the percentile TAIL (of COUNTED where
                                there are more) and the largest of the distances from the true paths over its samples and all times
     sample, time               where on that part and at which of the times the distance is largest
     """
