@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -233,28 +232,6 @@ def test_operators_train_look_in_between_and_import(jobs, module, toy, scene, tm
     assert bpy.ops.fastgs.train_report() == {'FINISHED'}
     assert "Held-out PSNR" in bpy.data.texts["FAST-GS Report"].as_string()
     assert bpy.ops.fastgs.train_forget() == {'FINISHED'} and not jobs.all()
-
-
-def test_a_finished_runs_model_is_read_beside_blender(module, fg, make_model, scene, tmp_path, monkeypatch):
-    """Nothing of it is done by Blender's own thread but what is left when it has been read."""
-    watch, results = module("scene.training.watch"), module("scene.training.results")
-    fg.save(make_model(40), tmp_path / "model.safetensors")
-    job = SimpleNamespace(id="toy", name="Toy", out=str(tmp_path), capture="",
-                          scene={"import": True, "blend": bpy.data.filepath, "process": os.getpid()})
-    gate, prepare = threading.Event(), results.proxy.prepare
-    monkeypatch.setattr(results.proxy, "prepare", lambda *given: gate.wait(GUARD) and prepare(*given))
-    shown = lambda: [obj.name for obj in scene.objects if obj.get("fastgs_job") == "toy"]  # noqa: E731
-    watch.report_end(job, SimpleNamespace(kind='FINISHED', values={}, text=""))
-    watch._add_models()
-    assert not shown() and len(watch._readings) == 1
-    gate.set()
-    until(lambda: watch._readings[0][1].done)
-    watch._add_models()
-    assert shown() == ["Toy"] and not watch._readings
-
-    (tmp_path / "model.safetensors").write_bytes(b"nonsense")
-    with pytest.raises(fg.FastGSError, match=r"model\.safetensors"):
-        results.Reading(str(tmp_path), True).path  # noqa: B018
 
 
 @pytest.fixture
