@@ -144,14 +144,17 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                 state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
-            blended, event = 0, 0
+            blended, event, upcoming = 0, 0, -1
             if len(hiding):
                 left_over[:], stopped[:] = SAMPLES, float32(0.0)
                 when, where = losses(hiding[tile - first], DEPTH, starts[tile], starts[tile + 1], ids, attributes)
+                upcoming = when[0] if len(when) else -1
             for k in range(starts[tile], starts[tile + 1]):
-                while event < len(when) and when[event] == k:
-                    lose(state, left_over, stopped, where[event])
-                    event += 1
+                if k == upcoming:
+                    while event < len(when) and when[event] == k:
+                        lose(state, left_over, stopped, where[event])
+                        event += 1
+                    upcoming = when[event] if event < len(when) else -1
                 i = np.intp(ids[k])
                 ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
                 simd.prefetch(geometry, ahead)

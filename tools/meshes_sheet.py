@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes inside the example's splats: what they hide, the shadows they catch, and the composite with Cycles: docs/meshes.webp.
+
+    python tools/meshes_sheet.py [--out docs/meshes.webp]      (needs bpy)
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+SIZE = 400, 250
+FRAME = 30
+EYE, TARGET = np.array([1.6, -3.4, 1.7]), np.array([0.1, 0.1, 0.55])
+PAPER = np.array([236, 239, 243]) / 255
+USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
+os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before bpy is imported
+
+import bpy  # noqa: E402, I001 (it brings the other two)
+import addon_utils  # noqa: E402
+from mathutils import Vector  # noqa: E402
+
+sys.path.append(str(ROOT / "tests" / "addon"))
+import image_files  # noqa: E402
+
+ADDON = "bl_ext.user_default.fastgs_blender"
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--out", type=Path, default=ROOT / "docs" / "meshes.webp")
+    options = arguments.parse_args()
+    folder = Path(USER.name) / "extensions" / "user_default"
+    folder.mkdir(parents=True)
+    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
+    assert addon_utils.enable(ADDON, default_set=True) is not None
+    scene = build()
+    pictures = {"splats": render(scene)}
+    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    meshes = bpy.data.scenes[f"{scene.name} Meshes"]
+    meshes.cycles.samples, meshes.cycles.use_denoising = 48, False
+    scene.render.use_compositing = False
+    pictures["splats that the meshes hide"] = render(scene)
+    pictures["meshes, by Cycles"] = render(meshes)
+    shadow = image_files.read_exr(file(scene, "EXR"))["ViewLayer.Splat Shadow"][..., 0]
+    pictures["pass Splat Shadow"] = np.repeat(shadow[..., None], 3, -1)
+    scene.render.use_compositing = True
+    tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
+    strength = tree.nodes["FAST-GS Join"].inputs["Shadow Strength"]
+    for name, strength.default_value in (("joined, without shadows", 0.0), ("joined", 0.8)):
+        pictures[name] = render(scene)
+    save(pictures, options.out)
+    print(options.out)
+
+
+def build():
+    """The example with a platform, a monkey and a ring in its middle, and a sun."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.render.engine = 'FASTGS'
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.render.dither_intensity = 0
+    scene.render.film_transparent = True
+    scene.world = bpy.data.worlds.new("World")
+    bpy.ops.import_scene.fastgs(filepath=str(ROOT / "examples" / "playground.safetensors"))
+    scene.view_settings.view_transform = 'Standard'
+    camera = scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location, camera.data.lens = EYE, 1.05 * 36
+    camera.rotation_euler = Vector(TARGET - EYE).to_track_quat('-Z', 'Y').to_euler()
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    sun.rotation_euler, sun.data.angle, sun.data.energy = (0.75, -0.45, 0.0), 0.06, 3.0
+    for obj in (camera, sun):
+        scene.collection.objects.link(obj)
+    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.95, depth=0.1, location=(0.45, 0.0, 0.05))
+    paint((0.75, 0.75, 0.72), 0.6)
+    bpy.ops.mesh.primitive_torus_add(major_radius=0.42, minor_radius=0.07, major_segments=96, minor_segments=32,
+                                     location=(0.62, 0.05, 0.62), rotation=(1.1, 0.3, 0.2))
+    paint((0.95, 0.6, 0.15), 0.15, metallic=1.0)
+    bpy.ops.mesh.primitive_monkey_add(size=0.5, location=(-0.05, -0.3, 0.32), rotation=(-0.35, 0, 0.35))
+    bpy.context.object.modifiers.new("Smooth", 'SUBSURF').render_levels = 2
+    bpy.ops.object.shade_smooth()
+    paint((0.12, 0.3, 0.75), 0.35)
+    scene.fastgs.shadow_light, scene.fastgs.shadow_bias = sun, 0.06
+    scene.frame_set(FRAME)
+    return scene
+
+
+def paint(colour, roughness, metallic=0.0):
+    material = bpy.data.materials.new("Paint")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    shader = material.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (*colour, 1)
+    shader.inputs["Roughness"].default_value, shader.inputs["Metallic"].default_value = roughness, metallic
+    bpy.context.object.data.materials.append(material)
+
+
+def file(scene, kind) -> Path:
+    """The scene's picture, written by Blender."""
+    path = Path(USER.name) / f"picture.{kind[:3].lower()}"
+    image_files.set_output(scene, kind)
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    return path
+
+
+def render(scene) -> np.ndarray:
+    """[h, w, 3] as a viewer shows it, over paper."""
+    pixels = image_files.read_png(file(scene, "PNG")) / 255
+    alpha = pixels[..., 3:] if pixels.shape[2] > 3 else 1.0
+    return pixels[..., :3] * alpha + PAPER * (1 - alpha)
+
+
+def save(pictures, path):
+    from PIL import Image, ImageDraw
+
+    gap, label, columns = 6, 18, 3
+    width, height = SIZE
+    rows = -(-len(pictures) // columns)
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + gap + label) + gap), (255, 255, 255))
+    draw = ImageDraw.Draw(sheet)
+    for number, (name, pixels) in enumerate(pictures.items()):
+        left, top = gap + number % columns * (width + gap), gap + number // columns * (height + gap + label)
+        draw.text((left + 2, top + 3), name, fill=(40, 40, 40))
+        sheet.paste(Image.fromarray(np.uint8(np.clip(pixels, 0, 1) * 255 + 0.5)), (left, top + label))
+    sheet.save(path, quality=85, method=6)
+
+
+if __name__ == "__main__":
+    main()
