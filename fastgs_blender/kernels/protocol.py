@@ -61,7 +61,7 @@ class PictureBackend(Protocol):
 
         probes    which of layout.PROBES are wanted
         progress  called with 0..1 between pieces of work; what it raises ends the work and passes through
-        holdout   triangles [F, 3, 3] in the world that hide splats (rendering/holdout.py), or None
+        holdout   triangles [F, 3, 3] in the world that hide splats (rendering/holdout.py), or None.  The layout has planes with it
         """
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> Array:

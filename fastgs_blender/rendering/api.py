@@ -114,13 +114,14 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
     if objects:
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))
-    layout = Layout(instances, False, quantities, plane="plane" in needs)
+    planes = holdout is not None
+    layout = Layout(instances, False, quantities, plane=planes or "plane" in needs)
     buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws), holdout=holdout)
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
     sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))
     parts = [sums.pop("shares")] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)] if "shares" in needs else []
     for i in range(1, draws):
-        more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])})
+        more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])}, planes)
         drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
     shadow = settings.shadow.picture(backend, instances, camera, progress) if settings.shadow and "shadow" in needs else None

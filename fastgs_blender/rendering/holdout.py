@@ -2,8 +2,10 @@
 """Holdouts: opaque triangles that hide the splats behind them.
 
 A pixel is looked at through SAMPLES points.  Each has the depth of the nearest triangle there, and a splat shows in it if its centre
-lies no deeper.  So a splat's weight in a pixel is the usual one times the share of the points in which it shows.  The light that
-triangles stop, the pixel's `held`, is neither the splats' nor that of what lies behind everything.
+lies no deeper.  So a splat's weight in a pixel is the usual one times the share of the points in which it shows.  In pixels that triangles
+cover wholly, a splat shows only if its surface there (oracle.plane) lies no deeper either: large flat splats, of which floors are made,
+do not reach over what stands on them.  The light that triangles stop, the pixel's `held`, is neither the splats' nor that of what lies
+behind everything.
 """
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def plane(deep, flat, sharp, box, mean, z, camera: Camera) -> np.ndarray:
     return np.concatenate([(z - (slope * (mean - np.array([camera.width, camera.height]) / 2)).sum(1))[:, None], slope], 1)
 
 
-def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None) -> tuple[
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None, planes: slice = slice(0)) -> tuple[
         np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
     """Channels [h, w, C], alpha [h, w], the probes [h, w], and of a holdout the light that it stops and the share that it covers [h, w]:
     front-to-back compositing into the camera's window (rasterisers.md 3.2).
@@ -156,6 +156,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     band     alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
              by differences, for checks of gradients; pictures have none
     holdout  triangles, see holdout.py: each of a pixel's points loses its share of the light behind them
+    planes   with a holdout, the channels of the splats' planes
     """
     x0, y0, width, height = camera.window
     px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
@@ -163,6 +164,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     depths = np.full((height, width, 1), np.inf) if holdout is None else sample_depths(holdout, camera).astype(np.float32)
     transmittance, live = np.ones(depths.shape), np.ones(depths.shape, bool)  # of each point of a pixel
     probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
+    farthest = depths.max(-1)  # infinite unless triangles cover the whole pixel
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
     for i in order:
@@ -181,6 +183,10 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
         box = np.s_[top:bottom, left:right]
         t = transmittance[box]
         shows = depths[box] >= np.float32(splats.depth[i])
+        if holdout is not None:
+            z, along_x, along_y = splats.channels[i, planes]
+            surface = z + along_x * (px[left:right] - camera.width / 2)[None, :] + along_y * (py[top:bottom] - camera.height / 2)[:, None]
+            shows = shows & (farthest[box] >= surface)[..., None]
         hit = live[box] & (alpha >= splats.alpha_cut[i])[..., None] & shows
         if band:
             rise = np.clip((alpha - splats.alpha_cut[i]) / band, 0, 1)
@@ -230,7 +236,7 @@ class Oracle:
             found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
-        channels, alpha, found, held = rasterise(splats, camera, band, holdout)
+        channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)))
         sums = {name: channels[..., where] for name, where in layout.places.items()}
         return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 
@@ -250,7 +256,7 @@ class Oracle:
         film, samples = Film(height, width, {instance.model.colour_space for instance in instances}), exposure.samples(exposure.levels)
         for i, sample in enumerate(samples):
             moved, eye = exposure.scene(instances, camera, sample.time, sample.point)
-            layout = Layout(moved, False)
+            layout = Layout(moved, False, plane=holdout is not None)
             buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)),
                                 holdout=exposure.holdout(holdout, sample.time))
             film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held)

@@ -109,7 +109,7 @@ class Shadow:
         towards = towards / np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-30)
         nearer = (self.meshes + self.bias * towards).astype(np.float32)
         viewed = [instance.viewed(eye) for instance in instances]
-        buffers = backend.draw(viewed, eye, Layout(viewed, False), (), lambda fraction: None, holdout=nearer)
+        buffers = backend.draw(viewed, eye, Layout(viewed, False, plane=True), (), lambda fraction: None, holdout=nearer)
         x, y = eye.pixels(before).T - 0.5
         with np.errstate(invalid="ignore"):
             there = (x > -1) & (y > -1) & (x < eye.width) & (y < eye.height)

@@ -38,7 +38,7 @@ class CPU:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
-                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout)
+                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout, plane=layout.plane)
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None):

@@ -83,14 +83,15 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
             picked[sample.level] = _picked(instances, touching)
         shown, keep = picked[sample.level]
         moved, eye = exposure.scene(shown, camera, sample.time, sample.point)
-        layout = Layout(moved, False)
+        layout = Layout(moved, False, plane=holdout is not None)
         splats = project_instances(moved, eye, layout)
         if len(samples) > 1:
             _draw_out(splats, keep, paths, len(samples) - 1)
         weights = np.array(sample.weights, np.float32)[levels]
         runs = _runs(weights > 0)
         hidden_by = exposure.holdout(holdout, sample.time)
-        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs, holdout=hidden_by)
+        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs, holdout=hidden_by,
+                            plane=layout.plane)
         rgb = colour_of(picture.buffers(layout), layout, eye) if colours and moved else None
         _collect(film, rgb, picture.alpha, picture.held, weights, runs, grid, camera.window)
         progress((i + 1) / len(samples))

@@ -55,6 +55,13 @@ def losses(depths, depth, begin, end, ids, attributes):
 
 
 @inline
+def farthest(depths, out):
+    """Of each pixel that is covered in all of its points, the farthest of their depths [pixels, points]; inf in others."""
+    for p in range(depths.shape[0]):
+        out[p] = depths[p].max()
+
+
+@inline
 def lose(state, left, held, p):
     """Take one of a pixel's points away: state, which may have its sign turned, keeps the light of the others."""
     before = abs(state[p])

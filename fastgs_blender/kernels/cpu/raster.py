@@ -19,7 +19,7 @@ from ...rendering.layout import DEPTH_FROM, PROBES
 from ...rendering.oracle import T_STOP
 from . import simd
 from .jit import kernel
-from .occlusion import lose, losses
+from .occlusion import farthest, lose, losses
 
 TILE = 16
 PIXELS = TILE * TILE
@@ -50,19 +50,20 @@ def fade(alpha, log2_cut, band):
 
 
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, channels, probes, trace, smooth):
+def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z, dz, channels, probes, trace, smooth, hides):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
-    channels, probes, trace and smooth (0 or 1) are constants of the kernel: code is made for them.  probes: which of
+    channels, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  probes: which of
     layout.PROBES are computed, a bit each; trace: remember `place` as that of the last splat blended; smooth: let alpha fade in
-    over `band` above the cut.
+    over `band` above the cut; hides: the splat shows only where its surface, z + i dz, lies before the depths in the last plane.
     """
-    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, probes, trace, smooth)):
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, probes, trace, smooth, hides)):
         return None
     count = channels.literal_value
     number = types.float32
     signature = types.void(
-        state, types.intp, number, number, number, attributes, types.intp, number, number, channels, probes, trace, smooth)
+        state, types.intp, number, number, number, attributes, types.intp, number, number, number, number, channels, probes, trace, smooth,
+        hides)
 
     def build(context, b, signature, args):
         state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
@@ -77,6 +78,10 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, ch
         alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
         if smooth.literal_value:
             alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[8]))[0]
+        if hides.literal_value:
+            depth = simd.ramp(b) * simd.broadcast(b, args[10]) + simd.broadcast(b, args[9])
+            last = PIXELS * (1 + count + len(chosen(probes.literal_value)))
+            alpha = alpha.where(state.floats(pixel, last) >= depth, 0.0)
         before = state.floats(pixel, 0)
         weight = before * alpha
         after = before - weight
@@ -109,26 +114,29 @@ def chosen(bits: int) -> list[str]:
 
 
 @cache
-def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0):
+def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0, plane: int | None = None):
     """The kernel for a number of channels, and the probes (layout.PROBES, in their order).
 
     trace: write what the backward pass starts from (raster_backward.py) instead of probes.  band: alpha fades in over
-    this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.
+    this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.  plane: for pictures
+    with a holdout, the first of the channels of the splats' planes.
     """
-    assert not (probes and trace)
-    trace, smooth, band = int(trace), int(band > 0), float(band)
+    assert not (trace and (probes or plane is not None))
+    trace, smooth, band, hides = int(trace), int(band > 0), float(band), int(plane is not None)
+    surface = CHANNEL + (plane or 0)
     bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
-    planes = 1 + channels + (number or trace)
+    planes = 1 + channels + (number or trace) + hides
+    limit = PIXELS * (planes - 1)
 
     def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra,
-                  hiding, held):
+                  hiding, held, middle_x, middle_y):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
         The window is x0..right, y0..bottom in pixels of the image; out [h, w, C] and alpha [h, w] are the window's.
         starts [tiles + 1]: each tile's run in ids, which lists splats front to back.  extra [h, P w]: the pictures of the P probes,
         side by side; with trace [h, 2 w]: the final transmittance, and beside it the place in the tile's list of the last splat
         blended, or -1.  hiding: of a holdout, the depths of the tiles first..last (holdout.Occluder), or NOTHING; held [h, 2 w]: the light
-        that it stops, and beside it which share of the pixel it covers.
+        that it stops, and beside it which share of the pixel it covers; middle_x, middle_y: of the image, where planes begin.
         """
         state = np.empty(planes * PIXELS, np.float32)
         left_over, stopped = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32)
@@ -145,12 +153,16 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
             blended, event, upcoming = 0, 0, -1
-            if len(hiding):
+            z, dz = float32(0.0), float32(0.0)
+            if hides:
+                state[limit:] = float32(np.inf)
                 left_over[:], stopped[:] = SAMPLES, float32(0.0)
-                when, where = losses(hiding[tile - first], DEPTH, starts[tile], starts[tile + 1], ids, attributes)
+                if len(hiding):
+                    when, where = losses(hiding[tile - first], DEPTH, starts[tile], starts[tile + 1], ids, attributes)
+                    farthest(hiding[tile - first], state[limit:])
                 upcoming = when[0] if len(when) else -1
             for k in range(starts[tile], starts[tile + 1]):
-                if k == upcoming:
+                if hides and k == upcoming:
                     while event < len(when) and when[event] == k:
                         lose(state, left_over, stopped, where[event])
                         event += 1
@@ -175,8 +187,12 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                     u = u0 + b * float32(y)
                     for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
                         x = half * simd.LANES
+                        if hides:
+                            dz = attributes[i, surface + 1]
+                            z = float32(attributes[i, surface] + dz * (left + x + 0.5 - middle_x)
+                                        + attributes[i, surface + 2] * (top + y + 0.5 - middle_y))
                         blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
-                               channels, bits, trace, smooth)
+                               z, dz, channels, bits, trace, smooth, hides)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]
@@ -184,13 +200,14 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                         front = state[p] if state[p] > front else front
                     if front <= 0.0:
                         break
-            for k in range(event, len(when)):
-                lose(state, left_over, stopped, where[k])
+            if hides:
+                for k in range(event, len(when)):
+                    lose(state, left_over, stopped, where[k])
             for y in range(max(top, y0), min(top + TILE, bottom)):
                 for x in range(max(left, x0), min(left + TILE, right)):
                     p = (y - top) * TILE + x - left
                     alpha[y - y0, x - x0] = float32(1.0) - abs(state[p]) - stopped[p]
-                    if len(hiding):
+                    if hides:
                         held[y - y0, x - x0] = stopped[p]
                         held[y - y0, x - 2 * x0 + right] = float32(SAMPLES - left_over[p]) / float32(SAMPLES)
                     for c in range(channels):

@@ -42,12 +42,13 @@ class Picture:
 
 
 def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None,
-              holdout: np.ndarray | None = None) -> Picture:
+              holdout: np.ndarray | None = None, plane: int | None = None) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
     probes   which of layout.PROBES to compute
     tiles    (first, last) of the runs of tiles to draw; None: all.  The others stay empty
     holdout  triangles [F, 3, 3] float32 that hide splats
+    plane    with a holdout, the first of the channels of the splats' planes (layout.Layout.plane)
     """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
@@ -55,14 +56,15 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     listing = TileLists.of(order, geometry, attributes, camera)
     occluder = None if holdout is None else Occluder.of(holdout, camera)
     held = np.zeros((height, 2 * width), np.float32) if occluder else NONE
-    kernel = raster.rasteriser(channels, probes)
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held)
+    kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None)
+    middle = camera.width / 2, camera.height / 2
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held, middle)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},
                    *((held[:, :width], held[:, width:]) if occluder else ()))
 
 
 def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, tiles=None,
-           occluder: Occluder | None = None, held=NONE):
+           occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0)):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
     x0, y0, right, bottom = listing.window
     out = np.zeros((bottom - y0, right - x0, channels), np.float32)
@@ -74,7 +76,8 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
         pieces = _tiles(first, last) if tiles is None else [
             piece for a, b in tiles if a < last and b > first for piece in _tiles(max(a, first), min(b, last))]
-        run(lambda a, b, rest=rest: kernel(a, b, *rest, occluder.depths(a, b) if occluder else raster.NOTHING, held), pieces, share)
+        run(lambda a, b, rest=rest: kernel(a, b, *rest, occluder.depths(a, b) if occluder else raster.NOTHING, held, *middle),
+            pieces, share)
     return out, alpha, lists
 
 

@@ -81,6 +81,18 @@ def test_an_opaque_mesh_in_front_leaves_nothing(backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+def test_a_floor_does_not_reach_over_what_stands_on_it(backend):
+    """A flat Gaussian's middle lies before a wall that stands on it: above the line where they meet, the wall alone is seen."""
+    floor = fg.GaussianModel(position=[[0, 1.0, 3.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.5, 0.001, 0.5]]), opacity=[6.0],
+                             features=[[0.2, 0.4, 0.6]])
+    wall = everywhere(3.6)  # y points down: floor and wall meet at y = 1, z = 3.6, on the row 12 + 40 / 3.6 = 23.1
+    found, free = (fg.render(floor, CAMERA, passes=EVERYTHING, backend=backend, holdout=each) for each in (wall, None))
+    assert free["alpha"][20:22, 14:18].min() > 0.1
+    assert not found["alpha"][:22].any() and (found["holdout"][:22] == 1).all()
+    assert free["alpha"][23, 14:18].min() > 0.3 and np.abs(found["alpha"][23] - free["alpha"][23]).max() < 1e-6
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_a_mesh_without_splats_still_holds_light_back(backend):
     found = fg.render([], CAMERA, passes=tuple(PASSES), backend=backend, holdout=rectangle(8, 6, 24, 18, 4.0))
     assert (found["holdout"][6:18, 8:24] == 1).all() and found["holdout"].sum() == 12 * 16 and not found["alpha"].any()
