@@ -21,12 +21,18 @@ PACKAGES = {
     "pillow": "MIT-CMU",
     "av": "BSD-3-Clause AND GPL-3.0-or-later",
     "tqdm": "MPL-2.0 AND MIT",
+    "wgpu": "BSD-2-Clause",
+    "rendercanvas": "BSD-2-Clause",
+    "cffi": "MIT-0",
+    "pycparser": "BSD-3-Clause",
 }
 """What Blender's Python lacks, with its licence as SPDX writes it.  In the versions that the tests ran with.
 
 Rendering needs the first three.  Captures have films (av, with FFmpeg in it), and pictures without their lenses' distortion (pillow);
-training says how far it is (tqdm).
+training says how far it is (tqdm).  The last four are for GPUs: wgpu, which holds its library, and what it asks for.
 """
+FOR_ONE = {"macos-arm64": {"rubicon-objc": ("BSD-3-Clause", "0.5.7")}}
+"""What one platform needs beside, with its licence and version: wgpu reaches Metal through Objective-C."""
 
 SHIPPED = {
     "autopep8", "cattrs", "certifi", "charset-normalizer", "cython", "fastjsonschema", "idna", "numpy", "pycodestyle", "requests",
@@ -56,10 +62,12 @@ def download(platform: str, python: str, folder: Path) -> list[Path]:
     """The wheels for a platform and one of its Pythons, from the package index that pip uses; raises Missing."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for package in PACKAGES:
+    needed = {package: importlib.metadata.version(package) for package in PACKAGES}
+    needed |= {package: version for package, (_, version) in FOR_ONE.get(platform, {}).items()}
+    for package, version in needed.items():
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
                    "--only-binary=:all:", "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
-        wanted = f"{package}=={importlib.metadata.version(package)}"
+        wanted = f"{package}=={version}"
         command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode:
@@ -109,14 +117,15 @@ def notices(wheels: list[Path]) -> str:
 
 
 def licence(name: str) -> str:
-    """SPDX of one of PACKAGES, however its name is written."""
-    return next(spdx for package, spdx in PACKAGES.items() if canonicalize_name(package) == canonicalize_name(name))
+    """SPDX of one of PACKAGES or FOR_ONE, however its name is written."""
+    known = PACKAGES | {package: spdx for packages in FOR_ONE.values() for package, (spdx, _) in packages.items()}
+    return next(spdx for package, spdx in known.items() if canonicalize_name(package) == canonicalize_name(name))
 
 
 def _pythons(wheel: Path) -> list[str]:
     """The Pythons, of those in NUMPYS, that a wheel is for."""
     python, abi = wheel.stem.split("-")[2:4]
-    return list(NUMPYS) if abi == "abi3" else [f"3.{python.removeprefix('cp3')}"]
+    return list(NUMPYS) if abi in ("abi3", "none") else [f"3.{python.removeprefix('cp3')}"]
 
 
 def _metadata(wheel: Path):

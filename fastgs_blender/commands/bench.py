@@ -10,7 +10,7 @@ import statistics
 import time
 
 from ..util.errors import FastGSError
-from .shared import add_backend, image_size, print_json, use_threads
+from .shared import add_backend, chosen_backend, image_size, print_json, use_threads
 
 
 def add_arguments(parser):
@@ -37,7 +37,7 @@ def run(args):
         camera = resized(choose(sight(args.camera).views, args.view, args.camera).camera, *size)
     else:
         camera = overview(model, *size)
-    result = measure(model, camera, args.backend, args.repeat)
+    result = measure(model, camera, chosen_backend(args), args.repeat)
     if args.json:
         print_json(result)
         return

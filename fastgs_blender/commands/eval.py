@@ -19,7 +19,7 @@ from pathlib import Path
 from ..util.errors import FastGSError, printable
 from ..util.progress import progress
 from ..util.screen import COLUMNS
-from .shared import add_backend, human_bytes, model_file, note, print_json, say, use_threads
+from .shared import add_backend, chosen_backend, human_bytes, model_file, note, print_json, say, use_threads
 
 
 def add_arguments(parser):
@@ -46,6 +46,7 @@ def run(args):
     from ..evaluation.training_record import recorded
 
     use_threads(args.threads)
+    backend = chosen_backend(args)
     file = model_file(args.model)
     if file.is_dir():
         raise FastGSError(f"{file}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
@@ -70,7 +71,7 @@ def run(args):
                 bar.note(name if row["psnr"] is None else f"{name} {row['psnr']:.2f} dB")
                 bar.to(done, total)
 
-            result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=args.backend,
+            result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=backend,
                               lpips=not args.no_lpips, progress=show)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; no measures are written to {out}.") from None

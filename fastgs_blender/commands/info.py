@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""what a model file, a capture or a training run holds
+"""what a model file, a capture or a training run holds; which GPUs there are
 
 Of a model: the format, the number of Gaussians, how they move, fade and look, the clip, the axes and the bounds.  Of a capture (a folder,
 or a file such as transforms.json): the layout, cameras, frames, what is held out, masks, points, and everything that is wrong with its
@@ -7,6 +7,9 @@ files.  Of a training run (the folder that fastgs train wrote): how far it is, i
 
 It shows one screen; --all shows the rest: constants of the rasteriser, where the model came from, every problem.  --json gives everything
 for scripts.  The exit code is 1 where something is wrong with a capture or a run.
+
+--devices lists the GPUs instead: how they are reached, their drivers, the largest array that each holds (WebGPU does not say how much
+memory there is), and what the self-test said, which compares small pictures with the processor's.
 """
 from __future__ import annotations
 
@@ -24,12 +27,17 @@ CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
 
 
 def add_arguments(parser):
-    parser.add_argument("file", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
+    parser.add_argument("file", nargs="?", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
+    parser.add_argument("--devices", action="store_true", help="list the GPUs that --device can name")
     parser.add_argument("--layout", metavar="NAME", help="a capture's layout, where it is not recognised")
     parser.add_argument("--all", action="store_true", help="show everything, however long it is")
 
 
 def run(args):
+    if args.devices:
+        return _devices(args)
+    if args.file is None:
+        raise FastGSError("fastgs info needs a file or a folder to look at, or --devices.")
     if args.layout is None and is_run(args.file):
         facts, text = describe_run(args.file), run_text
         wrong = facts["state"] == "failed"
@@ -46,6 +54,23 @@ def run(args):
     else:
         print(text(facts, args.all))
     return PROBLEMS if wrong else 0
+
+
+def _devices(args):
+    """List the GPUs."""
+    from ..util.backends import describe_devices
+
+    found = describe_devices()
+    if args.json:
+        print_json(found)
+        return 0
+    for each in found["devices"]:
+        print(screen([(name, value) for name, value in (
+            ("device", each["name"]), ("kind", f"{each['kind']}, through {each['interface']}"), ("driver", each["driver"]),
+            ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"))], True, 0))
+        print()
+    print(f"--device auto means {found['auto'] or 'cpu'}." + (f"  {found['reason']}" if found["reason"] else ""))
+    return 0
 
 
 def is_capture(path) -> bool:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
-from .shared import add_backend, image_size, model_file, note, print_json, use_threads
+from .shared import add_backend, chosen_backend, image_size, model_file, note, print_json, use_threads
 
 NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
@@ -66,7 +66,8 @@ def run(args):
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = sight(args.camera).views
-    load_backend(args.backend)
+    backend = chosen_backend(args)
+    load_backend(backend)
     name = model_file(args.model)
     model = formats.open_source(name)
     if frames is None:
@@ -104,7 +105,7 @@ def run(args):
                 images.write_exr(files[i], image, model.colour_space, passes, attributes)
 
     start = time.perf_counter()
-    _render_all(args, model, name.stem, cameras, times, todo, write, passes, background, exposure)
+    _render_all(args, backend, model, name.stem, cameras, times, todo, write, passes, background, exposure)
     if args.json:
         print_json({
             "model": args.model, "frames": [float(frame) for frame in frames], "files": [str(file) for file in files],
@@ -112,7 +113,7 @@ def run(args):
         })
 
 
-def _render_all(args, model, name, cameras, times, todo, write, passes, background, exposure):
+def _render_all(args, backend, model, name, cameras, times, todo, write, passes, background, exposure):
     import numpy as np
 
     from ..rendering.api import render
@@ -125,7 +126,7 @@ def _render_all(args, model, name, cameras, times, todo, write, passes, backgrou
                 bar.to(done)
                 shown, t = model.moment(times[i])
                 scene = [Instance(shown, np.eye(4), t, name=name)]
-                image = render(scene, cameras[i], passes=wanted, backend=args.backend, exposure=exposure)
+                image = render(scene, cameras[i], passes=wanted, backend=backend, exposure=exposure)
                 write(i, image if background is None else _over(image, background, model.colour_space))
                 bar.to(done + 1)
         except KeyboardInterrupt:

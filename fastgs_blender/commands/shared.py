@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -15,10 +16,30 @@ PROBLEMS, FAILED, STOPPED = 1, 2, 130
 """Exit codes: something is wrong with what was looked at; the command failed; it was stopped.  0: all is well."""
 
 
+def add_device(parser):
+    """--device; its default is $FASTGS_DEVICE, or auto."""
+    parser.add_argument("--device", default=os.environ.get("FASTGS_DEVICE") or "auto", metavar="NAME", help="auto (default: a GPU that has "
+                        "passed its self-test, else the processor), cpu, gpu, or a part of a GPU's name; fastgs info --devices lists them")
+
+
 def add_backend(parser):
-    """--backend and --threads."""
-    parser.add_argument("--backend", default="auto", help="cpu, reference (slow, double precision) or auto (default)")
+    """--device, --backend and --threads."""
+    add_device(parser)
+    parser.add_argument("--backend", default="auto", help="how the processor renders: cpu, reference (slow, double precision) or auto "
+                        "(default: what --device says)")
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def chosen_backend(args) -> str:
+    """The backend that --device and --backend mean; says in a line where a GPU was asked for and is not used."""
+    if getattr(args, "backend", "auto") != "auto":
+        return args.backend
+    from ..util.backends import choose_device
+
+    name, about = choose_device(args.device)
+    if about:
+        note(about)
+    return name
 
 
 def use_threads(count: int | None):

@@ -56,7 +56,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
               object_index  [h, w]  Instance.index of what covers most of the pixel; 0 for nothing
               cryptomatte_00 .. _07  [h, w, 4]  two objects each, by Instance.name: number and coverage (cryptomatte.py)
               count         [h, w]  how many splats were blended
-    backend   "cpu" (numba), "reference" (NumPy, slow), "auto"
+    backend   "cpu" (numba), "reference" (NumPy, slow), "auto" (of these two the first that is there), "gpu" (the best GPU; "gpu:PART": the
+              one whose name holds PART), which lets the CPU draw what it fails at
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
     settings  PassSettings: the mist's distances, the frames before and after for vectors, and the light that casts shadows
     exposure  Exposure: motion blur and depth of field, of rgb, alpha and holdout.  The other passes show time t through the lens' middle

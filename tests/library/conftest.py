@@ -15,6 +15,8 @@ settings.register_profile("fastgs", deadline=None, derandomize=True, database=No
                           suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 settings.load_profile("fastgs")
 
+os.environ["FASTGS_DEVICE"] = "cpu"  # commands under test use no GPU, whatever this machine has, unless they are told to
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job: programs under test would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -96,7 +96,7 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples/playground.safetensors",
               "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
-               for p in package.parent.rglob("*.py")}
+               for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
     wanted |= {"CHANGELOG.md", *(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))}
     assert {"scene/__init__.py", "engine/__init__.py"} <= wanted
     assert names == wanted

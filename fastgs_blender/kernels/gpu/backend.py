@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The backend for GPUs: what is drawn goes through WebGPU, everything else is the CPU's; so is what a GPU fails at."""
+from __future__ import annotations
+
+import logging
+from functools import cache, cached_property
+
+import numpy as np
+
+from ...rendering.layout import PROBES
+from ..cpu.backend import CPU
+from . import steps, training
+from .adapters import find
+from .device import Array, Device, Failure
+from .lists import front_to_back
+from .picture import Bands, Drawn, Models, blend_all, colour, project
+
+
+class GPU(CPU):
+    """A backend on one device; the methods' contracts are those of protocol.TrainingBackend.
+
+    open  gives the Device, or raises Failure
+
+    Whatever goes wrong on the device, the picture is drawn by the CPU, and so are all others from then on; a line of the log says why.
+    """
+
+    def __init__(self, open):  # noqa: A002
+        self.open, self.failed = open, None
+
+    @cached_property
+    def models(self) -> Models:
+        """The device, and the models that stay on it."""
+        return Models(self.open())
+
+    @property
+    def device(self) -> Device:
+        return self.models.device
+
+    def _or_else(self, work, instead):
+        """The result of `work`, on the GPU, or that of `instead`, on the CPU."""
+        if self.failed is None:
+            try:
+                return work()
+            except Failure as failure:
+                self.failed = str(failure)
+                self.__dict__.pop("models", None)
+                logging.getLogger(__name__).warning("the GPU fails, so the CPU goes on: %s.", failure)
+        return instead()
+
+    def numpy(self, array):
+        if isinstance(array, Array):
+            return array.numpy()
+        return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
+
+    def draw(self, instances, camera, layout, probes, progress):
+        wanted = [name for name in PROBES if name in probes]
+        again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress))
+        return self._or_else(lambda: self._draw(instances, camera, layout, wanted, progress, again), again)
+
+    def _draw(self, instances, camera, layout, probes, progress, again):
+        splats = project(self.device, instances, camera, layout, [self.models.packs(instance.model) for instance in instances])
+        progress(0.3)
+        order = front_to_back(self.device, splats.depths, splats.rows)
+        bands = blend_all(self.device, order, splats, camera, probes, lambda share: progress(0.3 + 0.6 * share))
+        return Drawn.of(bands, layout, probes, again)
+
+    def colour(self, buffers, layout, camera):
+        if not isinstance(buffers, Drawn):
+            return super().colour(buffers, layout, camera)
+        again = cache(lambda: super(GPU, self).colour(buffers.again(), layout, camera))
+        return self._or_else(lambda: colour(self.device, buffers, layout, camera, again), again)
+
+    # training: its arrays stay on the device, so what fails there ends the step
+
+    def array(self, values):
+        return self.device.array(values)
+
+    def zeros(self, shape, dtype=np.float32):
+        return self.device.zeros(shape, dtype)
+
+    def read(self, *arrays):
+        return self.device.read_all(arrays)
+
+    def splat(self, parameters, template, camera, t, depth=False, band=0.0):
+        return training.splat(self.device, parameters, template, camera, t, depth, band)
+
+    def compare(self, picture, target, weight, background, dssim, opaque_weight, share):
+        return training.compare(self.device, picture, target, weight, background, dssim, opaque_weight, share)
+
+    def backward(self, picture, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
+        return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)
+
+    def rows(self, seen):
+        return seen
+
+    def count(self, rows):
+        return steps.count(self.device, rows)
+
+    def waits(self, rows, moved, step):
+        return steps.waits(self.device, rows, moved, step)
+
+    def motion_penalty(self, norm, motion, gradient, scale, waits):
+        return steps.motion_penalty(self.device, norm, motion, gradient, scale, waits)
+
+    def hold(self, features, held, gradient, rows, strength):
+        steps.hold(self.device, features, held, gradient, rows, strength)
+
+    def shrink(self, parameters, gradients, opacity_weight, scale_weight, extent):
+        steps.shrink(self.device, parameters, gradients, opacity_weight, scale_weight, extent)
+
+    def shake(self, parameters, reach, key):
+        steps.shake(self.device, parameters, reach, key)
+
+    def adam(self, rows, tensors, betas, moved, step):
+        steps.adam(self.device, rows, tensors, betas, moved, step)
+
+
+def named(part: str) -> GPU:
+    """The backend on the adapter whose name holds a text; "": on the best.  Raises FastGSError where there is none."""
+    return GPU(find(part).open)

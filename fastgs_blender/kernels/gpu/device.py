@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A GPU: its buffers, its shaders, and the queue of work that it is given.
+
+Work is recorded by run(), zeros() and copy(), and handed over when something is read or written, or by submit().  Buffers that nothing
+refers to any more are used again.  Whatever fails raises Failure, with a sentence; nothing is to be done with the device after it.
+"""
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from . import shaders
+
+GROUP = 256
+"""Threads of a workgroup: the most that WebGPU promises."""
+WIDEST = 32_768
+"""Workgroups in x; more of them go on in y (WebGPU promises 65 535 of each)."""
+SLOT = 256
+"""Alignment of a stage's parameters in their buffer (WebGPU's largest)."""
+PARAMETERS = 1 << 18
+"""Bytes of parameters that are handed over with one piece of work."""
+SPARE = 1 << 30
+"""Bytes of buffers that are kept to be used again."""
+
+
+class Failure(Exception):
+    """A GPU cannot do what it was asked for; the text is a sentence that says why."""
+
+
+class TooLarge(Failure):
+    """It could do less of it: a part of the picture."""
+
+
+@dataclass(eq=False)
+class Buffer:
+    """Memory of a device; it goes back to the device's store when nothing refers to it any more."""
+
+    device: Device
+    native: Any
+    size: int
+
+    def __del__(self):
+        self.device.take_back(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Array:
+    """An array on a device.
+
+    buffer   4 bytes for each number: float32, int32 or uint32
+    shape, dtype   as NumPy would have it; float64 and int64 are float32 and int32 on the device
+    columns  (first, last, width): the array is these columns of rows of `width` numbers; None: all there is
+    """
+
+    buffer: Buffer
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    columns: tuple[int, int, int] | None = None
+
+    def numpy(self) -> np.ndarray:
+        """The values."""
+        count = math.prod(self.shape)
+        if self.columns is None:
+            return self.buffer.device.read(self.buffer, stored(self.dtype), count).reshape(self.shape).astype(self.dtype)
+        first, last, width = self.columns
+        rows = count // (last - first)
+        values = self.buffer.device.read(self.buffer, stored(self.dtype), rows * width).reshape(rows, width)[:, first:last]
+        return values.reshape(self.shape).astype(self.dtype)
+
+
+def stored(dtype) -> np.dtype:
+    """The type in which a device holds numbers of a type."""
+    kind = np.dtype(dtype)
+    return np.dtype({"f": np.float32, "i": np.int32, "u": np.uint32, "b": np.uint32}[kind.kind])
+
+
+@dataclass(eq=False)
+class Device:
+    """An adapter that has been opened.
+
+    adapter  wgpu's GPUAdapter; opened with all the room that it has
+    broken   whether it has failed
+
+    Several threads may use it: each piece of work is recorded whole.
+    """
+
+    adapter: Any
+    broken: bool = False
+    _pipelines: dict = field(default_factory=dict)
+    _spare: dict[int, list] = field(default_factory=dict)
+    _spare_bytes: int = 0
+    _encoder: Any = None
+    _pass: Any = None
+    _parameters: bytearray = field(default_factory=bytearray)
+    _lock: Any = field(default_factory=threading.RLock)
+
+    @cached_property
+    def native(self):
+        """wgpu's GPUDevice."""
+        raised = ("max-storage-buffer-binding-size", "max-buffer-size")
+        return self._try(lambda: self.adapter.request_device_sync(required_limits={name: self.adapter.limits[name] for name in raised}))
+
+    @cached_property
+    def binding(self) -> int:
+        """Bytes of the largest buffer that a shader can see."""
+        return min(self.native.limits["max-storage-buffer-binding-size"], self.native.limits["max-buffer-size"])
+
+    @cached_property
+    def _arena(self):
+        import wgpu
+
+        return self._try(lambda: self.native.create_buffer(size=PARAMETERS, usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST))
+
+    # memory
+
+    def buffer(self, numbers: int) -> Buffer:
+        """A buffer for so many numbers of 4 bytes; what is in it is not known."""
+        size = 4 * max(int(numbers), 4)
+        if size > self.binding:
+            raise TooLarge(f"{size / 2**20:.0f} MiB in one piece are more than it can use at once ({self.binding / 2**20:.0f} MiB)")
+        size = min(_rounded(size), self.binding // 16 * 16)
+        with self._lock:
+            if self._spare.get(size):
+                self._spare_bytes -= size
+                return Buffer(self, self._spare[size].pop(), size)
+        try:
+            return Buffer(self, self._create(size), size)
+        except TooLarge:
+            self._let_go()
+            return Buffer(self, self._create(size), size)
+
+    def _create(self, size: int):
+        import wgpu
+
+        usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+        return self._try(lambda: self.native.create_buffer(size=size, usage=usage))
+
+    def take_back(self, buffer: Buffer) -> None:
+        """Keep what a buffer was made of, or let it go."""
+        with self._lock:
+            if not self.broken and self._spare_bytes + buffer.size <= SPARE:
+                self._spare.setdefault(buffer.size, []).append(buffer.native)
+                self._spare_bytes += buffer.size
+
+    def _let_go(self) -> None:
+        self.submit()
+        with self._lock:
+            self._spare.clear()
+            self._spare_bytes = 0
+
+    def empty(self, shape, dtype=np.float32) -> Array:
+        """An array whose values are not known."""
+        return Array(self.buffer(math.prod(shape)), tuple(shape), np.dtype(dtype))
+
+    def zeros(self, shape, dtype=np.float32) -> Array:
+        """An array of zeros."""
+        array = self.empty(shape, dtype)
+        self.clear(array.buffer)
+        return array
+
+    def clear(self, buffer: Buffer) -> None:
+        """Fill a buffer with zeros."""
+        self._try(lambda: self._commands().clear_buffer(buffer.native))
+
+    def array(self, values) -> Array:
+        """The values as an array of the device."""
+        values = np.asarray(values)
+        array = self.empty(values.shape, values.dtype)
+        self.write(array.buffer, np.ascontiguousarray(values, stored(values.dtype)))
+        return array
+
+    def write(self, buffer: Buffer, data: np.ndarray, at: int = 0) -> None:
+        """Write numbers into a buffer from its number `at` on, after all work that was recorded."""
+        if data.size:
+            self.submit()
+            self._try(lambda: self.native.queue.write_buffer(buffer.native, 4 * at, data))
+
+    def copy(self, source: Buffer, target: Buffer, numbers: int, begin: int = 0, at: int = 0) -> None:
+        """Copy so many numbers from `begin` on in one buffer to `at` in another."""
+        if numbers:
+            self._try(lambda: self._commands().copy_buffer_to_buffer(source.native, 4 * begin, target.native, 4 * at, 4 * numbers))
+
+    def read(self, buffer: Buffer, dtype, count: int, begin: int = 0) -> np.ndarray:
+        """`count` numbers of a buffer from `begin` on; waits for all work."""
+        if not count:
+            return np.empty(0, dtype)
+        self.submit()
+        data = self._try(lambda: self.native.queue.read_buffer(buffer.native, 4 * begin, 4 * count))
+        return np.frombuffer(data, dtype, count)
+
+    def read_all(self, arrays: list[Array]) -> list[np.ndarray]:
+        """The values of several small arrays at once, which are no columns of others."""
+        sizes = [math.prod(array.shape) for array in arrays]
+        together, at = self.buffer(sum(sizes)), 0
+        for array, size in zip(arrays, sizes):
+            self.copy(array.buffer, together, size, 0, at)
+            at += size
+        values = np.split(self.read(together, np.uint32, sum(sizes)), np.cumsum(sizes)[:-1])
+        return [part.view(stored(array.dtype)).reshape(array.shape).astype(array.dtype) for part, array in zip(values, arrays)]
+
+    # work
+
+    def run(self, stage: str, threads: int, parameters, *buffers, groups: bool = False, **constants) -> None:
+        """Give the GPU a stage to do (wgsl/<stage>.wgsl).
+
+        threads     how many are needed, in workgroups of GROUP; with `groups` that many workgroups
+        parameters  what the stage's uniform structure holds: numbers and arrays, one after the other (packed)
+        buffers     Arrays or Buffers, as the stage's bindings name them from 1 on
+        constants   filled into the shader: {NAME}
+        """
+        count = int(threads) if groups else -(-int(threads) // GROUP)
+        if count == 0:
+            return
+        x = min(count, WIDEST)
+        self._try(lambda: self._dispatch(self._pipeline(stage, constants), packed(parameters), buffers, (x, -(-count // x), 1)))
+
+    def _dispatch(self, pipeline, parameters: bytes, buffers, size) -> None:
+        where = -(-len(self._parameters) // SLOT) * SLOT
+        if where + len(parameters) > PARAMETERS:
+            self.submit()
+            where = 0
+        self._parameters += bytes(where - len(self._parameters)) + parameters
+        entries = [{"binding": 0, "resource": {"buffer": self._arena, "offset": where, "size": len(parameters)}}]
+        for number, each in enumerate(buffers, 1):
+            buffer = each.buffer if isinstance(each, Array) else each
+            entries.append({"binding": number, "resource": {"buffer": buffer.native, "offset": 0, "size": buffer.size}})
+        group = self.native.create_bind_group(layout=pipeline.get_bind_group_layout(0), entries=entries)
+        if self._pass is None:
+            self._pass = self._commands().begin_compute_pass()
+        self._pass.set_pipeline(pipeline)
+        self._pass.set_bind_group(0, group)
+        self._pass.dispatch_workgroups(*size)
+
+    def _pipeline(self, stage: str, constants: dict):
+        key = stage, *sorted(constants.items())
+        if key not in self._pipelines:
+            module = self.native.create_shader_module(code=shaders.source(stage, **constants), label=stage)
+            self._pipelines[key] = self.native.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
+        return self._pipelines[key]
+
+    def _commands(self):
+        """The encoder of the work that has not been handed over, outside of any pass."""
+        if self._encoder is None:
+            self._encoder = self.native.create_command_encoder()
+        if self._pass is not None:
+            self._pass.end()
+            self._pass = None
+        return self._encoder
+
+    def submit(self) -> None:
+        """Hand over all that was recorded."""
+        self._try(self._submit)
+
+    def _submit(self) -> None:
+        if self._encoder is None:
+            return
+        commands = self._commands()
+        self._encoder = None
+        if self._parameters:
+            self.native.queue.write_buffer(self._arena, 0, self._parameters)
+            self._parameters = bytearray()
+        self.native.queue.submit([commands.finish()])
+
+    def _try(self, action):
+        """The action's result; what goes wrong in it becomes a Failure."""
+        import wgpu
+
+        if self.broken:
+            raise Failure("it has failed before")
+        try:
+            with self._lock:
+                return action()
+        except wgpu.GPUOutOfMemoryError as error:
+            raise TooLarge(f"its memory is full ({_first_line(error)})") from error
+        except (wgpu.GPUError, RuntimeError, OSError, ValueError) as error:
+            self.broken = True
+            raise Failure(_first_line(error)) from error
+
+
+def packed(values) -> bytes:
+    """Numbers and arrays one after the other, as a uniform structure of vec4 has them: whole numbers as u32, others as f32; each value
+    begins a new vec4, and lists of numbers follow each other."""
+    parts = []
+    for value in values:
+        array = np.asarray(value).ravel()
+        array = array.astype(np.float32 if array.dtype.kind == "f" else np.uint32)
+        parts.append(array.tobytes())
+        parts.append(bytes(-len(parts[-1]) % 16))
+    return b"".join(parts)
+
+
+def _rounded(size: int) -> int:
+    """The next larger size of those that buffers have: 2^n and 3 * 2^(n - 1)."""
+    power = 1 << (size - 1).bit_length()
+    return 3 * power // 4 if size <= 3 * power // 4 else power
+
+
+def _first_line(error: Exception) -> str:
+    """What an error says, in a line: that after the stage in which it happened."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    telling = [line for line in lines if not line.startswith(("Validation Error", "Caused by", "In wgpu"))]
+    return (telling or lines or [type(error).__name__])[0].rstrip(".")[:200]

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sums of what comes before, radix sort, and the lists of splats that touch each tile, front to back."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .device import Array, Buffer, Device, TooLarge
+from .shaders import TILE
+
+BLOCK = 2048
+"""Numbers that a workgroup scans or sorts."""
+DIGIT = 4
+ENTRIES = 1 << 25
+"""Entries of tile lists held at once; a picture with more is drawn in bands."""
+TILES = 1 << 18
+"""Tiles drawn at once, so that a workgroup's counts stay below 2^32."""
+
+
+def scan(device: Device, values: Buffer, count: int) -> None:
+    """Turn `count` whole numbers into the sums of those before them."""
+    blocks = -(-count // BLOCK)
+    sums = device.buffer(blocks)
+    device.run("scan_block", blocks, [[count, 0, 0, 0]], values, sums, groups=True)
+    if blocks > 1:
+        scan(device, sums, blocks)
+        device.run("scan_add", count, [[count, 0, 0, 0]], values, sums)
+
+
+def sort(device: Device, keys: Buffer, values: Buffer, count: int, bits: int) -> tuple[Buffer, Buffer]:
+    """Keys of so many bits in their order, and each one's value; equal keys keep theirs.  Both buffers are written to."""
+    blocks = -(-count // BLOCK)
+    others = device.buffer(count), device.buffer(count)
+    counts = device.buffer(16 * blocks)
+    for shift in range(0, bits, DIGIT):
+        job = [[count, shift, blocks, 0]]
+        device.run("sort_count", blocks, job, keys, counts, groups=True)
+        scan(device, counts, 16 * blocks)
+        device.run("sort_scatter", blocks, job, counts, keys, values, *others, groups=True)
+        (keys, values), others = others, (keys, values)
+    return keys, values
+
+
+def front_to_back(device: Device, depths: Buffer, count: int) -> Buffer:
+    """The rows of splats by their depths, of which the bits are sorted; what is not drawn comes last."""
+    keys, rows = device.buffer(count), device.buffer(count)
+    device.copy(depths, keys, count)
+    device.run("iota", count, [[count, 0, 0, 0]], rows)
+    return sort(device, keys, rows, count, 32)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class TileLists:
+    """The splats of each tile of a grid, front to back.
+
+    grid     first tile in x and y of the image, columns, rows
+    starts   [tiles + 1] where each tile's list begins in ids, which holds rows of splats
+    values   of each entry: which it is among the entries of its splat and of those before it; runs [splats + 1] says where these begin
+    entries  their number
+    """
+
+    grid: tuple[int, int, int, int]
+    starts: Array
+    ids: Array
+    values: Buffer
+    runs: Buffer
+    entries: int
+
+
+def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int) -> TileLists:
+    """The lists of a grid of tiles for splats (picture.Splats) in their order; raises TooLarge where they have over `most` entries."""
+    count, tiles = splats.rows, grid[2] * grid[3]
+    if tiles > TILES:
+        raise TooLarge(f"a picture of {tiles} tiles is more than it draws at once")
+    job, runs = [list(grid), [count, 0, 0, 0]], device.buffer(count + 1)
+    device.clear(runs)
+    device.run("tiles_count", count, job, order, splats.depths, splats.a, splats.b, runs)
+    scan(device, runs, count + 1)
+    entries = int(device.read(runs, np.uint32, 1, count)[0])
+    if entries > most:
+        raise TooLarge(f"{entries} tile entries are more than it holds at once")
+    starts, ids = device.zeros((tiles + 1,), np.uint32), device.empty((entries,), np.uint32)
+    keys, owner, values = (device.buffer(entries) for _ in range(3))
+    if entries:
+        device.run("tiles_emit", count, job, order, runs, splats.a, splats.b, keys, owner, values)
+        keys, values = sort(device, keys, values, entries, max((tiles - 1).bit_length(), 1))
+        device.run("tiles_ranges", entries + 1, [[entries, tiles, 0, 0]], keys, values, owner, starts, ids)
+    return TileLists(grid, starts, ids, values, runs, entries)
+
+
+def grid_of(window: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The tiles of a window (x, y, width, height): first in x and y of the image, columns, rows."""
+    x0, y0, width, height = window
+    left, top = x0 // TILE, y0 // TILE
+    return left, top, (x0 + width - 1) // TILE - left + 1, (y0 + height - 1) // TILE - top + 1

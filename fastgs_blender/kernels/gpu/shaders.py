@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The text of shaders: wgsl/<stage>.wgsl, the files that it includes, and constants filled in.
+
+A line `//include NAME` stands for wgsl/NAME.wgsl.  {NAME} stands for a constant: those that a stage is asked for with, those of CONSTANTS,
+and no others, so that no number is written down twice.
+"""
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ...model.appearance import SH_C0, SH_C1, SH_C2, SH_C3, SH_C4
+from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
+from ...rendering.crops import SPHERE, VOLUME
+from ...rendering.instances import LIMIT
+from ...rendering.layout import DEPTH_FROM
+from ...rendering.looks import Look
+from ...rendering.oracle import T_STOP
+
+FOLDER = Path(__file__).parent / "wgsl"
+TILE = 16
+
+CONSTANTS = {
+    "TILE": TILE, "LIMIT": LIMIT, "T_STOP": T_STOP, "SPHERE": SPHERE, "VOLUME": VOLUME,
+    "MEDIAN_FROM": DEPTH_FROM["median"], "FIRST_FROM": DEPTH_FROM["first"],
+    "SH_C0": SH_C0, "SH_C1": SH_C1, **{f"SH_C{degree}_{i}": value for degree, values in ((2, SH_C2), (3, SH_C3), (4, SH_C4))
+                                       for i, value in enumerate(values)},
+    "SRGB_CUT": SRGB_CUT, "SRGB_GAMMA": SRGB_GAMMA, "SRGB_LINEAR_CUT": SRGB_LINEAR_CUT, "SRGB_OFFSET": SRGB_OFFSET,
+    "SRGB_SLOPE": SRGB_SLOPE, **{f"LOOK_{place.name}": int(place) for place in Look},
+}
+
+
+@cache
+def source(stage: str, **constants) -> str:
+    """The shader of a stage."""
+    values = CONSTANTS | constants
+    text = re.sub(r"(?m)^//include (\w+)$", lambda found: _text(found[1]), _text(stage))
+    return re.sub(r"\{([A-Z][A-Z0-9_]*)\}", lambda found: _literal(values[found[1]]), text)
+
+
+@cache
+def _text(name: str) -> str:
+    return (FOLDER / f"{name}.wgsl").read_text("utf-8")
+
+
+def _literal(value) -> str:
+    """A number as WGSL writes it: of float32 the nearest, whole ones as they are."""
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    return str(value) if isinstance(value, int) else f"{np.float32(value):.9e}"

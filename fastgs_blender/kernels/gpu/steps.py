@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The parts of a training step that update all parameters, on a GPU: penalties, random moves, Adam."""
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+
+from ..cpu.adam import corrections
+from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
+from ..protocol import MotionNorm
+from .device import Array, Device
+from .training import total
+
+
+def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
+    """TrainingBackend.motion_penalty()."""
+    n, terms = motion.shape[:2]
+    if not n or not norm.weights.any():
+        return device.zeros((1,), np.float64)
+    rows = terms if norm.matrix is None else len(norm.matrix)
+    matrix = np.zeros(0) if norm.matrix is None else norm.matrix.ravel()
+    table = device.array(np.concatenate([matrix, norm.weights / (n * norm.extent)]).astype(np.float32))
+    job = [[n, terms, rows, norm.matrix is not None], [norm.smooth * norm.extent, scale, 0.0, 0.0]]
+    group, squares = norm.reading == "group", table
+    if group:
+        squares = device.empty((n, 3 * rows))
+        device.run("penalty_squares", n * rows, job, motion, table, squares)
+        squares = total(device, squares)
+    values = device.empty((n, 1))
+    device.run("penalty", n, job, motion, waits, table, squares, gradient, values, GROUP=group)
+    return Array(total(device, values).buffer, (1,), np.dtype(np.float64))
+
+
+def count(device: Device, seen: Array) -> Array:
+    """TrainingBackend.count()."""
+    return Array(total(device, Array(seen.buffer, (*seen.shape, 1), seen.dtype)).buffer, (1,), np.dtype(np.float64))
+
+
+def waits(device: Device, seen: Array, moved: Array, step: int) -> Array:
+    """TrainingBackend.waits()."""
+    out = device.empty(seen.shape)
+    device.run("waits", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, out)
+    return out
+
+
+def hold(device: Device, features: Array, held: Array, gradient: Array, seen: Array, strength: float) -> None:
+    """TrainingBackend.hold()."""
+    numbers = math.prod(features.shape)
+    device.run("hold", numbers, [[numbers, features.shape[1], 0, 0], [strength, 0.0, 0.0, 0.0]], seen, features, held, gradient)
+
+
+def shrink(device: Device, parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
+    """TrainingBackend.shrink()."""
+    n = len_(parameters["opacity"])
+    job = [[n, 0, 0, 0], [opacity_weight / max(n, 1), scale_weight / (3 * max(n, 1) * extent), 0.0, 0.0]]
+    device.run("shrink", n, job, parameters["opacity"], parameters["scale"], gradients["opacity"], gradients["scale"])
+
+
+def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+    """TrainingBackend.shake()."""
+    n = len_(parameters["opacity"])
+    seeds = np.random.SeedSequence(key).generate_state(2).tolist()
+    device.run("shake", n, [[n, *seeds, 0], [reach, GATE, SHARPNESS, NEGLIGIBLE]], parameters["opacity"], parameters["rotation"],
+               parameters["scale"], parameters["position"])
+
+
+def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
+    """TrainingBackend.adam()."""
+    table = _table(device, *betas)
+    for value, gradient, mean, square, steps, rate, shared in tensors:
+        n, numbers = len_(value), math.prod(value.shape)
+        columns = numbers // n
+        rates = np.zeros(-(-columns // 4) * 4, np.float32)
+        rates[:columns] = np.asarray(rate, np.float32).reshape(-1)
+        job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
+        device.run("adam", numbers, job, seen, steps, table, gradient, value, mean, square, RATES=len(rates) // 4)
+        device.run("adam_count", n, [[n, shared, 0, 0]], seen, steps)
+    device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved)
+
+
+@cache
+def _table(device: Device, beta1: float, beta2: float) -> Array:
+    """The corrections of bias, on a device."""
+    return device.array(corrections(beta1, beta2))
+
+
+def len_(array: Array) -> int:
+    """The number of rows."""
+    return array.shape[0]

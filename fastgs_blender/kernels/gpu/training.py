@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A view in training on a GPU: its picture, its loss, and the backward pass to the model's parameters.
+
+Nothing is brought back but the length of the tile lists, from which the size of their buffers follows.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...model.appearance import Features
+from ...model.gaussians import GaussianModel
+from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.layout import Layout
+from ..parameters import DECODER
+from ..protocol import Comparison, Splatted
+from .device import Array, Buffer, Device
+from .lists import front_to_back
+from .picture import Band, Bands, Splats, blend_all, decoder, project, smooth
+from .scene import DETACHED, ORDER, Pack, View, packs
+
+WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
+"""SSIM's Gaussian window, as kernels/cpu/loss.py has it."""
+PIXELS = 128
+"""Pixels of a workgroup of colour_backward.wgsl."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What splat() stores for backward(); matrices: the decoder's, or None; smooth: constants of the shaders; shapes: of all
+    parameters."""
+
+    instance: ViewedInstance
+    camera: Camera
+    layout: Layout
+    packs: list[Pack]
+    matrices: Array | None
+    splats: Splats
+    order: Buffer
+    bands: list[Band]
+    smooth: dict
+    shapes: dict[str, tuple[int, ...]]
+
+
+def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool,
+          band: float) -> Splatted:
+    """TrainingBackend.splat()."""
+    instance = Instance(template, np.eye(4), t).viewed(camera)
+    layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
+    splats = project(device, [instance], camera, layout, [found])
+    order = front_to_back(device, splats.depths, splats.rows)
+    bands = blend_all(device, order, splats, camera, [], lambda share: None, True, band)
+    alpha = _bands([_columns(band.flat, 0) for band in bands])
+    if isinstance(template.appearance, Features):
+        matrices = device.empty((90,))
+        device.copy(parameters["w1"].buffer, matrices.buffer, 72)
+        device.copy(parameters["w2"].buffer, matrices.buffer, 18, 0, 72)
+        rgb = _bands([_decoded(device, band, layout, camera, matrices) for band in bands])
+    else:
+        matrices, rgb = None, _bands([_columns(band.channels, 0, 3) for band in bands])
+    deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
+    shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
+    return Splatted(rgb, alpha, deep, Seen(instance, camera, layout, found, matrices, splats, order, bands, smooth(band), shapes))
+
+
+def _bands(parts: list[Array]) -> Bands:
+    return Bands(parts, lambda: None)
+
+
+def _columns(array: Array, first: int, last: int | None = None) -> Array:
+    """Some columns of [h, w, C]; without `last` one of them, as [h, w]."""
+    shape = array.shape[:2] if last is None else (*array.shape[:2], last - first)
+    return Array(array.buffer, shape, array.dtype, (first, first + 1 if last is None else last, array.shape[2]))
+
+
+def _decoder_of(band: Band, layout: Layout, camera: Camera) -> list:
+    return decoder(layout.groups[0], _columns(band.channels, 0, 9), _columns(band.flat, 0), camera, band.top)
+
+
+def _decoded(device: Device, band: Band, layout: Layout, camera: Camera, matrices: Array) -> Array:
+    """The colour [h, w, 3] of a band's features."""
+    rgb = device.zeros((*band.channels.shape[:2], 3))
+    device.run("colour", math.prod(rgb.shape[:2]), _decoder_of(band, layout, camera), band.channels, band.flat, matrices, rgb)
+    return rgb
+
+
+def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
+            share: float) -> Comparison:
+    """TrainingBackend.compare()."""
+    height, width = target.shape[:2]
+    pixels, numbers = height * width, 3 * height * width
+    behind = [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
+    whole, cover, done = device.empty(target.shape), device.empty((height, width)), 0
+    for rgb, alpha in zip(picture.rgb.parts, picture.alpha.parts):
+        count = math.prod(alpha.shape)
+        strides = [3 if rgb.columns is None else rgb.columns[2], alpha.columns[2]]
+        device.run("loss_over", count, [[count, done, *strides], behind], rgb, alpha, whole, cover)
+        done += count
+    taps = WINDOW / WINDOW.sum()
+    scales = [(1 - dssim) / numbers, -dssim / numbers, float(share), float(opaque_weight)]
+    job = [[width, height, weight is not None, numbers], scales, behind, [*taps, 0.0]]
+    weights = device.buffer(1) if weight is None else weight
+    moments, slopes = device.buffer(5 * numbers), device.buffer(3 * numbers)
+    groups = -(-numbers // 256)
+    sums, values = device.empty((groups, 4)), device.empty((4,), np.float64)
+    device.run("loss_moments", numbers, job, whole, target, weights, moments)
+    device.run("loss_similarity", numbers, job, whole, target, weights, cover, moments, slopes, sums)
+    device.run("loss_across", numbers, job, slopes, moments)
+    by_rgb, by_alpha = device.empty(target.shape), device.empty((height, width))
+    device.run("loss_slope", pixels, job, whole, target, weights, moments, by_rgb, by_alpha)
+    device.run("loss_values", 1, [[float(numbers), dssim, opaque_weight, 0.0]], total(device, sums), values, groups=True)
+    return Comparison(values, by_rgb, None if background is None and not opaque_weight else by_alpha)
+
+
+def total(device: Device, values: Array) -> Array:
+    """Sums [C] down the columns of values [R, C], always in the same order."""
+    rows, columns = values.shape
+    while rows > 1:
+        blocks = -(-rows // 64)
+        sums = device.empty((blocks, columns))
+        device.run("sum_rows", blocks * columns, [[rows, columns, 0, 0]], values, sums)
+        rows, values = blocks, sums
+    return Array(values.buffer, (columns,), values.dtype) if rows else device.zeros((columns,))
+
+
+def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array | None, depth: Array | None, into, statistics,
+             seen: Array | None, detach_time: bool) -> dict[str, Array]:
+    """TrainingBackend.backward()."""
+    view: Seen = picture.state
+    splats, quads, channels, found = view.splats, view.splats.quads, 3, {}
+    height, width = view.camera.window[3], view.camera.window[2]
+    by_alpha = device.zeros((height, width)) if alpha is None else alpha
+    slopes = device.zeros((height, width, 3)) if rgb is None else rgb
+    if view.matrices is not None:
+        w1, w2 = device.zeros((6, 12)), device.zeros((3, 6))
+        found = {"w1": w1, "w2": w2}
+        if rgb is not None:
+            by_alpha, channels = device.zeros((height, width)), 9
+            if alpha is not None:
+                device.copy(alpha.buffer, by_alpha.buffer, height * width)
+            slopes = _decoder_backward(device, view, rgb, by_alpha, w1, w2)
+    deep = 0 if depth is None or view.layout.depth is None else view.layout.depth + 1
+    sums, done = device.zeros((splats.rows, 4 * (quads + 2))), 0
+    for band in view.bands:
+        pixels = math.prod(band.flat.shape[:2])
+        start, rows = device.buffer(4 * (quads + 1) * pixels), device.buffer(4 * (quads + 2) * band.lists.entries)
+        device.run("raster_seed", pixels, [[pixels, done, channels, deep]], band.flat, slopes, by_alpha, depth if deep else by_alpha, start,
+                   QUADS=quads)
+        x0 = view.camera.window[0]
+        device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
+                   band.lists.starts, band.lists.ids, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
+                   QUADS=quads, **view.smooth)
+        device.run("collect", splats.rows, [[splats.rows, 0, 0, 0]], view.order, band.lists.runs, rows, sums, QUADS=quads)
+        done += pixels
+    if statistics is not None:
+        _observe(device, view, sums, statistics)
+    if seen is not None:
+        device.run("mark", splats.rows, [[splats.rows, 0, 0, 0]], splats.depths, seen)
+    return _to_parameters(device, view, sums, found, into, detach_time)
+
+
+def _decoder_backward(device: Device, view: Seen, rgb: Array, by_alpha: Array, w1: Array, w2: Array) -> Array:
+    """Gradients of the features [h, w, 9]; that of alpha and of the decoder's matrices are added to by_alpha, w1 and w2."""
+    slopes = device.empty((*by_alpha.shape, 9))
+    for band in view.bands:
+        groups = -(-math.prod(band.flat.shape[:2]) // PIXELS)
+        sums = device.empty((groups, 90))
+        device.run("colour_backward", groups, _decoder_of(band, view.layout, view.camera), band.channels, band.flat, view.matrices, rgb,
+                   slopes, by_alpha, sums, groups=True)
+        both = total(device, sums)
+        device.run("add", 72, [[72, 0, 0, 0]], both, w1)
+        device.run("add", 18, [[18, 72, 0, 0]], both, w2)
+    return slopes
+
+
+def _observe(device: Device, view: Seen, sums: Array, statistics) -> None:
+    """Add the view to the statistics of density control."""
+    splats, camera = view.splats, view.camera
+    device.run("observe", splats.rows, [[splats.rows, 0, 0, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]], splats.depths, splats.a,
+               splats.b, sums, statistics.gradient, statistics.absolute, QUADS=splats.quads)
+    device.run("notice", splats.rows, [[splats.rows, 0, 0, 0], [float(max(camera.width, camera.height)), 0.0, 0.0, 0.0]], splats.depths,
+               splats.a, splats.b, statistics.seen, statistics.radius)
+
+
+def _to_parameters(device: Device, view: Seen, sums: Array, found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
+    """From the sums of the splats to the gradients of the parameters, added to those in `into`, if there are any."""
+    out = {name: device.empty(view.shapes[name]) for name in ORDER} if into is None else into
+    project_view = View(device, view.instance, view.camera, view.layout)
+    project_view.flags |= DETACHED * detach_time
+    for pack in view.packs:
+        gradient = device.buffer(pack.buffer.size // 4)
+        device.clear(gradient)
+        device.run("project_backward", pack.count, project_view.parameters(pack, pack.first, 4 * view.splats.quads), pack.buffer,
+                   project_view.extra, view.splats.depths, view.splats.a, view.splats.b, sums, gradient, QUADS=view.splats.quads)
+        at = 0
+        for name in ORDER:
+            each = math.prod(view.shapes[name][1:])
+            count, first = pack.count * each, pack.first * each
+            if into is None:
+                device.copy(gradient, out[name].buffer, count, at, first)
+            else:
+                device.run("add", count, [[count, at, first, 0]], gradient, out[name])
+            at += count
+    for name, gradient in found.items():
+        if into is None:
+            out[name] = gradient
+        else:
+            count = math.prod(gradient.shape)
+            device.run("add", count, [[count, 0, 0, 0]], gradient, out[name])
+    return out

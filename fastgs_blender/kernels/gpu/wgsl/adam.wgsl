@@ -1,0 +1,39 @@
+// A step of Adam for each number of the rows that count (kernels/cpu/adam.py); the rows' own steps are counted afterwards (adam_count.wgsl).
+
+//include common
+
+struct Job {
+    size: vec4u,  // numbers, columns, whether all rows move, length of the table
+    betas: vec4f, // beta1, beta2, 1 - beta1, 1 - beta2
+    rates: array<vec4f, {RATES}>,
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> seen: array<f32>;
+@group(0) @binding(2) var<storage, read> count: array<i32>;
+@group(0) @binding(3) var<storage, read> table: array<vec2f>; // corrections of the moments' bias by the row's step
+@group(0) @binding(4) var<storage, read> gradient: array<f32>;
+@group(0) @binding(5) var<storage, read_write> value: array<f32>;
+@group(0) @binding(6) var<storage, read_write> mean: array<f32>;
+@group(0) @binding(7) var<storage, read_write> square: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let i = place(group, groups) * 256u + lane;
+    if i >= job.size.x {
+        return;
+    }
+    let row = i / job.size.y;
+    if job.size.z == 0u && seen[row] == 0.0 {
+        return;
+    }
+    let column = i % job.size.y;
+    let corrections = table[min(u32(count[row] + 1), job.size.w - 1u)];
+    let g = select(0.0, gradient[i], abs(gradient[i]) <= 3e38);
+    let m = job.betas.x * mean[i] + job.betas.z * g;
+    let kept = select(0.0, m, abs(m) > 1e-30);
+    let s = job.betas.y * square[i] + job.betas.w * g * g;
+    mean[i] = kept;
+    square[i] = s;
+    value[i] -= job.rates[column / 4u][column % 4u] * corrections.x * kept / (sqrt(s) * corrections.y + 1e-15);
+}

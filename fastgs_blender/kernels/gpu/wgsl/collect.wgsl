@@ -1,0 +1,29 @@
+// Add up the rows of each splat's entries, in the order of its tiles, to what other bands have left.
+
+//include common
+
+@group(0) @binding(0) var<uniform> length: vec4u; // splats
+@group(0) @binding(1) var<storage, read> order: array<u32>;
+@group(0) @binding(2) var<storage, read> runs: array<u32>;
+@group(0) @binding(3) var<storage, read> rows: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> sums: array<vec4f>;
+
+const WIDTH = {QUADS}u + 2u;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let k = place(group, groups) * 256u + lane;
+    if k >= length.x || runs[k] == runs[k + 1u] {
+        return;
+    }
+    var total = array<vec4f, {QUADS} + 2>();
+    for (var e = runs[k]; e < runs[k + 1u]; e++) {
+        for (var i = 0u; i < WIDTH; i++) {
+            total[i] += rows[e * WIDTH + i];
+        }
+    }
+    let at = order[k] * WIDTH;
+    for (var i = 0u; i < WIDTH; i++) {
+        sums[at + i] += total[i];
+    }
+}

@@ -1,0 +1,17 @@
+// A model's decoder before a camera, as picture.py packs it.
+
+struct Decoder {
+    ray_x: vec4f,  // rows of camera to model; last the camera's centre in the model
+    ray_y: vec4f,
+    ray_z: vec4f,
+    lens: vec4f,   // fx, fy, cx, cy
+    corner: vec4f, // x and y of the first pixel; whether the camera is orthographic
+    look: array<vec4f, 5>,
+    size: vec4u,   // pixels, width, numbers of a pixel's channels, the first pixel in the whole picture
+    plan: vec4u,   // first channel; where a pixel's weight lies among how many numbers; activation, or PLAIN
+}
+
+const SIGMOID = 0u;
+const CLAMP = 1u;
+const NONE = 2u;
+const PLAIN = 3u;

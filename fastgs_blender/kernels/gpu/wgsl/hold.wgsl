@@ -1,0 +1,26 @@
+// Pull the features of the rows that count to those that are held; not a number: not held (training/core/hold.py).
+
+//include common
+
+struct Job {
+    size: vec4u, // numbers, columns
+    strength: vec4f,
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> seen: array<f32>;
+@group(0) @binding(2) var<storage, read> features: array<f32>;
+@group(0) @binding(3) var<storage, read> held: array<u32>;
+@group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let i = place(group, groups) * 256u + lane;
+    if i >= job.size.x {
+        return;
+    }
+    let row = i / job.size.y;
+    if seen[row] != 0.0 && (held[row * job.size.y] & 0x7f800000u) != 0x7f800000u {
+        gradient[i] += job.strength.x * (features[i] - bitcast<f32>(held[i]));
+    }
+}

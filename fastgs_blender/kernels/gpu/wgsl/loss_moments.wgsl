@@ -1,0 +1,40 @@
+// Weighted sums along the rows of x, y, x^2, y^2 and x y, plane by plane.
+
+//include common
+//include loss
+
+@group(0) @binding(0) var<uniform> job: Loss;
+@group(0) @binding(1) var<storage, read> picture: array<f32>;
+@group(0) @binding(2) var<storage, read> goal: array<f32>;
+@group(0) @binding(3) var<storage, read> weights: array<f32>;
+@group(0) @binding(4) var<storage, read_write> moments: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let i = place(group, groups) * 256u + lane;
+    if i >= job.size.w {
+        return;
+    }
+    let x = i32(i / 3u % job.size.x);
+    var mean = vec2f(0.0);
+    var square = vec3f(0.0);
+    for (var k = -REACH; k <= REACH; k++) {
+        if x + k < 0 || x + k >= i32(job.size.x) {
+            continue;
+        }
+        let at = u32(i32(i) + 3 * k);
+        let q = goal[at];
+        var p = picture[at];
+        if job.size.z != 0u {
+            p = q + (p - q) * min(weights[at / 3u], 1.0);
+        }
+        mean += tap(k + REACH) * vec2f(p, q);
+        square += tap(k + REACH) * vec3f(p * p, q * q, p * q);
+    }
+    let n = job.size.w;
+    moments[i] = mean.x;
+    moments[n + i] = mean.y;
+    moments[2u * n + i] = square.x;
+    moments[3u * n + i] = square.y;
+    moments[4u * n + i] = square.z;
+}

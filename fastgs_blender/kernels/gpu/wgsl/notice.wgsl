@@ -1,0 +1,28 @@
+// Add one view to the statistics of density control: in which views a Gaussian was seen, and its largest radius.
+
+//include common
+
+struct Job {
+    size: vec4u,    // Gaussians
+    longest: vec4f, // the image's longer side
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> depths: array<u32>;
+@group(0) @binding(2) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(3) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> seen: array<f32>;
+@group(0) @binding(5) var<storage, read_write> radius: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let n = place(group, groups) * 256u + lane;
+    if n >= job.size.x || depths[n] == 0xffffffffu {
+        return;
+    }
+    let a = splat_a[n];
+    let b = splat_b[n];
+    let reach = sqrt(max(b.y - b.w, 0.0)) / b.x * max(length(vec2f(b.x, a.w)) / a.z, 1.0);
+    seen[n] += 1.0;
+    radius[n] = max(radius[n], (reach + 1e-3) / job.longest.x);
+}

@@ -1,0 +1,133 @@
+// Blend the splats of each tile front to back: a workgroup for each tile, a thread for each pixel (kernels/cpu/raster.py).
+
+//include common
+
+struct Job {
+    window: vec4i, // x0, y0, right, bottom in pixels of the image
+    tiles: vec4i,  // first tile in x and in y, columns, rows
+    rows: vec4i,   // the picture's first row, of the image; numbers of a pixel in `flat`
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> starts: array<u32>;
+@group(0) @binding(2) var<storage, read> ids: array<u32>;
+@group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(5) var<storage, read> channels: array<vec4f>;
+@group(0) @binding(6) var<storage, read> depths: array<f32>;
+@group(0) @binding(7) var<storage, read_write> picture: array<vec4f>;
+@group(0) @binding(8) var<storage, read_write> flat: array<f32>; // alpha, then the probes; or with TRACE what the backward pass needs
+
+const MEDIAN = {MEDIAN}; // places of the probes in `flat`, 0: not wanted
+const FIRST = {FIRST};
+const COUNT = {COUNT};
+const TRACE = {TRACE};
+
+//include fade
+
+var<workgroup> batch_a: array<vec4f, 256>;
+var<workgroup> batch_b: array<vec4f, 256>;
+var<workgroup> batch_row: array<u32, 256>;
+var<workgroup> live: u32;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let tile = place(group, groups);
+    if tile >= u32(job.tiles.z * job.tiles.w) {
+        return;
+    }
+    let corner = {TILE} * (job.tiles.xy + vec2i(i32(tile) % job.tiles.z, i32(tile) / job.tiles.z));
+    let pixel = corner + vec2i(i32(lane % {TILE}u), i32(lane / {TILE}u));
+    let at = vec2f(pixel - corner);
+    let inside = all(pixel >= job.window.xy) && all(pixel < job.window.zw);
+    var done = !inside;
+    var t = 1.0;
+    var sum = array<vec4f, {QUADS}>();
+    var median = bitcast<f32>(0x7f800000u + (lane >> 16u));
+    var nearest = median;
+    var count = 0.0;
+    var last = -1.0;
+    let begin = starts[tile];
+    let end = starts[tile + 1u];
+    for (var first = begin; first < end; first += 256u) {
+        if lane == 0u {
+            live = 0u;
+        }
+        workgroupBarrier();
+        if !done {
+            live = 1u;
+        }
+        if workgroupUniformLoad(&live) == 0u {
+            break;
+        }
+        if first + lane < end {
+            let row = ids[first + lane];
+            batch_row[lane] = row;
+            let a = splat_a[row];
+            batch_a[lane] = vec4f(a.xy - vec2f(corner) - 0.5, a.zw);
+            batch_b[lane] = splat_b[row];
+        }
+        workgroupBarrier();
+        let size = min(256u, end - first);
+        for (var i = 0u; i < size; i++) {
+            if done {
+                break;
+            }
+            let a = batch_a[i];
+            let b = batch_b[i];
+            let d = at - a.xy;
+            let u = a.z * d.x + a.w * d.y;
+            let v = b.x * d.y;
+            let exponent = b.y - v * v - u * u;
+            if !(exponent >= b.w) {
+                continue;
+            }
+            var alpha = min(exp2(exponent), b.z);
+            if SMOOTH {
+                alpha *= fade(alpha, exp2(b.w)).x;
+            }
+            let weight = t * alpha;
+            let after = t - weight;
+            if !(after > {T_STOP}) {
+                done = true;
+                break;
+            }
+            let row = batch_row[i];
+            for (var c = 0u; c < {QUADS}u; c++) {
+                sum[c] += weight * channels[row * {QUADS}u + c];
+            }
+            if MEDIAN > 0u && t > {MEDIAN_FROM} {
+                median = depths[row];
+            }
+            if FIRST > 0u && t > {FIRST_FROM} {
+                nearest = depths[row];
+            }
+            count += 1.0;
+            last = f32(first + i - begin);
+            t = after;
+        }
+        workgroupBarrier();
+    }
+    if !inside {
+        return;
+    }
+    let out = u32((pixel.y - job.rows.x) * (job.window.z - job.window.x) + pixel.x - job.window.x);
+    for (var c = 0u; c < {QUADS}u; c++) {
+        picture[out * {QUADS}u + c] = sum[c];
+    }
+    let own = out * u32(job.rows.y);
+    flat[own] = 1.0 - t;
+    if MEDIAN > 0u {
+        flat[own + MEDIAN] = median;
+    }
+    if FIRST > 0u {
+        flat[own + FIRST] = nearest;
+    }
+    if COUNT > 0u {
+        flat[own + COUNT] = count;
+    }
+    if TRACE {
+        flat[own + 1u] = t;
+        flat[own + 2u] = last;
+    }
+}

@@ -1,0 +1,129 @@
+// Backward pass of raster.wgsl: for each entry of a tile's list the sums over its pixels (kernels/cpu/raster_backward.py), written where the
+// entry lies among those of its splat.
+//
+// A thread has an entry, and each pixel goes from thread to thread, from the farthest entry to the nearest, a step later to each: at a step,
+// a thread meets the pixel that the thread before it met one step earlier.  So every sum is one thread's own, and always has the same order.
+
+//include common
+
+struct Job {
+    window: vec4i, // x0, y0, right, bottom in pixels of the image
+    tiles: vec4i,  // first tile in x and in y, columns, rows
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> starts: array<u32>;
+@group(0) @binding(2) var<storage, read> ids: array<u32>;
+@group(0) @binding(3) var<storage, read> values: array<u32>;
+@group(0) @binding(4) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(5) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(6) var<storage, read> channels: array<vec4f>;
+@group(0) @binding(7) var<storage, read> pixels: array<vec4f>; // raster_seed.wgsl
+@group(0) @binding(8) var<storage, read_write> rows: array<vec4f>;
+
+//include fade
+
+const WIDTH = {QUADS}u + 2u;
+
+var<workgroup> state: array<vec4f, 256>; // transmittance behind, light from behind, place of the last splat, d loss / d alpha
+var<workgroup> farthest: atomic<i32>;
+var<workgroup> shared_end: u32;
+
+fn index_of(pixel: vec2i) -> u32 {
+    return u32((pixel.y - job.window.y) * (job.window.z - job.window.x) + pixel.x - job.window.x) * ({QUADS}u + 1u);
+}
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let tile = place(group, groups);
+    if tile >= u32(job.tiles.z * job.tiles.w) {
+        return;
+    }
+    let corner = {TILE} * (job.tiles.xy + vec2i(i32(tile) % job.tiles.z, i32(tile) / job.tiles.z));
+    let own = corner + vec2i(i32(lane % {TILE}u), i32(lane / {TILE}u));
+    let begin = starts[tile];
+    let end = starts[tile + 1u];
+    if lane == 0u {
+        atomicStore(&farthest, -1);
+    }
+    workgroupBarrier();
+    state[lane] = vec4f(1.0, 0.0, -1.0, 0.0);
+    if all(own >= job.window.xy) && all(own < job.window.zw) {
+        let pixel = pixels[index_of(own)];
+        state[lane] = vec4f(pixel.x, 0.0, pixel.y, pixel.z);
+        atomicMax(&farthest, i32(pixel.y));
+    }
+    workgroupBarrier();
+    if lane == 0u {
+        shared_end = begin + u32(atomicLoad(&farthest) + 1);
+    }
+    let used = workgroupUniformLoad(&shared_end);
+    for (var e = used + lane; e < end; e += 256u) { // what lies behind all that the tile shows
+        for (var i = 0u; i < WIDTH; i++) {
+            rows[values[e] * WIDTH + i] = vec4f(0.0);
+        }
+    }
+    for (var last = used; last > begin; last -= min(256u, last - begin)) {
+        let count = min(256u, last - begin);
+        let e = last - 1u - min(lane, count - 1u);
+        let row = ids[e];
+        let a = splat_a[row];
+        let b = splat_b[row];
+        let centre = a.xy - vec2f(corner) - 0.5;
+        let number = f32(e - begin);
+        var colour = array<vec4f, {QUADS}>();
+        var sums = array<vec4f, {QUADS}>();
+        for (var c = 0u; c < {QUADS}u; c++) {
+            colour[c] = channels[row * {QUADS}u + c];
+        }
+        var first = vec4f(0.0);  // sums of e, e u, e u dx, e u dy
+        var second = vec4f(0.0); // of e dy, e dy^2, |e u|, |e u du/dy + e v dv/dy|
+        for (var step = 0u; step < 255u + count; step++) {
+            let p = step - lane;
+            if lane < count && step >= lane && p < 256u {
+                let pixel = state[p];
+                let d = vec2f(f32(p % {TILE}u), f32(p / {TILE}u)) - centre;
+                let u = a.z * d.x + a.w * d.y;
+                let v = b.x * d.y;
+                let exponent = b.y - v * v - u * u;
+                if pixel.z >= number && exponent >= b.w {
+                    let free = exp2(exponent);
+                    var alpha = min(free, b.z);
+                    var rise = alpha; // d alpha / d ln(alpha before it fades)
+                    if SMOOTH {
+                        let factor = fade(alpha, exp2(b.w));
+                        rise = alpha * factor.x + alpha * alpha * factor.y;
+                        alpha *= factor.x;
+                    }
+                    let left = pixel.x / (1.0 - alpha);
+                    let weight = alpha * left;
+                    let at = index_of(corner + vec2i(i32(p % {TILE}u), i32(p / {TILE}u)));
+                    var dot_ = pixel.w;
+                    for (var c = 0u; c < {QUADS}u; c++) {
+                        let slope = pixels[at + 1u + c];
+                        dot_ += dot(slope, colour[c]);
+                        sums[c] += weight * slope;
+                    }
+                    let more = dot_ - pixel.y;
+                    state[p] = vec4f(left, pixel.y + alpha * more, pixel.zw);
+                    if free < b.z {
+                        let e_ = rise * left * more;
+                        let eu = e_ * u;
+                        let ey = e_ * d.y;
+                        first += vec4f(e_, eu, eu * d.x, eu * d.y);
+                        second += vec4f(ey, ey * d.y, abs(eu), abs(eu * a.w + e_ * v * b.x));
+                    }
+                }
+            }
+            workgroupBarrier();
+        }
+        if lane < count {
+            let at = values[e] * WIDTH;
+            rows[at] = first;
+            rows[at + 1u] = second;
+            for (var c = 0u; c < {QUADS}u; c++) {
+                rows[at + 2u + c] = sums[c];
+            }
+        }
+    }
+}

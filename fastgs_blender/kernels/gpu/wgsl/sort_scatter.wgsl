@@ -1,0 +1,64 @@
+// Radix sort, second half of a pass: every key and its value go to their place; equal digits keep their order.
+//
+// A thread has eight keys that follow each other.  `tally` counts each thread's digits, two digits to a word; summed over the threads before
+// it, that is where a key goes among those of its digit in the block, and `starts` says where these begin.
+
+//include common
+
+@group(0) @binding(0) var<uniform> job: vec4u; // keys, shift, blocks
+@group(0) @binding(1) var<storage, read> starts: array<u32>;
+@group(0) @binding(2) var<storage, read> keys: array<u32>;
+@group(0) @binding(3) var<storage, read> values: array<u32>;
+@group(0) @binding(4) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(5) var<storage, read_write> values_out: array<u32>;
+
+var<workgroup> tally: array<u32, 2048>;
+var<workgroup> sixteen: array<u32, 128>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let block = place(group, groups);
+    let first = block * 2048u + lane * 8u;
+    let last = min(first + 8u, job.x);
+    for (var word = 0u; word < 8u; word++) {
+        tally[word * 256u + lane] = 0u;
+    }
+    for (var i = first; i < last; i++) {
+        let digit = (keys[i] >> job.y) & 15u;
+        tally[digit / 2u * 256u + lane] += 1u << (16u * (digit & 1u));
+    }
+    workgroupBarrier();
+    if lane < 128u {
+        var sum = 0u;
+        for (var i = 0u; i < 16u; i++) {
+            sum += tally[16u * lane + i];
+        }
+        sixteen[lane] = sum;
+    }
+    workgroupBarrier();
+    var before = array<u32, 8>();
+    for (var word = 0u; word < 8u; word++) {
+        var sum = 0u;
+        for (var i = 0u; i < lane / 16u; i++) {
+            sum += sixteen[16u * word + i];
+        }
+        for (var i = lane / 16u * 16u; i < lane; i++) {
+            sum += tally[word * 256u + i];
+        }
+        before[word] = sum;
+    }
+    workgroupBarrier();
+    for (var word = 0u; word < 8u; word++) {
+        tally[word * 256u + lane] = before[word];
+    }
+    for (var i = first; i < last; i++) {
+        let key = keys[i];
+        let digit = (key >> job.y) & 15u;
+        let word = digit / 2u * 256u + lane;
+        let shift = 16u * (digit & 1u);
+        let at = starts[digit * job.z + block] + ((tally[word] >> shift) & 0xffffu);
+        tally[word] += 1u << shift;
+        keys_out[at] = key;
+        values_out[at] = values[i];
+    }
+}

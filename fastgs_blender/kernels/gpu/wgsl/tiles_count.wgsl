@@ -1,0 +1,31 @@
+// How many tiles each splat touches, in the order of the splats' depth.
+
+//include common
+//include ellipse
+
+@group(0) @binding(0) var<uniform> grid: Grid;
+@group(0) @binding(1) var<storage, read> order: array<u32>;
+@group(0) @binding(2) var<storage, read> depths: array<u32>;
+@group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> counts: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let k = place(group, groups) * 256u + lane;
+    if k >= grid.size.x {
+        return;
+    }
+    let row = order[k];
+    var count = 0u;
+    if depths[row] != 0xffffffffu {
+        let a = splat_a[row];
+        let b = splat_b[row];
+        let e = ellipse(a, b);
+        for (var y = e.rows.x; y <= e.rows.y; y++) {
+            let x = span(e, a, b, y);
+            count += u32(max(x.y - x.x + 1, 0));
+        }
+    }
+    counts[k] = count;
+}

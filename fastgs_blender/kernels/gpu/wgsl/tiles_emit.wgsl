@@ -1,0 +1,38 @@
+// The entries of the tile lists: for each splat, in the order of depth, a run of (tile, splat), whose place in the run is its value.
+
+//include common
+//include ellipse
+
+@group(0) @binding(0) var<uniform> grid: Grid;
+@group(0) @binding(1) var<storage, read> order: array<u32>;
+@group(0) @binding(2) var<storage, read> starts: array<u32>;
+@group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(6) var<storage, read_write> owner: array<u32>;
+@group(0) @binding(7) var<storage, read_write> values: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let k = place(group, groups) * 256u + lane;
+    if k >= grid.size.x {
+        return;
+    }
+    var at = starts[k];
+    if at == starts[k + 1u] {
+        return;
+    }
+    let row = order[k];
+    let a = splat_a[row];
+    let b = splat_b[row];
+    let e = ellipse(a, b);
+    for (var y = e.rows.x; y <= e.rows.y; y++) {
+        let x = span(e, a, b, y);
+        for (var column = x.x; column <= x.y; column++) {
+            tiles[at] = u32(y * grid.tiles.z + column);
+            owner[at] = row;
+            values[at] = at;
+            at++;
+        }
+    }
+}

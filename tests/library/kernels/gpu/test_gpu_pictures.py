@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of the GPU backend against the oracle and the CPU, and what it does when a GPU fails."""
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_cameras import hostile_scales, random_camera, random_pose
+from random_models import APPEARANCES, BASES, TEMPORALS, random_model
+
+import fastgs_blender as fg
+from fastgs_blender.kernels.gpu import device, picture, scene
+from fastgs_blender.rendering.crops import Crop
+from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.passes import PASSES
+from fastgs_blender.rendering.volumes import mesh_volume
+
+SCENES = int(os.environ.get("FASTGS_GPU_SCENES", "24"))
+RASTERS = (fg.Raster(), fg.Raster(alpha_max=0.999, near=0.01), fg.Raster(blur=0.1, antialiased=True), fg.Raster(alpha_cut=0.05, near=1.0))
+CLOSE, MEAN = 2e-3, 1e-5
+
+
+def name_of(gpu_adapter) -> str:
+    return f"gpu:{gpu_adapter.name}"
+
+
+def near_the_cut(model, camera, t) -> np.ndarray:
+    """Pixels where some splat's alpha is within 1e-5 of the cut: moving the cut that much changes them."""
+    def moved(by):
+        raster = replace(model.raster, alpha_cut=model.raster.alpha_cut + by)
+        out = fg.render(replace(model, raster=raster), camera, t, backend="reference")
+        return np.concatenate([out["rgb"], out["alpha"][..., None]], -1)
+
+    return (np.abs(moved(-1e-5) - moved(1e-5)) > 1e-7).any(-1)
+
+
+def random_scene(seed):
+    """(model, camera, t): every kind of basis, temporal opacity, appearance and rasteriser turns up."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 81))
+    bases, kinds = sorted(BASES), sorted(TEMPORALS)
+    sizes = {"scale": hostile_scales(rng, n)} if seed % 2 else {}
+    model = random_model(rng, n, bases[seed % len(bases)], bases[seed // 8 % len(bases)], kinds[seed // 3 % len(kinds)],
+                         APPEARANCES[seed % len(APPEARANCES)], size=10 ** rng.uniform(-2, -0.3), raster=RASTERS[seed // 2 % 4], **sizes)
+    return model, random_camera(rng), rng.uniform(-0.1, 1.1)
+
+
+@pytest.mark.parametrize("first", range(0, SCENES, 8))
+def test_random_scenes_agree_with_the_oracle(gpu, adapter, first):
+    for seed in range(first, first + 8):
+        model, camera, t = random_scene(seed)
+        got = fg.render(model, camera, t, ("rgb", "alpha", "depth", "median_depth"), name_of(adapter))
+        exact = fg.render(model, camera, t, ("rgb", "alpha", "depth"), "reference")
+        difference = np.maximum(np.abs(got["rgb"] - exact["rgb"]).max(-1), np.abs(got["alpha"] - exact["alpha"]))
+        if difference.max() > CLOSE or difference.mean() > MEAN:
+            difference[near_the_cut(model, camera, t)] = 0
+        assert difference.max() <= CLOSE and difference.mean() <= MEAN, seed
+        covered = (exact["alpha"] > 0) & (got["alpha"] > 0)
+        assert np.count_nonzero(covered != (exact["alpha"] > 0)) <= 2, seed
+        np.testing.assert_allclose(got["depth"][covered], exact["depth"][covered], rtol=1e-3, err_msg=str(seed))
+        assert np.isfinite(got["median_depth"][covered]).all()
+    again = fg.render(model, camera, t, ("rgb", "alpha", "depth", "median_depth"), name_of(adapter))
+    assert all(np.array_equal(got[name], again[name]) for name in got)
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """Instances of every kind of look and crop, and their camera, whose window is part of an image."""
+    rng = np.random.default_rng(5)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+                      [1, 5, 7], [1, 7, 3]])
+    box = np.eye(4) * (1.2, 1.2, 1.2, 1)
+    crops = (Crop(box, shape="SPHERE", soft=0.3), Crop(box, shape=mesh_volume(corners, faces, corners[0], corners[-1])),
+             Crop(np.eye(4) * (3, 3, 3, 1), remove=True))
+    graded = dict(exposure=0.5, contrast=1.2, saturation=0.7, hue=0.4, tint=(1, 0.9, 0.8))
+    looks = (ObjectSettings(crops=crops), ObjectSettings(**graded), ObjectSettings(**graded, splat_scale=1.5, min_size=0.02),
+             ObjectSettings(opacity=0.7, opacity_cut=0.2, max_size=0.1), ObjectSettings(filters=()))
+    kinds = ("sh1", "sigmoid", "rgb", "clamp", "changing sh1")
+    instances = [Instance(random_model(rng, 90, "fourier", "line", "radial", kind, size=0.15), random_pose(rng, 0.0), 0.3, look, name=kind,
+                          index=i) for i, (kind, look) in enumerate(zip(kinds, looks))]
+    return instances, fg.Camera(90, 70, 60, 60, 45, 35, random_pose(rng, 3.0), window=(11, 5, 70, 52))
+
+
+def test_all_passes_of_several_instances_agree_with_the_cpu(gpu, adapter, crowd):
+    instances, camera = crowd
+    wanted, got = (fg.render(instances, camera, passes=tuple(PASSES), backend=name) for name in ("cpu", name_of(adapter)))
+    assert wanted["alpha"].mean() > 0.2
+    for name in PASSES:
+        ours, theirs = (np.nan_to_num(found[name], posinf=-1) for found in (got, wanted))
+        different = np.abs(ours - theirs) > 2e-3 * np.maximum(np.abs(theirs), 1)
+        assert different.mean() < 0.003, name
+
+
+def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch):
+    """With bindings of 64 KiB the model lies in several buffers and the picture in several bands, and parts are parts of the whole."""
+    camera = crowd[1]
+    instances = [Instance(random_model(np.random.default_rng(1), 700, "fourier", "line", "radial", "sh1"), np.eye(4), 0.3)]
+    whole = fg.render(instances, camera, passes=("rgb", "depth"), backend=name_of(adapter))
+    monkeypatch.setattr(picture, "ENTRIES", 1500)
+    fresh.backend.device.__dict__["binding"] = 1 << 16
+    pieces = []
+    monkeypatch.setattr(picture, "blend", lambda *given, blend=picture.blend: pieces.append(blend(*given)) or pieces[-1])
+    bands = fg.render(instances, camera, passes=("rgb", "depth"), backend=fresh.name)
+    assert fresh.backend.failed is None and len(pieces) > 1
+    assert len(scene.packs(fresh.backend.device, instances[0].model.arrays, 700)) > 1
+    assert all(np.array_equal(whole[name], bands[name]) for name in whole)
+    part = replace(camera, window=(30, 20, 17, 23))
+    cut = fg.render(instances, part, passes=("rgb",), backend=name_of(adapter))["rgb"]
+    assert np.array_equal(cut, whole["rgb"][15:38, 19:36])
+
+
+@pytest.mark.parametrize("stage", ["project", "sort_scatter", "raster", "colour", "read", "buffer"])
+def test_what_fails_is_drawn_by_the_cpu_and_told_in_a_line(fresh, crowd, monkeypatch, caplog, stage):
+    import wgpu
+
+    instances, camera = crowd
+    done = device.Device._pipeline
+    native = fresh.backend.device.native
+
+    def broken(self, name, constants):
+        if name == stage:
+            raise wgpu.GPUValidationError("Validation Error\n\nCaused by:\n  In wgpuQueueSubmit\n    Parent device is lost")
+        return done(self, name, constants)
+
+    def lost(*args, **kwargs):
+        raise RuntimeError("Parent device is lost")
+
+    def full(*args, **kwargs):
+        raise wgpu.GPUOutOfMemoryError("Out of memory\n")
+
+    if stage == "read":
+        monkeypatch.setattr(native.queue, "read_buffer", lost)
+    elif stage == "buffer":
+        monkeypatch.setattr(native, "create_buffer", full)
+    else:
+        monkeypatch.setattr(device.Device, "_pipeline", broken)
+    passes = ("rgb", "alpha", "median_depth")
+    wanted, got, again = (fg.render(instances, camera, passes=passes, backend=name) for name in ("cpu", fresh.name, fresh.name))
+    assert all(np.array_equal(wanted[name], found[name]) for name in passes for found in (got, again))
+    assert len(caplog.records) == 1 and caplog.messages[0].startswith("the GPU fails, so the CPU goes on: ")
+    assert "memory" in caplog.messages[0] if stage == "buffer" else "lost" in caplog.messages[0]
+
+
+def test_a_refused_shader_is_told(fresh, crowd, monkeypatch, caplog):
+    fresh.backend.device._pipelines = {}
+    monkeypatch.setattr(device.shaders, "source", lambda stage, **constants: "fn main( {")
+    instances, camera = crowd
+    assert np.array_equal(fg.render(instances, camera, backend=fresh.name)["rgb"], fg.render(instances, camera, backend="cpu")["rgb"])
+    assert "expected" in caplog.messages[0]
+
+
+def test_cancelling_and_two_threads(gpu, adapter, crowd):
+    import threading
+
+    instances, camera = crowd
+    seen = []
+
+    def cancel(share):
+        seen.append(share)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fg.render(instances, camera, backend=name_of(adapter), progress=cancel)
+    wanted = fg.render(instances, camera, backend=name_of(adapter))["rgb"]
+    wrong = []
+
+    def work():
+        wrong.extend(1 for _ in range(2) if not np.array_equal(fg.render(instances, camera, backend=name_of(adapter))["rgb"], wanted))
+
+    workers = [threading.Thread(target=work) for _ in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert seen and not wrong

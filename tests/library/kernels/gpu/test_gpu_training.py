@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training on the GPU backend against the CPU's kernels: gradients, penalties, Adam, and whole runs."""
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from random_cameras import random_camera
+from random_models import APPEARANCES, BASES, TEMPORALS, random_model
+from toy_captures import toy_capture
+
+import fastgs_blender as fg
+from fastgs_blender.kernels.protocol import MotionNorm, TrainingBackend
+from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.util.backends import load_backend
+
+HEIGHT, WIDTH = 40, 48
+
+
+def relative(found: np.ndarray, wanted: np.ndarray) -> float:
+    """The relative L2 error of an array."""
+    return float(np.linalg.norm(found.astype(np.float64) - wanted) / max(np.linalg.norm(wanted), 1e-12)) if wanted.size else 0.0
+
+
+def two_passes(backend, model, camera, t, goal, weight, background, by_depth, detach, band=0.0) -> dict[str, np.ndarray]:
+    """Everything that splat(), compare() and backward() give, the gradients added up over two views."""
+    parameters = dict(model.arrays)
+    if isinstance(model.appearance, fg.Features):
+        parameters |= {"w1": model.appearance.w1, "w2": model.appearance.w2}
+    parameters = {name: backend.array(array.copy()) for name, array in parameters.items()}
+    statistics = SimpleNamespace(**{name: backend.zeros((len(model),)) for name in ("gradient", "absolute", "seen", "radius")})
+    seen = backend.zeros((len(model),))
+    picture = backend.splat(parameters, model, camera, t, by_depth is not None, band)
+    loss = backend.compare(picture, backend.array(goal), None if weight is None else backend.array(weight), background, 0.2, 0.01, 0.5)
+    depth = None if by_depth is None else backend.array(by_depth)
+    gradients = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, seen=seen, detach_time=detach)
+    gradients = backend.backward(picture, loss.rgb, loss.alpha, into=gradients, detach_time=detach)
+    found = {**gradients, **vars(statistics), "drawn": seen, "picture": picture.rgb, "cover": picture.alpha, "by rgb": loss.rgb,
+             "by alpha": loss.alpha, "values": loss.values}
+    return {name: np.array(backend.numpy(array)) for name, array in found.items()}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_gradients_are_the_cpus(gpu, seed):
+    rng = np.random.default_rng(seed)
+    bases = sorted(BASES)
+    model = random_model(rng, int(rng.integers(5, 81)), bases[seed % 8], bases[(3 * seed + 2) % 8], sorted(TEMPORALS)[seed % 4],
+                         APPEARANCES[(3 * seed + 1) % len(APPEARANCES)], size=10 ** rng.uniform(-2, -0.3),
+                         raster=fg.Raster(antialiased=seed % 2 == 1))
+    camera, t = random_camera(rng, WIDTH, HEIGHT, 3.0), rng.uniform(0, 1)
+    given = (rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32),
+             None if seed % 2 else rng.uniform(0, 2, (HEIGHT, WIDTH)).astype(np.float32),
+             None if seed % 3 else rng.uniform(0, 1, 3).astype(np.float32),
+             None if seed % 4 > 1 else 1e-4 * rng.normal(size=(HEIGHT, WIDTH)).astype(np.float32), seed % 5 == 0, 0.02 * (seed == 6))
+    wanted, found = (two_passes(backend, model, camera, t, *given) for backend in (load_backend("cpu"), gpu))
+    assert np.count_nonzero(wanted["drawn"]) > 2
+    for name, array in wanted.items():
+        assert found[name].shape == array.shape and relative(found[name], array) <= 1e-3, name
+    if seed == 0:
+        again = two_passes(gpu, model, camera, t, *given)
+        assert all(np.array_equal(again[name], array) for name, array in found.items())
+
+
+@pytest.mark.parametrize("reading", ["mean", "group"])
+def test_steps_are_the_cpus(gpu, rng, reading):
+    """Penalty, hold, MCMC's weights, waits, count and Adam, on random numbers."""
+    n, terms = 300, 5
+    cpu = load_backend("cpu")
+    matrix = rng.normal(size=(4, terms)) if reading == "mean" else None
+    norm = MotionNorm(matrix, rng.uniform(0, 2, 3 * (terms if matrix is None else 4)), 2.0, 1e-2, reading)
+    seen = (rng.uniform(size=n) < 0.5).astype(np.float32)
+    held = rng.normal(size=(n, 9)).astype(np.float32)
+    held[::3] = np.nan
+    draw = {"motion": (n, terms, 3), "features": (n, 9), "opacity": (n,), "scale": (n, 3), "by motion": (n, terms, 3),
+            "by features": (n, 9), "by opacity": (n,), "by scale": (n, 3), "w2": (3, 6), "by w2": (3, 6)}
+    draw = {name: rng.normal(0, 0.1, shape).astype(np.float32) for name, shape in draw.items()}
+    draw["by features"][4, 2] = np.inf
+    results = []
+    for backend in (cpu, gpu):
+        a = {name: backend.array(array.copy()) for name, array in draw.items()}
+        moved, rows = backend.array(np.arange(n) % 7), backend.rows(backend.array(seen.copy()))
+        waits = backend.waits(rows, moved, 9)
+        out = {"waits": waits, "count": backend.count(rows)}
+        out["penalty"] = backend.motion_penalty(norm, a["motion"], a["by motion"], 0.3, waits)
+        backend.hold(a["features"], backend.array(held.copy()), a["by features"], rows, 0.2)
+        backend.shrink(a, {"opacity": a["by opacity"], "scale": a["by scale"]}, 0.1, 0.2, 2.0)
+        tensors = []
+        for name, rate in (("motion", 1e-3), ("features", np.linspace(1e-3, 1e-2, 9)), ("w2", 1e-2)):
+            parts = [backend.zeros(draw[name].shape) for _ in range(2)]
+            tensors.append((a[name], a[f"by {name}"], *parts, backend.zeros((len(draw[name]),), np.int32), rate, name == "w2"))
+        for step in (9, 10):
+            backend.adam(rows, tensors, (0.9, 0.999), moved, step)
+        out |= {**a, "moved": moved} | {f"{i} {j}": each for i, tensor in enumerate(tensors) for j, each in enumerate(tensor[2:5])}
+        out["by features"] = a["by features"]
+        results.append({name: np.array(backend.numpy(array)) for name, array in out.items()})
+    for name, wanted in results[0].items():
+        found = results[1][name]
+        assert found.dtype == wanted.dtype and found.shape == wanted.shape, name
+        np.testing.assert_allclose(found, wanted, rtol=2e-4, atol=1e-7, err_msg=name)
+
+
+def test_shaking_moves_the_nearly_transparent_in_their_own_shape(gpu, rng):
+    n = 4000
+    model = random_model(rng, n, size=0.1)
+    arrays = {name: np.array(array) for name, array in model.arrays.items()}
+    arrays["opacity"][:2000], arrays["opacity"][2000:] = -8.0, 2.0
+    arrays["rotation"][:], arrays["scale"][:] = (1, 0, 0, 0), np.log([0.1, 0.2, 0.4])
+    moved = []
+    for key in ((1, 2), (1, 2), (1, 3)):
+        parameters = {name: gpu.array(array.copy()) for name, array in arrays.items()}
+        gpu.shake(parameters, 10.0, key)
+        moved.append(gpu.numpy(parameters["position"]) - arrays["position"])
+    assert np.array_equal(moved[0], moved[1]) and not np.array_equal(moved[0], moved[2])
+    assert not moved[0][2000:].any()
+    gate = 1 / (1 + np.exp(-100 * (1 - 1 / (1 + np.exp(8.0)) - 0.995)))
+    np.testing.assert_allclose(moved[0][:2000].std(0) / (10 * gate * np.array([0.01, 0.04, 0.16])), 1, atol=0.06)
+    assert np.abs(moved[0][:2000].mean(0)).max() < 0.06
+
+
+def test_the_backend_offers_what_the_protocol_says(gpu):
+    import inspect
+
+    for method in (each for each in dir(TrainingBackend) if not each.startswith("_")):
+        wanted = list(inspect.signature(getattr(TrainingBackend, method)).parameters)[1:]
+        assert list(inspect.signature(getattr(gpu, method)).parameters)[:len(wanted)] == wanted, method
+
+
+def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter):
+    """A run on the GPU is near the CPU's; continued from its state in the middle it gives the same bytes."""
+    capture, store, points = toy_capture(frames=3, views=3)
+    chosen = settings.settings(iterations=8, densify_every=4, densify_from=0.0, densify_until=1.0, threshold=1e-6, preview_every=0,
+                               backdrop_hold=5.0, motion_weight=0.1)
+    model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
+    name = f"gpu:{adapter.name}"
+    ours, theirs = (Trainer(capture, store, chosen, model, sizes=sizes, backend=each) for each in (name, "cpu"))
+    for number in range(8):
+        mine, other = ours.step(), theirs.step()
+        if number < 4:  # until density control may choose others
+            assert mine["seen"] == other["seen"]
+            np.testing.assert_allclose([mine[key] for key in ("loss", "psnr", "motion_penalty")],
+                                       [other[key] for key in ("loss", "psnr", "motion_penalty")], rtol=2e-3)
+        if number == 4:
+            middle = {key: array.copy() for key, array in ours.state()[0].items()}, ours.state()[1]
+    resumed = Trainer(capture, store, chosen, backend=name)
+    resumed.restore(*middle)
+    while resumed.iteration < 8:
+        resumed.step()
+    mine, other = ours.state()[0], resumed.state()[0]
+    assert mine.keys() == other.keys()
+    assert all(np.array_equal(mine[key], other[key], equal_nan=True) for key in mine)
