@@ -27,8 +27,9 @@ CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
 
 
 def add_arguments(parser):
-    parser.add_argument("file", nargs="?", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
-    parser.add_argument("--devices", action="store_true", help="list the GPUs that --device can name")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("file", nargs="?", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
+    what.add_argument("--devices", action="store_true", help="list the GPUs that --device can name")
     parser.add_argument("--layout", metavar="NAME", help="a capture's layout, where it is not recognised")
     parser.add_argument("--all", action="store_true", help="show everything, however long it is")
 
@@ -36,8 +37,6 @@ def add_arguments(parser):
 def run(args):
     if args.devices:
         return _devices(args)
-    if args.file is None:
-        raise FastGSError("fastgs info needs a file or a folder to look at, or --devices.")
     if args.layout is None and is_run(args.file):
         facts, text = describe_run(args.file), run_text
         wrong = facts["state"] == "failed"
