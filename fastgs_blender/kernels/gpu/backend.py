@@ -52,9 +52,11 @@ class GPU(CPU):
             return array.numpy()
         return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
 
-    def draw(self, instances, camera, layout, probes, progress):
+    def draw(self, instances, camera, layout, probes, progress, holdout=None):
         wanted = [name for name in PROBES if name in probes]
-        again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress))
+        again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
+        if holdout is not None:  # only the CPU's rasteriser knows triangles
+            return again()
         return self._or_else(lambda: self._draw(instances, camera, layout, wanted, progress, again), again)
 
     def _draw(self, instances, camera, layout, probes, progress, again):

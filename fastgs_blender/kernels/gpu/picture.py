@@ -171,7 +171,7 @@ def blend_all(device: Device, order: Buffer, splats: Splats, camera: Camera, pro
 class Drawn(Buffers):
     """The Buffers of a picture on a device; again: gives those that the CPU draws."""
 
-    again: Callable[[], Buffers]
+    again: Callable[[], Buffers] = Buffers  # always given
 
     @classmethod
     def of(cls, bands: list[Band], layout: Layout, probes: list[str], again: Callable[[], Buffers]) -> Drawn:
@@ -188,7 +188,7 @@ class Drawn(Buffers):
 
         return cls(channels(slice(0, layout.channels), lambda: again().channels), flat(0, lambda: again().alpha),
                    {name: channels(where, lambda name=name: again().sums[name]) for name, where in layout.places.items()},
-                   {name: flat(1 + i, lambda name=name: again().probes[name]) for i, name in enumerate(probes)}, again)
+                   {name: flat(1 + i, lambda name=name: again().probes[name]) for i, name in enumerate(probes)}, again=again)
 
 
 def colour(device: Device, buffers: Drawn, layout: Layout, camera: Camera, instead: Callable[[], np.ndarray]) -> Bands:

@@ -107,6 +107,9 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     assert fresh.backend.failed is None and len(pieces) > 1
     assert len(scene.packs(fresh.backend.device, instances[0].model.arrays, 700)) > 1
     assert all(np.array_equal(whole[name], bands[name]) for name in whole)
+    triangle = np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0]]], np.float32)
+    held = [fg.render(instances, camera, passes=("rgb", "holdout"), backend=name, holdout=triangle) for name in ("cpu", fresh.name)]
+    assert all(np.array_equal(held[0][name], held[1][name]) for name in held[0]) and held[0]["holdout"].max() > 0
     part = replace(camera, window=(30, 20, 17, 23))
     cut = fg.render(instances, part, passes=("rgb",), backend=name_of(adapter))["rgb"]
     assert np.array_equal(cut, whole["rgb"][15:38, 19:36])
