@@ -13,8 +13,6 @@ from . import composite_nodes, holdout, objects
 
 PREFIX = "FAST-GS "
 MESHES, JOIN = PREFIX + "Meshes", PREFIX + "Join"
-EARLIER = tuple(PREFIX + name for name in ("World", "Nearer", "Meshes over Splats", "Splats over Meshes"))
-"""The nodes that joined the pictures in earlier versions, the last one first."""
 KEPT = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "fps", "fps_base", "frame_map_old",
         "frame_map_new", "use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y",
         "use_motion_blur", "threads_mode", "threads")
@@ -125,20 +123,18 @@ def _rendered(layer):
 def _join(tree, splats, meshes, world: bool):
     """Link both pictures to the node that joins them, and let all that used the splats' image use its."""
     meshes.location = splats.location.x, splats.location.y - 420
-    join, earlier = tree.nodes.get(JOIN), [tree.nodes[name] for name in EARLIER if name in tree.nodes]
+    join = tree.nodes.get(JOIN)
     if join is None:
-        users = [splats.outputs["Image"]] if not earlier else earlier[0].outputs
-        used = [link.to_socket for socket in users for link in socket.links if not link.to_node.name.startswith(PREFIX)]
-        world = earlier[0].name == EARLIER[0] if earlier else world
-        for node in earlier:
-            tree.nodes.remove(node)
+        used = [link.to_socket for link in splats.outputs["Image"].links]
+        group = bpy.data.node_groups.new(JOIN, 'CompositorNodeTree')
+        composite_nodes.build(group)  # before a node shows it, which takes over the sockets' values
         join = tree.nodes.new('CompositorNodeGroup')
-        join.node_tree = bpy.data.node_groups.new(JOIN, 'CompositorNodeTree')
+        join.node_tree = group
         join.name = join.label = JOIN
         join.location = splats.location.x + 400, splats.location.y
     else:
+        composite_nodes.build(join.node_tree)
         used, world = [], join.inputs["World"].is_linked
-    composite_nodes.build(join.node_tree)
     environment = next((s for s in meshes.outputs if s.identifier == "Env" or s.name in ("Environment", "Env")), None)
     for name, socket in (
             ("Splats", splats.outputs["Image"]), ("Splat Alpha", splats.outputs["Alpha"]), ("Splat Depth", splats.outputs["Depth"]),

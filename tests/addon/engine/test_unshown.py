@@ -132,6 +132,10 @@ def test_the_composite_joins_meshes_by_depth(scene, splats, add, add_camera, shi
     np.testing.assert_allclose(picture[2, 2, :3], alone[2, 2, :3], atol=0.02)
     edge = np.abs(np.diff(picture[middle].mean(0)[:, :3], axis=0)).max()
     assert edge > 0.2, "there is something to see"
+    before = alone[middle].mean(0)[:width // 2], picture[middle].mean(0)[:width // 2]
+    splats_share = before[1][:, 0] / before[0][:, 0]
+    green = before[1][:, 1] - splats_share * before[0][:, 1]
+    np.testing.assert_allclose(splats_share + green, 1, atol=0.1, err_msg="no fringe along the edges, dark or light")
 
     # again: nothing is made twice, new objects come along, the user's nodes stay
     tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
@@ -141,6 +145,43 @@ def test_the_composite_joins_meshes_by_depth(scene, splats, add, add_camera, shi
     assert sorted(node.name for node in tree.nodes) == before
     assert len(bpy.data.scenes) == 2
     np.testing.assert_allclose(render("PNG16")[height // 2, width // 2, :3], 1, atol=0.02)
+
+
+def test_the_composite_is_one_step_of_undo(scene, splats, add, add_camera):
+    add_camera()
+    add("cube")
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    bpy.ops.ed.undo_push(message="Set Up Composite")
+    assert bpy.context.scene.fastgs.use_meshes and len(bpy.data.scenes) == 2
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert not scene.fastgs.use_meshes and not bpy.context.view_layer.fastgs.use_pass_holdout and len(bpy.data.scenes) == 1
+    assert not (scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.use_nodes)
+
+
+def test_the_composite_darkens_meshes_by_the_shadows_of_splats(scene, fg, model_file, splat_object, add, add_camera, shine, render):
+    """A white plane, a ball of splats beside the camera's axis, and a lamp that throws its shadow to the other side."""
+    ball = fg.GaussianModel(position=[[1, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[4.0],
+                            features=[[0.9, 0.1, 0.1]])
+    splat_object(model_file(ball))
+    add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
+    shine(add("plane", size=40), (1, 1, 1))
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    lamp.rotation_euler.y = np.pi / 4  # from the side of x
+    scene.collection.objects.link(lamp)
+    scene.view_settings.view_transform, scene.fastgs.shadow_light = 'Raw', lamp
+    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    other = bpy.data.scenes[f"{scene.name} Meshes"]
+    other.cycles.samples, other.cycles.use_denoising = 1, False
+    picture = render("PNG16")
+    x, y = int(32 - 1 * 6.4), 24
+    assert picture[y, x, :3].max() < 0.25 and picture[y, 60, :3].min() > 0.98
+    tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
+    tree.nodes["FAST-GS Join"].inputs["Shadow Strength"].default_value = 0.0
+    assert render("PNG16")[y, x, :3].min() > 0.98
+    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    assert tree.nodes["FAST-GS Join"].inputs["Shadow Strength"].default_value == 0.0, "what users have set stays"
 
 
 def test_the_composite_keeps_the_users_nodes(scene, splats, add, add_camera, compositor):

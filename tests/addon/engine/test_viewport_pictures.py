@@ -219,6 +219,22 @@ def test_splats_behind_other_things_are_hidden(module, fg, moving, camera, drawn
     assert psnr(drawn([(model, np.eye(4), 0.0)], eye, depth=depth), expected(module, [(before, np.eye(4), 0.0)], eye)) >= 45
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_meshes_hide_splats_as_in_final_renders(module, fg, moving, camera, drawn, orthographic):
+    """A slanted triangle through the cloud, which Blender does not draw under our engine: its depth comes from the CPU."""
+    table, meshes = module("engine.viewport.frame_table"), module("engine.viewport.meshes")
+    model, eye = moving(fg.RGB(), temporal=fg.Always()), camera(orthographic)
+    corners = np.array([[-3, -2, 3.0], [3, -2, 4.5], [0.3, 0.6, 4.0]])  # before the camera
+    to_world = np.linalg.inv(eye.world_to_camera)
+    triangles = (corners @ to_world[:3, :3].T + to_world[:3, 3])[None].astype(np.float32)
+    depth = meshes.scene_depth(triangles, eye, table.Depths(0.0, 0.1) if orthographic else table.Depths(1.0, -0.1))
+    want = fg.render(model, eye, passes=("alpha", "holdout"), holdout=triangles)
+    assert 0.1 < (want["holdout"] > 0).mean() < 0.9
+    got = drawn([(model, np.eye(4), 0.0)], eye, depth=depth)[..., 3]
+    assert psnr(got, want["alpha"]) >= 28 and psnr(got, fg.render(model, eye)["alpha"]) < 25
+    assert meshes.scene_depth(triangles - 100 * to_world[:3, 2], eye, table.Depths(1.0, -0.1)) is None
+
+
 def test_broken_numbers_are_not_drawn(module, fg, moving, camera, drawn):
     good = moving(fg.SH(1), temporal=fg.Always())
     bad = moving(fg.SH(1), temporal=fg.Always(), seed=1, n=20)
