@@ -14,12 +14,11 @@ def playing(folder, names, beside):
     """A sequence of files beside a still model: screenshots of frames, what played, what is kept in memory, and F12 of a frame."""
     scene = bring(beside)
     still = next(o for o in scene.objects if o.fastgs.filepath)
-    still.location = (0, 6.0, 0)
+    still.location, still.hide_render = (5.0, 0, 0), True
     bpy.ops.import_scene.fastgs(directory=os.path.abspath(folder), files=[{"name": name} for name in names], use_engine=True,
                                 set_scene_range=True)
     made = [o for o in scene.objects if o.fastgs.filepath and o is not still]
-    facts = {"made": [o.fastgs.filepath for o in made], "range": [scene.frame_start, scene.frame_end], "still": list(still.location),
-             "start": made[0].fastgs.start_frame, "views": {}, "kept": []}
+    facts = {"made": [o.fastgs.filepath for o in made], "range": [scene.frame_start, scene.frame_end], "views": {}, "kept": []}
     camera = look(scene, 200, 140, target=(0, 0, 0.9))
     scene.render.film_transparent = False
     bpy.context.preferences.view.smooth_view = 0
@@ -30,7 +29,7 @@ def playing(folder, names, beside):
         space.show_region_header = space.show_region_tool_header = space.show_region_toolbar = False
     space.shading.type = 'RENDERED'
     yield from press('NUMPAD_1', area)
-    space.region_3d.view_location, space.region_3d.view_distance = (0, 0, 0.9), 6.0
+    space.region_3d.view_location, space.region_3d.view_distance = (2.0, 0, 0.9), 9.0
 
     # frames in any order; the file of each is what is seen
     for offset in (2, len(names) - 1, 5):
