@@ -15,7 +15,7 @@ from .appearance import Changing
 from .fitting import Fit, choose, motion_families, rotation_families
 from .gaussians import Clip, GaussianModel
 from .motion import Static
-from .sequence import PROBES, Sequence, match
+from .sequence import PROBES, Sequence
 from .slicing import sigmoid
 
 SIZE = 0.05
@@ -35,16 +35,15 @@ def one_model(sequence: Sequence, basis: str = "auto", progress=lambda fraction:
     count = len(sequence.at)
     t = sequence.at / sequence.clip.frame_count
     probes = np.linspace(0, len(sequence) - 1, min(len(sequence), PROBES)).astype(int)
-    seen, before = {name: [] for name in ("position", "rotation", "features", "scale", "opacity")}, None
+    seen = {name: [] for name in ("position", "rotation", "features", "scale", "opacity")}
     for i in range(count):
         model = sequence.frame(i)
-        if before is not None and not match(before, model):
+        if i and not sequence.matches(i - 1, i):
             raise FastGSError(f"{sequence.about}: the frames {i - 1} and {i} do not hold the same Gaussians in the same order, so that no "
                               "one model moves through them; keep the sequence.")
         chosen = model.take(probes)
         for name, values in seen.items():
             values.append(_values(chosen, name))
-        before = model
         progress(0.5 * (i + 1) / count)
     seen = {name: np.stack(values) for name, values in seen.items()}
     seen["rotation"] = _one_sign(seen["rotation"])

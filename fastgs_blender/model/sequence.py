@@ -152,7 +152,7 @@ class Sequence:
         i, j, share = self._between(t)
         if read:
             self._look_ahead(i)
-        if i == j or hold or not self._match(i, j, read):
+        if i == j or hold or not self.matches(i, j, read):
             return self.frame(i if share < 0.5 else j, read), 0.0
         make = (lambda: blended(self.frame(i), self.frame(j), share)) if read else None
         return cache.get((self._owner, i, share), (self._state(i), self._state(j)), make), 0.0
@@ -165,7 +165,8 @@ class Sequence:
             return i, i, 0.0
         return i, i + 1, float((place - self.at[i]) / (self.at[i + 1] - self.at[i]))
 
-    def _match(self, i: int, j: int, read: bool) -> bool:
+    def matches(self, i: int, j: int, read: bool = True) -> bool:
+        """Whether the i-th and the j-th frame hold the same Gaussians in the same order; NotRead as in frame()."""
         if self._alike:
             return len(self.frame(i, read)) == len(self.frame(j, read))  # some may have been left out, because they are not finite
         key = i, self._state(i), self._state(j)

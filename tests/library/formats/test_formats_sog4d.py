@@ -14,6 +14,7 @@ from evaluated import assert_shows, directions, spherical
 from PIL import Image
 
 import fastgs_blender as fg
+from fastgs_blender.model.from_frames import one_model
 
 N, SIDE = 13, 4
 START, DURATION, FPS = 2.0, 3.0, 20.0
@@ -216,6 +217,14 @@ def test_frames_of_gsplat_unity(tmp_path, rng, version, bands, times, delta):
         share = float(np.clip((t - at[i]) / (at[j] - at[i]), 0, 1)) if at[j] > at[i] else 0.0
         model, moment = source.moment(t)
         assert_shows(model, moment, **between(told[i], told[j], share))
+
+
+def test_frames_become_one_model_wherever_they_lie(tmp_path, rng):
+    """The format says that its Gaussians are the same ones; how far they jump from frame to frame does not matter."""
+    files, _ = frames(rng, bands=0, count=4)
+    (tmp_path / "m.sog4d").write_bytes(zipped(files))
+    with pytest.warns(fg.LossWarning):
+        assert len(one_model(fg.open_source(tmp_path / "m.sog4d"))) == N
 
 
 @pytest.mark.parametrize(("change", "said"), [
