@@ -58,7 +58,8 @@ def files(tmp_path_factory) -> dict[str, bytes]:
     for name, kinds in KINDS.items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", fg.LossWarning)
-            fg.save(random_model(rng, COUNTS.get(name, COUNT), **kinds), folder / name, compress="fine" if name.startswith("packed") else None)
+            model = random_model(rng, COUNTS.get(name, COUNT), **kinds)
+            fg.save(model, folder / name, compress="fine" if name.startswith("packed") else None)
     return {name: (folder / name).read_bytes() for name in KINDS} | made_elsewhere(rng)
 
 
