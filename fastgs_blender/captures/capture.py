@@ -69,6 +69,8 @@ class Capture:
     points      points that the layout brings along, or None
     mask_means  meaning of the mask files: "foreground" (white: the subject) or "valid" (black: to be ignored)
     notes       remarks on how it was read
+    model       a file that shows the same scene at the same times, as a bake of it does, or None
+    within      begin and length of the part of that model's time that the clip covers
     faults      problems found while the description was read, a clause each; pixels.checks.problems() lists all
 
     Example:
@@ -85,6 +87,8 @@ class Capture:
     mask_means: str = "foreground"
     notes: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    model: Path | None = None
+    within: tuple[float, float] = (0.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.shots)

@@ -69,7 +69,7 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
 def from_entries(
         path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
         held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,
-        mask_means: str = "foreground", notes: Sequence[str] = (), faults: Sequence[str] = ()) -> Capture:
+        mask_means: str = "foreground", notes: Sequence[str] = (), faults: Sequence[str] = (), model: Path | None = None) -> Capture:
     """The capture of these pictures, with the options applied; held_out, scale and focal (see pinhole_for) are the layout's defaults."""
     check_count(path, frame_count)
     check_count(path, len(entries))
@@ -97,7 +97,8 @@ def from_entries(
     shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
     step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
-    return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)])
+    return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)],
+                   model, (chosen[0] / frame_count, len(chosen) * step / frame_count))
 
 
 def _name(view: str) -> str:

@@ -17,6 +17,7 @@ from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.outputs import replacing
 from ...fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 from ...fastgs_blender.util.reading import read_json
+from .baked import bake_filmed_steps
 from .studio import Studio
 from .subject import find
 
@@ -53,7 +54,8 @@ class Plan:
 
 
 def film_steps(scene: bpy.types.Scene, plan: Plan, out):
-    """A generator that films: it yields (pictures done, pictures in all), and returns notes on passes that are not available.
+    """A generator that films: it yields (done, in all), of pictures and then, with a third member, of a bake of what they show; it
+    returns notes on what is not available.
 
     Pictures, masks and depth that are in the folder already are kept.  Raises FastGSError.
     """
@@ -80,8 +82,22 @@ def film_steps(scene: bpy.types.Scene, plan: Plan, out):
                 notes.add("the render engine gives no depth, so there are no starting points from it")
             _write(out, view, f"{number + 1:04}", picture)
         _write_points(out, plan, views)
-        yield len(every), len(every)
-    return sorted(notes)
+        note = yield from _baked(bake_filmed_steps(studio, plan, subject.everything, _rate(scene, plan), out))
+    return sorted(notes | ({note} if note else set()))
+
+
+def _baked(steps):
+    """Yields the shares of a bake as a film's progress; returns the bake's note."""
+    while True:
+        try:
+            yield round(100 * next(steps)), 100, "Baking"
+        except StopIteration as end:
+            return end.value
+
+
+def _rate(scene, plan) -> float:
+    """Frames per second of the capture."""
+    return scene.render.fps / scene.render.fps_base / plan.frame_step
 
 
 def _rig(plan, subject) -> dict[str, list[fg.Camera]]:
@@ -136,9 +152,9 @@ def _describe(out: Path, scene, plan, views):
             if before.get("made") == json.loads(json.dumps(made)) and len(before["cameras"]) == len(entries):
                 return
             raise FastGSError(f"{out} holds a capture with other settings; choose another folder, or remove that one.")
-        rate = scene.render.fps / scene.render.fps_base / plan.frame_step
         held_out = [next(iter(views))] if plan.hold_out and len(views) > 2 else []
-        fastgs.write_cameras(out, entries, frame_count=len(plan.frames), fps=rate, start_frame=1, held_out=held_out, axes=AXES, made=made)
+        fastgs.write_cameras(out, entries, frame_count=len(plan.frames), fps=_rate(scene, plan), start_frame=1, held_out=held_out,
+                             axes=AXES, made=made)
         for name in views:
             for folder in (out / name, out / "masks" / name, out / "depth" / name):
                 folder.mkdir(parents=True, exist_ok=True)

@@ -18,6 +18,7 @@ class Filming:
     name   the capture's folder, for messages
     done   pictures that are there, of `whole`
     made   how many of them this filming has made
+    doing  what is being done, where it is not filming: done and whole are then of that
     clock  gives the time in seconds from any beginning
     """
 
@@ -25,15 +26,16 @@ class Filming:
     done: int = 0
     whole: int = 0
     made: int = 0
+    doing: str = "Filming"
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self):
         self._began = self.clock()
 
-    def step(self, done: int, whole: int) -> None:
+    def step(self, done: int, whole: int, doing: str = "Filming") -> None:
         """Take note of how far it is."""
-        self.made += done > self.done
-        self.done, self.whole = done, whole
+        self.made += doing == "Filming" and done > self.done
+        self.done, self.whole, self.doing = done, whole, doing
 
     @property
     def share(self) -> float:
@@ -42,8 +44,8 @@ class Filming:
 
     @property
     def seconds_each(self) -> float | None:
-        """Seconds that a picture takes; None before the first."""
-        return (self.clock() - self._began) / self.made if self.made else None
+        """Seconds that a picture takes; None before the first and after the last."""
+        return (self.clock() - self._began) / self.made if self.made and self.doing == "Filming" else None
 
     @property
     def seconds_left(self) -> float | None:

@@ -6,6 +6,7 @@
                                  or whose frame number video_start is
     masks/cam00/0001.png ...     optional, white: what counts
     points.ply                   optional: x y z red green blue and t
+    bake.safetensors             optional: a model of the same scene and time, with which training begins
 """
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ from ..sources import COLOURS, VIDEOS, Source
 
 name = "fast-gs capture"
 FORMAT, VERSION = "fast-gs capture", 1
-FILE = "cameras.json"
+FILE, BAKE = "cameras.json", "bake.safetensors"
 MOST_FRAMES = 1_000_000
 
 
@@ -77,7 +78,7 @@ def load(path: Path, options: Options) -> Capture:
     return from_rig(
         path, name, cameras, options, frame_count=count, fps=poses.number(values.get("fps", 24), where + "its fps", 1e-3, 1e6),
         start_frame=start, axes=axes, held_out=held_out, mask_means=mask_means, faults=faults,
-        points=load_points(points) if points.is_file() else None)
+        points=load_points(points) if points.is_file() else None, model=folder / BAKE if (folder / BAKE).is_file() else None)
 
 
 def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:

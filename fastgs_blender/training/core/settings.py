@@ -63,9 +63,9 @@ class Settings:
       free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
 
     Starting values
-      start           where the points come from: triangulated from the pictures, the layout's point file, a model, random;
-                      auto: the first of them that gives points, but start_model before all others if one is given
-      start_model     a model, as a bake makes one, whose Gaussians are starting points
+      start           where the Gaussians come from: points triangulated from the pictures, the layout's point file, random points,
+                      or a model; auto: start_model, else the capture's own model, else the first of the others that gives points
+      start_model     a model, as a bake makes one, whose Gaussians are taken with their motion
       points          most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
       backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (hold.py)

@@ -1,42 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chooses the starting points: triangulated from the pictures, the layout's point file, a given model, or random points.
+"""Chooses the starting points: triangulated from the pictures, the layout's point file, or random points.
 
 The source and the number of points are printed.  The result depends on the seed and the pictures alone.
 """
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from ...captures.capture import Points
-from ...model.slicing import slice_model
 from ...util.errors import FastGSError
 from ..core.schedule import POINTS, generator
-from .dense import FEW, MOMENTS, depth_range, picture, spread, triangulated
+from .dense import FEW, depth_range, picture, spread, triangulated
 from .geometry import sample, unproject, visible
 
-INTO_BLENDER = {"RFU": np.eye(3), "RDF": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), "RUB": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])}
-"""Matrices from a world's axes to right, forward, up."""
-SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "model": "a given model", "random": "random points"}
+SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
 
 
 def initial_points(capture, store, settings, say=print) -> Points:
     """The points that training starts from, at most settings.points; t is NaN for points that are visible at all times.
 
-    settings.start  "auto": a given model, else the first source that gives points, in SOURCES' order; or a source's name
+    settings.start  "auto": the first source that gives points, in SOURCES' order; or a source's name
     Raises FastGSError where the wanted source gives none.
     """
-    if settings.start != "auto":
-        order = [settings.start]
-    else:
-        order = (["model"] if settings.start_model else []) + [kind for kind in SOURCES if kind != "model"]
+    order = list(SOURCES) if settings.start == "auto" else [settings.start]
     refused = []
     for kind in order:
         try:
             points, how = _MAKERS[kind](capture, store, settings)
         except FastGSError as error:
-            if settings.start != "auto" or kind == "model":
+            if settings.start != "auto":
                 raise
             refused.append(str(error))
             continue
@@ -71,26 +63,6 @@ def from_file(capture, store, settings):
     return capture.points, SOURCES["file"]
 
 
-def from_model(capture, store, settings):
-    """The Gaussians of a model, as a bake makes one, at several moments if they move."""
-    from ... import formats
-
-    if not settings.start_model:
-        raise FastGSError("no model to start from is named; give one with --init-model FILE.")
-    model = formats.load(settings.start_model)
-    turn = (INTO_BLENDER[capture.axes].T @ INTO_BLENDER[model.axes]).T
-    times = [None] if model.clip.frame_count < 2 else spread(sorted({shot.t for shot in capture.training}), MOMENTS)
-    share = max(settings.points // len(times), 1)
-    clouds = []
-    for k, t in enumerate(times):
-        rows = generator(settings.seed, POINTS, 2, k).permutation(len(model))[:share]
-        now = slice_model(model.take(np.sort(rows)), t or 0.0)
-        moment = np.full(len(now.position), np.nan if t is None else t)
-        clouds.append((now.position @ turn, model.appearance.plain_colours(now.features), moment))
-    xyz, rgb, t = (np.concatenate(parts) for parts in zip(*clouds))
-    return Points(xyz, rgb, t), f"{Path(settings.start_model).name}, {len(model)} Gaussians at {len(times)} moments"
-
-
 def random_points(capture, store, settings):
     """Points behind random pixels in the pixels' colours, where at least half as many cameras see as at the best-seen place."""
     rng = generator(settings.seed, POINTS, 3)
@@ -111,4 +83,4 @@ def random_points(capture, store, settings):
     return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where several cameras look"
 
 
-_MAKERS = {"triangulate": triangulated, "file": from_file, "model": from_model, "random": random_points}
+_MAKERS = {"triangulate": triangulated, "file": from_file, "random": random_points}

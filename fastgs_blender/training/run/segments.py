@@ -51,7 +51,8 @@ def part(capture: Capture, span: Span) -> Capture:
         t = (np.asarray(points.t) - begin) / length
         inside = ~((t < 0) | (t >= 1))  # those without a time, NaN, stay
         points = replace(points, t=t).take(inside)
-    return replace(capture, shots=shots, clip=clip, points=points)
+    first, all_of_it = capture.within
+    return replace(capture, shots=shots, clip=clip, points=points, within=(first + all_of_it * begin, all_of_it * length))
 
 
 def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> GaussianModel:

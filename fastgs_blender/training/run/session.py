@@ -178,18 +178,12 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
         trainer = kind(capture, store, settings, None, group, decoder)
         trainer.restore(group.share_arrays(found[0] if found else {}), about)
         return trainer
-    from ...captures.capture import Points
-    from ..initial.backdrop import with_backdrop
-    from ..initial.model import model_from_points, reach_of
-    from ..initial.points import initial_points, thinned
+    from ..core.model import empty_model
+    from ..initial.start import Start, start
 
-    points = group.first_does(
-        lambda: with_backdrop(capture, store, settings, initial_points(capture, store, settings, reporter.say)))
-    points = points and thinned(points, settings.max_gaussians, settings.seed)
-    arrays = {} if points is None else {name: np.asarray(array) for name, array in vars(points).items() if array is not None}
-    points = Points(**group.share_arrays(arrays))
-    model = model_from_points(points, settings, capture.clip, capture.axes, capture.extent)
-    return kind(capture, store, settings, model, group, decoder, points.size, reach_of(points, capture))
+    began = group.first_does(lambda: start(capture, store, settings, reporter.say))
+    began = Start.of(group.share_arrays(began.arrays if began else {}), empty_model(settings, capture.clip, capture.axes))
+    return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach)
 
 
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:

@@ -12,8 +12,9 @@ SIZE = dict(width=32, height=24)
 
 
 @pytest.fixture
-def moving_scene(scene):
-    """A ball that crosses a floor in two frames, lit, rendered by Cycles."""
+def moving_scene(scene, module, monkeypatch):
+    """A ball that crosses a floor in two frames, lit, rendered by Cycles; what is filmed is baked with few Gaussians."""
+    monkeypatch.setattr(module("scene.filming.baked"), "COUNT", 30_000)
     scene.render.engine = 'CYCLES'
     scene.cycles.samples = 77
     scene.view_settings.view_transform = 'AgX'
@@ -70,6 +71,13 @@ def test_a_scene_is_filmed_and_left_as_it_was(moving_scene, module, fg, tmp_path
     module("fastgs_blender.captures.pixels.checks").check(capture)
     assert capture.views == ["cam00", "cam01", "cam02", "cam03"] and capture.held_out_views == ["cam00"]
     assert (capture.clip.frame_count, capture.axes) == (2, "RFU")
+    # the bake beside the pictures follows the ball, on the capture's own time line
+    bake = fg.load(capture.model)
+    assert (bake.clip.frame_count, bake.clip.start_frame, bake.axes) == (2, 1, "RFU")
+    for frame, x in enumerate((-0.5, 0.5)):
+        places = fg.slice_model(bake, frame / 2).position
+        ball = places[places[:, 2] > -0.4]
+        assert len(ball) > 50 and np.abs(ball[:, 0] - x).max() < 0.52, frame
     # the masks show the ball, in every view where the ball is: its centre is known
     store = module("fastgs_blender.captures.pixels.store").FrameStore(capture, 2**20, folder=tmp_path / "cache")
     for shot in capture.shots:

@@ -20,6 +20,7 @@ from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.initial.geometry import visible
 from fastgs_blender.training.initial.points import initial_points
+from fastgs_blender.training.initial.start import start
 from fastgs_blender.util import threads
 
 pytest.importorskip("pycolmap")
@@ -186,25 +187,56 @@ def test_without_anything_points_are_random_where_cameras_look_together(blank):
     assert not np.array_equal(other.xyz, points.xyz)
 
 
-def test_a_given_model_comes_first_turned_into_the_captures_axes(filmed, make_model, rng, tmp_path):
+@pytest.fixture(scope="module")
+def card(filmed, tmp_path_factory):
+    """A bake of the card that moves, as a file in Blender's axes, and of a smaller card that it hides."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * CARD_HALF
+    path = tmp_path_factory.mktemp("bake") / "card.safetensors"
+    frames = [np.c_[corners[:, 0] + card_x(k / FRAMES), np.full(4, CARD_DEPTH), -(corners[:, 1] + 0.2)] for k in range(FRAMES)]
+    positions = np.concatenate([np.stack(frames), np.stack([(f - f.mean(0)) * 0.4 + f.mean(0) + (0, 0.3, 0) for f in frames])], 1)
+    model, _ = fg.bake(positions, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], count=4000)
+    fg.save(model, path)
+    return path
+
+
+def test_training_begins_with_a_known_model_as_it_moves_in_the_colours_of_the_pictures(filmed, card):
     capture, store = filmed
-    model = replace(make_model(rng, 200, basis=fg.Cosine(2)), axes="RFU", appearance=fg.RGB(), features=rng.uniform(0, 1, (200, 3)),
-                    clip=fg.Clip(FRAMES), temporal_kind=fg.Always(), temporal=None)
-    fg.save(model, tmp_path / "baked.safetensors")
     said = []
-    points = initial_points(capture, store, settings(start_model=str(tmp_path / "baked.safetensors")), said.append)
-    assert "baked.safetensors" in said[-1]
-    at = fg.slice_model(model, 0.25).position
-    x, y, z = at.T
-    mine = points.xyz[points.t == np.float32(0.25)]
-    expected = np.stack([x, -z, y], 1)
-    np.testing.assert_allclose(mine[np.lexsort(mine.T)], expected[np.lexsort(expected.astype(np.float32).T)], atol=1e-5)
+    chosen = settings(start_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial")
+    begun = start(capture, store, chosen, said.append)
+    model = begun.model
+    assert "4000" in said[-1] and str(len(model)) in said[-1]
+    assert 1000 <= len(model) <= 1300 and begun.sizes is None
+    shown = np.abs(model.position[:, 2] - CARD_DEPTH) < 0.1  # what is hidden is left out
+    assert shown.mean() > 0.98
+    for t in (0.0, 0.25, 0.5, 0.75):
+        now = fg.slice_model(model.take(shown), t)
+        assert np.abs(now.position[:, 0] - card_x(t)).max() < CARD_HALF + 0.03
+        seen = colour(2, now.position[:, 0] - card_x(t), now.position[:, 1] - 0.2)
+        wrong = np.abs(now.features[:, :3] - seen).mean()
+        assert wrong < np.abs(seen.mean(0) - seen).mean() / 2
+        assert (now.scale.min(1) < 0.5 * now.scale.max(1)).mean() > 0.95  # flat, facing the cameras
+    # of the capture's own model a part of the clip takes its part
+    second = replace(capture, model=card, within=(0.5, 0.5), clip=replace(capture.clip, frame_count=2),
+                     shots=[replace(shot, frame=shot.frame - 2, t=2 * (shot.t - 0.5)) for shot in capture.shots if shot.frame >= 2])
+    later = start(second, store, settings(max_gaussians=1600, backdrop=0.0), said.append).model
+    assert np.median(fg.slice_model(later, 0.0).position[:, 0]) == pytest.approx(card_x(0.5), abs=0.1)
 
 
-@pytest.mark.parametrize("start", ["triangulate", "file", "model"])
-def test_a_start_that_was_asked_for_and_fails_is_an_error(blank, start):
+def test_a_damaged_model_of_the_capture_is_told_and_points_begin_instead(blank, tmp_path):
+    capture, store = blank
+    (tmp_path / "bake.safetensors").write_bytes(b"no model")
+    said = []
+    begun = start(replace(capture, model=tmp_path / "bake.safetensors"), store, settings(points=500), said.append)
+    assert "bake.safetensors" in said[0] and "random" in said[-1] and len(begun.model) >= 500
+    with pytest.raises(fg.FastGSError, match="bake.safetensors"):
+        start(capture, store, settings(start_model=str(tmp_path / "bake.safetensors")), said.append)
+
+
+@pytest.mark.parametrize("source", ["triangulate", "file", "model"])
+def test_a_start_that_was_asked_for_and_fails_is_an_error(blank, source):
     with pytest.raises(fg.FastGSError):
-        initial_points(*blank, settings(start=start), lambda text: None)
+        start(*blank, settings(start=source), lambda text: None)
 
 
 def test_a_camera_that_films_alone_gives_points_of_what_stands(filmed):

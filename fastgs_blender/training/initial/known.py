@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Begins with a model that is known before training, as a bake makes one: its Gaussians move, turn and lie as they do there.
+
+Which of them are taken, and their colours, the pictures tell: those that cover pixels, and more of them where they cover more.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ... import formats
+from ...captures.capture import Points
+from ...formats.turning import with_axes
+from ...model.fitting import Fit
+from ...model.gaussians import GaussianModel
+from ...model.slicing import Slice, slice_model
+from ...model.temporal import Radial
+from ...rendering.api import render
+from ...util.errors import FastGSError
+from ...util.rotations import to_matrices
+from ..core.model import empty_model
+from ..core.schedule import POINTS, generator
+from .dense import picture, spread
+from .geometry import project, sample, visible
+
+SHARE = 0.75
+"""Of the largest number of Gaussians: what training begins with; it adds the rest where they are needed."""
+MOST_SHOTS, SIDE = 48, 320
+"""Pictures in which Gaussians are looked for, and their longer side."""
+MOMENTS = 8
+"""Of the clip: at each of them the Gaussians' places count as points of the scene."""
+NEAR = 0.01
+"""A Gaussian this far behind the depth that is seen, as a share of that depth, is seen too; and so is one that reaches it."""
+GROWN = 3.0
+"""A Gaussian grows at most by this factor, to fill the places of those that are not taken."""
+OPAQUE = 0.95
+"""Largest opacity: nearer to 1 it would hardly learn any more."""
+
+
+def known_model(capture, settings, say) -> GaussianModel | None:
+    """The model to begin with, in the capture's axes: the settings' one, else the one that the capture brings; None without either.
+
+    Raises FastGSError where the settings' one cannot be read; without the capture's one training begins with points.
+    """
+    if settings.start not in ("auto", "model"):
+        return None
+    if settings.start_model:
+        return with_axes(formats.load(settings.start_model), capture.axes)
+    if capture.model is not None:
+        try:
+            return with_axes(formats.load(capture.model), capture.axes)
+        except FastGSError as error:
+            say(f"no starting Gaussians from this source: {error}")
+    if settings.start == "model":
+        raise FastGSError("no model to start from is named; give one with --init-model FILE.")
+    return None
+
+
+def points_of(model: GaussianModel, capture) -> Points:
+    """Where its Gaussians are at some moments, as points of all times."""
+    slices = [slice_model(model, _time(capture, t)) for t in np.arange(MOMENTS) / MOMENTS]
+    xyz = np.concatenate([now.position for now in slices])
+    return Points(xyz.astype(np.float32), np.full((len(xyz), 3), 0.5, np.float32))
+
+
+def begun_with(model: GaussianModel, capture, store, settings) -> GaussianModel:
+    """The model that training begins with: of the settings' kinds, with at most SHARE of their Gaussians."""
+    seen = _seen(model, capture, store, settings)
+    share = _shares(np.sqrt(seen.area), int(SHARE * settings.max_gaussians))
+    rows = np.flatnonzero(generator(settings.seed, POINTS, 2).uniform(size=len(model)) < share)
+    if not len(rows):
+        raise FastGSError("no camera of the capture sees the model to start from; check that they share a world.")
+    first = _fitted(model.take(rows), seen.rgb[rows], capture, settings)
+    grown = np.log(np.minimum(share[rows] ** -0.5, GROWN))
+    return replace(first, scale=first.scale + grown[:, None].astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What pictures show of N Gaussians: area [N] in pixels, summed over them; the mean colour there rgb [N, 3]."""
+
+    area: np.ndarray
+    rgb: np.ndarray
+
+
+def _seen(model, capture, store, settings) -> _Seen:
+    area, sums = np.zeros(len(model)), np.zeros((len(model), 3))
+    for shot in spread(capture.training, MOST_SHOTS):
+        image, camera, inside = picture(capture, store, settings, shot, SIDE)
+        t = _time(capture, shot.t)
+        now = slice_model(model, t)
+        drawn = render(model, camera, t, ("depth",))["depth"]
+        rows = np.flatnonzero(visible(camera, now.position))
+        places, depth = project(camera, now.position[rows])
+        widest = np.sort(now.scale[rows], 1)[:, 1:]
+        uncovered = depth <= sample(drawn[..., None], places)[:, 0] * (1 + NEAR) + widest[:, 1]
+        if inside is not None:
+            uncovered &= sample(inside[..., None], places)[:, 0] > 0.5
+        rows, places, depth, widest = rows[uncovered], places[uncovered], depth[uncovered], widest[uncovered]
+        pixels = widest.prod(1) * camera.fx * camera.fy / depth**2 * _facing(now, rows, camera)
+        np.add.at(area, now.index[rows], pixels)
+        np.add.at(sums, now.index[rows], sample(image, places) * pixels[:, None])
+    plain = model.appearance.plain_colours(model.features)
+    return _Seen(area, np.divide(sums, area[:, None], out=np.array(plain, np.float64), where=area[:, None] > 0))
+
+
+def _facing(now: Slice, rows, camera) -> np.ndarray:
+    """How much the Gaussians' flat side faces the camera: the cosine."""
+    eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+    axes = to_matrices(now.rotation[rows])
+    normal = axes[np.arange(len(rows)), :, now.scale[rows].argmin(1)]
+    ray = now.position[rows] - eye
+    return np.abs((normal * ray).sum(1)) / np.maximum(np.linalg.norm(ray, axis=1), 1e-12)
+
+
+def _shares(weight: np.ndarray, count: int) -> np.ndarray:
+    """The probability of each to be taken, in proportion to its weight and at most 1, so that about `count` are."""
+    low, high = 0.0, 1.0
+    if (weight > 0).sum() <= count:
+        return (weight > 0).astype(np.float64)
+    share = weight / weight[weight > 0].min()
+    while np.minimum(high * share, 1).sum() < count:
+        low, high = high, 2 * high
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if np.minimum(middle * share, 1).sum() < count else (low, middle)
+    return np.minimum(high * share, 1)
+
+
+def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> GaussianModel:
+    """The model in the settings' bases of time, by least squares over the clip, and of their other kinds.
+
+    Where a Gaussian turns in a way that the basis of rotations cannot follow, its thin side grows by what the turn moves its wide one.
+    """
+    frames = capture.clip.frame_count
+    t = np.linspace(0, (frames - 1) / frames, min(2 * frames - 1, 96)) if frames > 1 else np.zeros(1)
+    slices = [slice_model(model, _time(capture, moment), cull=False) for moment in t]
+    empty = empty_model(settings, capture.clip, capture.axes)
+    n = len(model)
+    arrays = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
+    places, _ = Fit.of(empty.basis, t)(np.stack([now.position for now in slices]))
+    turns = np.stack([now.rotation for now in slices])
+    turns *= np.where(np.cumsum(np.r_[np.zeros((1, n)), (turns[1:] * turns[:-1]).sum(-1) < 0], axis=0) % 2, -1.0, 1.0)[..., None]
+    quaternions, followed = Fit.of(empty.rotation_basis, t)(turns)
+    cosine = np.abs((followed * turns).sum(-1)) / np.maximum(np.linalg.norm(followed, axis=-1), 1e-12)
+    sine = np.sqrt(np.mean(1 - np.clip(2 * np.clip(cosine, 0, 1) ** 2 - 1, 0, 1) ** 2, axis=0))
+    scale = slices[0].scale
+    scale = np.maximum(scale, sine[:, None] * np.median(scale, axis=1, keepdims=True))
+    arrays["scale"][:] = np.log(np.maximum(scale, 1e-6 * capture.extent))
+    arrays["features"][:] = empty.appearance.features_of(rgb)
+    sigma = np.stack([now.opacity for now in slices])
+    peak = sigma.max(0)
+    opacity = np.clip(peak, settings.start_opacity, OPAQUE)
+    arrays["opacity"][:] = np.log(opacity / (1 - opacity))
+    shown = sigma / np.maximum(peak, 1e-12)
+    middle = (shown * t[:, None]).sum(0) / shown.sum(0)
+    always = shown.min(0) > 0.5
+    arrays["mu_tau"][:] = np.where(always, 0.5, middle)
+    for constant, motion, basis, fit in (("position", "motion", empty.basis, places), ("rotation", "rotation_motion", empty.rotation_basis,
+                                                                                      quaternions)):
+        about_zero = fit[0], fit[1:].swapaxes(0, 1)
+        arrays[constant][:], arrays[motion][:] = basis.recentred(*about_zero, arrays["mu_tau"].astype(np.float64))
+    if isinstance(empty.temporal_kind, Radial):
+        spread_of = np.sqrt(2 * (shown * (t[:, None] - middle) ** 2).sum(0) / shown.sum(0))
+        life = np.where(always, settings.static_life, np.maximum(spread_of, settings.start_life / 2))
+        arrays["temporal"][:, 0] = -2 * np.log(life)
+    return replace(empty, **arrays)
+
+
+def _time(capture, t: float) -> float:
+    """The model's time at the capture's time t."""
+    begin, length = capture.within
+    return begin + length * t

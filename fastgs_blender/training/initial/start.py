@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What training begins with: the Gaussians of a known model or of starting points, and the backdrop behind them."""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...model.gaussians import GaussianModel
+from . import backdrop, known, points
+from .model import model_from_points, reach_of
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
+    a backdrop; reach, how far away is what the cameras film."""
+
+    model: GaussianModel
+    sizes: np.ndarray | None
+    reach: float
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it but the model's kinds, for other processes."""
+        return self.model.arrays | {"reach": np.array([self.reach])} | ({} if self.sizes is None else {"sizes": self.sizes})
+
+    @classmethod
+    def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
+        """What these arrays were, of a model of the same kinds as `empty`."""
+        return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]))
+
+
+def start(capture, store, settings, say=print) -> Start:
+    """What training on a capture begins with.  Raises FastGSError where what the settings ask for gives nothing."""
+    model = known.known_model(capture, settings, say)
+    found = points.initial_points(capture, store, settings, say) if model is None else known.points_of(model, capture)
+    behind = backdrop.with_backdrop(capture, store, settings, found)
+    if model is None:
+        behind = points.thinned(behind, settings.max_gaussians, settings.seed)
+        first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
+        return Start(first, behind.size, reach_of(behind, capture))
+    first = known.begun_with(model, capture, store, settings)
+    say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
+    behind = behind.take(slice(len(found), None))
+    if not len(behind):
+        return Start(first, None, reach_of(found, capture))
+    second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
+    both = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
+    return Start(both, np.concatenate([np.full(len(first), np.nan, np.float32), behind.size]), reach_of(found, capture))

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes what was filmed into a model beside the pictures: training begins with it, because shape and motion of a scene are known."""
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+
+from ... import fastgs_blender as fg
+from ...fastgs_blender.captures.layouts.fastgs import BAKE
+from ...fastgs_blender.util.errors import FastGSError
+from ..meshes.baking import Settings, bake_steps
+
+COUNT = 150_000
+"""Gaussians on all surfaces; training takes those that the pictures show."""
+
+
+def bake_filmed_steps(studio, plan, names: set[str], fps: float, out: Path):
+    """A generator that bakes the filmed objects of these names: it yields shares 0..1, and returns a note for the user, or None.
+
+    Where a surface cannot be followed there is no bake, and training begins with what the pictures tell.
+    """
+    path, count = out / BAKE, len(plan.frames)
+    if path.exists():
+        return None
+    last = plan.frame_start + plan.frame_step * count - 1
+    context = SimpleNamespace(scene=studio.scene, evaluated_depsgraph_get=lambda: studio.depsgraph)
+    objects = [obj for obj in studio.scene.objects if obj.name in names]
+    steps = bake_steps(context, objects, Settings(plan.frame_start, last, COUNT), in_background=not bpy.app.background)
+    try:
+        while True:
+            yield next(steps)[0]
+    except StopIteration as end:
+        fg.save(replace(end.value[0], clip=fg.Clip(count, fps, 1)), path)
+    except FastGSError as error:
+        return f"training cannot begin with the shape of the objects: {error}"
+    return None
