@@ -33,7 +33,7 @@ def add_arguments(parser):
     parser.add_argument("--frames", metavar="A:B", help="frames to render (default: the whole clip)")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
     parser.add_argument("--format", default="png", choices=("png", "exr"), help="file format (default: png)")
-    parser.add_argument("--passes", metavar="P,P", help="EXR: the passes to write (default: all)")
+    parser.add_argument("--passes", metavar="P,P", help="EXR: the passes to write (default: all that a model has without meshes)")
     parser.add_argument("--size", metavar="WxH", help="image size (default: the camera's); the horizontal field of view stays the same")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--view", "--camera-index", metavar="NAME", help="the camera to use: its name, or its number from 0")

@@ -165,8 +165,8 @@ class Exposure:
         return [instance.viewed(camera) for instance in moved], camera
 
     def holdout(self, given: np.ndarray | None, time: float) -> np.ndarray | None:
-        """The triangles of a holdout in one sample; given: those at the picture's own time."""
-        if given is None or not self.moments:
+        """The triangles of a holdout in one sample; given: those at the picture's own time, which stand still where no moment has any."""
+        if all(moment.holdout is None for moment in self.moments):
             return given
         before, after, share = self._between(time)
         return between(before.holdout, after.holdout, share)

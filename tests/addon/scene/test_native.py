@@ -139,6 +139,23 @@ def test_files_hold_nothing_of_it(scene, splat, kind, tmp_path):
     assert middles(bpy.data.objects[name]) == pytest.approx(before, abs=1e-5)
 
 
+def test_a_copy_is_one_step_of_undo(scene, splat, module):
+    name = splat.name
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.fastgs.native_copy(kind='DISCS')
+    bpy.ops.ed.undo_push(message="Native Copy")
+    scene.frame_set(40)
+    bpy.ops.ed.undo_push(message="Change Frame")
+    bpy.ops.ed.undo()  # the datablock is as it was on frame 1 again
+    copy = next(obj for obj in bpy.context.scene.objects if obj.fastgs.copy_of is not None)
+    bpy.context.scene.frame_set(20)
+    shown = middles(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    assert len(shown) == len(copy.data.polygons) > 0
+    bpy.ops.ed.undo()
+    assert not any(obj.fastgs.copy_of for obj in bpy.context.scene.objects)
+    assert module("scene.splats.proxy_nodes").modifier_of(bpy.data.objects[name]).show_render
+
+
 def test_discs_have_the_gaussians_colours_and_shapes(scene, fg, splat, moving):
     bpy.ops.fastgs.native_copy(kind='DISCS')
     mesh = next(obj.data for obj in scene.objects if obj.fastgs.copy_of == splat)

@@ -171,8 +171,13 @@ def test_a_mesh_that_moves_is_blurred(backend):
     still = fg.render(scene, CAMERA, passes=EVERYTHING, backend=backend)
     assert np.abs(found["alpha"] - still["alpha"] * (1 - wanted)).max() < 0.02
     assert np.abs(found["alpha"] - still["alpha"])[:, 22:].max() < 1e-6
-    other = replace(exposure, moments=(moments[0], replace(moments[1], holdout=moments[1].holdout[:1]), moments[2]))  # other triangles
-    assert fg.render(scene, CAMERA, passes=EVERYTHING, backend=backend, exposure=other, holdout=moments[1].holdout)["holdout"].max() > 0.4
+    for middle in (moments[1].holdout[:1], None):  # other triangles, and none, at another time
+        other = replace(exposure, moments=(moments[0], replace(moments[1], holdout=middle), moments[2]))
+        changed = fg.render(scene, CAMERA, passes=EVERYTHING, backend=backend, exposure=other, holdout=moments[1].holdout)["holdout"]
+        assert 0.2 < changed.max() < found["holdout"].max() + 0.01
+    still = replace(exposure, moments=tuple(replace(moment, holdout=None) for moment in moments))
+    found = fg.render(scene, CAMERA, passes=EVERYTHING, backend=backend, exposure=still, holdout=rectangle(8, 6, 24, 18, 2.0))
+    assert found["holdout"][12, 12] == pytest.approx(1, abs=1e-5) and not found["holdout"][2].any()
 
 
 def test_depth_of_field_blurs_a_mesh_as_the_average_of_pinholes():
