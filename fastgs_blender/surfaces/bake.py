@@ -175,7 +175,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     model = GaussianModel(
         position=paths.constant, motion=paths.coefficients, basis=paths.basis,
         rotation=turning.constant[turning.row], rotation_motion=turning.coefficients[turning.row],
-        rotation_basis=turning.basis, scale=np.log(sigma)[turning.row], opacity=np.log(alpha / (1 - alpha)),
+        rotation_basis=turning.basis, scale=np.log(sigma), opacity=np.log(alpha / (1 - alpha)),
         features=painted.rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
         provenance={"source": "baked mesh", **(provenance or {})},
     )

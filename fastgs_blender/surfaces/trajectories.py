@@ -137,11 +137,11 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """Rotation and in-plane size of flat Gaussians, U different ones.
+    """Rotation and in-plane size of flat Gaussians, of which U turn differently.
 
-    row [N]            for each sample, its row below
+    row [N]            for each sample, its row of the next two
     constant [U, 4], coefficients [U, R, 4]  of the quaternion in the basis
-    width [U, 2]       standard deviations along the frame's x and y
+    width [N, 2]       standard deviations along the frame's x and y
     residual           mean angle between fitted and true rotation, radians
     """
 
@@ -241,7 +241,8 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
                 progress: Callable[[float], None]) -> Turning:
     """Quaternions of the tangent frames by least squares, in the smallest basis that turns them right to TURN on average.
 
-    Gaussians near a border lie along it and are no wider than reaches it; the others of a triangle are all alike.
+    Gaussians near a border lie along it and are no wider than reaches it.  Those of a triangle along one border turn alike, and so do those
+    along none.
     """
     basis: Basis = Static()
     if moving:
@@ -251,12 +252,9 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
 
     usual = WIDTH * samples.spacing
     across, distance = surface.distance_to_borders(samples, painted, usual / TO_BORDER)
-    bordering = across.any(1)
-    row = np.unique(np.where(bordering, len(surface.triangles) + np.arange(len(samples)), samples.triangle), return_inverse=True)[1]
-    first = np.empty(row.max() + 1, np.int64)
-    first[row] = np.arange(len(samples))
+    first, row = _alike(samples.triangle, across)
     triangles, across = samples.triangle[first], across[first]
-    limit = np.clip(TO_BORDER * distance[first] / usual, NARROWEST, 1)
+    limit = np.clip(TO_BORDER * distance / usual, NARROWEST, 1)
 
     fit = Fit.of(basis, t)
     constant = np.empty((len(triangles), 4), np.float32)
@@ -277,8 +275,20 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
     # Samples were spread by the largest area: in the pose of reference they lie closer than the mean by this factor.
     largest, pose = surface.areas.max(0)[triangles], surface.areas[surface.areas.sum(1).argmax()][triangles]
     stretch *= np.sqrt(np.where(pose > 0, pose / np.maximum(largest, 1e-300), 1))[:, None]
-    width = usual * np.clip(stretch, NARROWEST, WIDEST) * limit
+    width = usual * np.clip(stretch, NARROWEST, WIDEST)[row] * limit
     return Turning(basis, row, constant, coefficients, width, total / (-(-len(triangles) // every) * len(t)))
+
+
+def _alike(triangle: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(first [U], row [N]) of samples on triangles [N] with directions [N, 3]: for each that is different its first sample, and which of
+    them each sample is like.
+    """
+    order = np.lexsort((*across.T, triangle))
+    new = np.ones(len(order), bool)
+    new[1:] = (triangle[order[1:]] != triangle[order[:-1]]) | (across[order[1:]] != across[order[:-1]]).any(1)
+    row = np.empty(len(order), np.int64)
+    row[order] = np.cumsum(new) - 1
+    return order[new], row
 
 
 def _angles(fitted, truth) -> np.ndarray:
