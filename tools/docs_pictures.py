@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras", "training", "trained")
+NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras", "training", "trained", "baked")
 LIMIT = 400_000
 """Bytes of a picture."""
 

@@ -68,18 +68,25 @@ def engines(user, small_model):
     return user.story("ordinary.engines", window=True, model=small_model[1], frames=FRAMES)
 
 
+def apart(one, other):
+    """The mean distances, in pixels, of the pixels of each of two masks [h, w] from the nearest of the other."""
+    a, b = (np.argwhere(mask).astype(np.float32) for mask in (one, other))
+    square = ((a[:, None] - b[None]) ** 2).sum(-1)
+    return np.sqrt(square.min(1)).mean(), np.sqrt(square.min(0)).mean()
+
+
 @pytest.mark.parametrize("engine", ["workbench", "cycles", "eevee"])
 def test_other_engines_show_the_moving_splats_in_colour(engines, user, small_model, engine):
-    """What is covered lies where the Gaussians are; that its points do, within 0.1 %, tests/addon/scene/test_moving_proxies.py shows."""
+    """On the mean, what is covered and what should be are within 1 % of the height of each other, both ways."""
     model = small_model[0]
     camera, pictures = library_camera(engines["camera"]), []
     for frame in FRAMES:
         picture = read_png(user.folder / f"engine-{engine}-{frame:g}.png")
         truth = fg.render([(model, np.eye(4), model.clip.t_of_frame(frame - engines["start"]))], camera)
         here, there = picture[..., 3] > 0.5, truth["alpha"] > 0.5
-        assert (here & there).sum() > 0.5 * (here | there).sum()  # points are solid where soft splats are faint
-        away = np.argwhere(here).mean(0) - np.argwhere(there).mean(0)
-        assert np.abs(away).max() <= 0.02 * camera.height
+        height = np.ptp(np.flatnonzero(there.any(1)))
+        print(f"{engine}, frame {frame:g}: {', '.join(f'{100 * away / height:.2f} %' for away in apart(here, there))} of the height apart")
+        assert max(apart(here, there)) <= 0.01 * height
         both = here & there
         seen, wanted = picture[..., :3][both], truth["rgb"][both] / truth["alpha"][both][:, None]
         assert all(np.corrcoef(seen[:, k], wanted[:, k])[0, 1] > (0.5 if engine == "workbench" else 0.8) for k in range(3))
