@@ -32,7 +32,8 @@ def main():
     fg = enable_addon()("fastgs_blender")
     import bpy
 
-    print(f"{'action':15} {'frames':>6} {'basis':>12} {'seconds':>8} {'processor':>10} {'MB':>6} {'on frames':>10} {'on halves':>10} {'99 % within':>12}")
+    print(f"{'action':15} {'frames':>6} {'basis':>12} {'seconds':>8} {'processor':>10} {'MB':>6} "
+          f"{'on frames':>10} {'on halves':>10} {'99 % within':>12}")
     for action in options.actions:
         scene, meshes = open_character(bpy, options.blend, options.rig, action)
         with tempfile.TemporaryDirectory() as folder:
@@ -46,7 +47,8 @@ def main():
             whole, half = (np.array([distances(bpy, fg, model, meshes, f + shift, first) for f in range(first, last + (shift == 0))])
                            for shift in (0.0, 0.5))
             basis = f"{model.basis.name} {model.basis.order}"
-            print(f"{action:15} {last - first + 1:6} {basis:>12} {seconds:8.1f} {processor:10.1f} {size:6.0f} {whole.mean():9.3f}% {half.mean():9.3f}% "
+            print(f"{action:15} {last - first + 1:6} {basis:>12} {seconds:8.1f} {processor:10.1f} {size:6.0f} "
+                  f"{whole.mean():9.3f}% {half.mean():9.3f}% "
                   f"{np.percentile(np.concatenate([whole, half]), 99):11.3f}%")
             del model
 
