@@ -25,6 +25,7 @@ CONVERTED = ('"{}" shows splats and stays what it is: they are no mesh. Clear it
              "points as a mesh.")
 JOINED = '"{}" cannot be joined with others, because splats are no mesh; they stay apart. Parent them (Ctrl P) to move them as one.'
 SHARED = '"{}" shows another file than the object whose data it was given, so it keeps points of its own.'
+KEPT = f'The modifier "{NAME}" shows "{{}}" in other render engines, so it was put back.'
 MODIFIER = 'The modifier "{}" changes the points of "{}" in other render engines, not its splats.'
 
 
@@ -40,6 +41,7 @@ class _Record:
     collections: tuple[str, ...]
     settings: dict
     action: str
+    modifier: bool
 
 
 _records: dict[int, _Record] = {}
@@ -84,7 +86,10 @@ def _look_at(obj):
         if points is not None and points.any() and not obj.fastgs.file_hash and _gone():
             _part(obj, points)
             notices.tell(JOINED.format(obj.name))
+        elif not obj.fastgs.file_hash and GAUSSIAN not in mesh.attributes and modifier_of(obj) is not None:
+            obj.modifiers.remove(modifier_of(obj))  # Copy Modifiers gave it to a mesh, which it would hide
         return
+    _keep_modifier(obj)
     _tell_of_modifiers(obj)
     if obj.session_uid not in _records and _being_edited(paths.get(obj.fastgs)):
         bpy.data.objects.remove(obj)  # Separate made it: its points are those of the object that it comes from
@@ -169,9 +174,15 @@ def _put_back(obj, model, single: bool):
         if material is None or not material.name.startswith(f".{NAME}"):
             new.materials.append(material)
     name = old.name
-    old.user_remap(new)
-    bpy.data.meshes.remove(old)
-    new.name = name if record is None else record.mesh
+    if any(other.data == old and not objects.is_splat(other) for other in bpy.data.objects):  # Link Object Data gave it another's mesh
+        own = record and bpy.data.meshes.get(record.mesh)
+        obj.data = new if own is None else own
+        if own is not None:
+            bpy.data.meshes.remove(new)
+    else:
+        old.user_remap(new)
+        bpy.data.meshes.remove(old)
+        new.name = name if record is None else record.mesh
     if modifier_of(obj) is None:
         give_modifier(obj)
 
@@ -231,6 +242,15 @@ def _bring_back() -> list:
     return made
 
 
+def _keep_modifier(obj):
+    """Give an object its modifier back that Clear or Copy Modifiers took from it."""
+    record = _records.get(obj.session_uid)
+    if record is not None and record.modifier and OFFSET not in obj.data.attributes and modifier_of(obj) is None:
+        give_modifier(obj)
+        obj.modifiers.move(len(obj.modifiers) - 1, 0)
+        notices.tell(KEPT.format(obj.name))
+
+
 def _tell_of_modifiers(obj):
     ours = modifier_of(obj)
     for modifier in obj.modifiers:
@@ -250,7 +270,8 @@ def _remember():
             action = obj.animation_data.action if obj.animation_data else None
             _records[obj.session_uid] = _Record(
                 obj.name, obj.data.name, model_space.model_matrix(obj), obj.matrix_world.copy(), obj.parent.name if obj.parent else "",
-                tuple(collection.name for collection in obj.users_collection), _values(obj.fastgs), action.name if action else "")
+                tuple(collection.name for collection in obj.users_collection), _values(obj.fastgs), action.name if action else "",
+                modifier_of(obj) is not None)
         else:
             _meshes[obj.session_uid] = obj.name
 

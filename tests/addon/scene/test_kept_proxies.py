@@ -35,6 +35,10 @@ def separate_some():
     bpy.ops.object.mode_set(mode='OBJECT')
 
 
+def clear_modifiers():
+    bpy.context.object.modifiers.clear()
+
+
 REFUSED = {
     "Edit Mode > Delete Vertices": delete_some,
     "Edit Mode > Delete All": delete_all,
@@ -42,6 +46,7 @@ REFUSED = {
     "Edit Mode > Separate": separate_some,
     "Convert > Mesh, Apply > Visual Geometry to Mesh": lambda: ops.object.convert(target='MESH'),
     "Convert > Curve": lambda: ops.object.convert(target='CURVE'),
+    "Modifiers > Clear": clear_modifiers,
     "Modifiers > Apply": lambda: ops.object.modifier_apply(modifier="FAST-GS Proxy"),
 }
 
@@ -135,6 +140,29 @@ def test_data_of_splats_that_show_another_file_is_not_shared(splats, second, whe
     for name in before:
         np.testing.assert_allclose(after[name], before[name], atol=1e-5)
     assert splats.data != second.data and len(second.data.vertices) == 154 and len(told) == 1
+
+
+def test_the_data_of_a_mesh_is_not_taken_over(splats, cube, where, told):
+    before, mesh = where(), cube.data
+    select(cube, splats)
+    ops.object.make_links_data(type='OBDATA')
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(where()["model"], before["model"], atol=1e-5)
+    assert cube.data == mesh and len(mesh.vertices) == 8 and len(splats.data.vertices) == 204 and len(told) == 1
+
+
+@pytest.mark.parametrize("active", ["splats", "cube"])
+def test_modifiers_that_are_copied_leave_ours_where_it_belongs(splats, cube, where, told, active):
+    cube.modifiers.new("Bevel", 'BEVEL')
+    bpy.context.view_layer.update()
+    select(*((splats, cube) if active == "splats" else (cube, splats)))
+    ops.object.make_links_data(type='MODIFIERS')
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.update()
+    names = {obj.name: [modifier.name for modifier in obj.modifiers] for obj in (splats, cube)}
+    assert names == ({"model": ["FAST-GS Proxy"], "Cube": []} if active == "splats" else
+                     {"model": ["FAST-GS Proxy", "Bevel"], "Cube": ["Bevel"]})
+    assert any("put back" in text for text in told) == (active == "cube")
 
 
 def test_deleting_an_object_brings_nothing_back(splats, second, where, told):

@@ -109,6 +109,9 @@ LIKE_A_MESH |= {
     "Transform > To Sphere": lambda: ops.transform.tosphere(value=0.5),
     "Transform > Push/Pull": lambda: ops.transform.push_pull(value=0.5),
     "Transform > Move Texture Space": lambda: ops.transform.translate(value=(1, 2, 3), texture_space=True),
+    "Transform > Scale Texture Space": lambda: ops.transform.resize(value=(2, 1, 1), texture_space=True),
+    "Transform > Align to Transform Orientation": lambda: ops.transform.transform(mode='ALIGN'),
+    "Rigid Body > Add Passive": lambda: ops.rigidbody.object_add(type='PASSIVE'),
     "Parent > Object": with_empty(lambda: ops.object.parent_set(type='OBJECT')),
     "Parent > Object (Keep Transform)": with_empty(lambda: ops.object.parent_set(type='OBJECT', keep_transform=True)),
     "Constraints > Add Constraint (with Targets)": constrained,
@@ -120,8 +123,8 @@ LIKE_A_MESH |= {
     "Relations > Make Single User": lambda: ops.object.make_single_user(object=True, obdata=True),
     "Relations > Make Local": lambda: ops.object.make_local(type='SELECT_OBDATA'),
 }
-STILL = ("Transform > Move Texture", "Transform > To Sphere", "Transform > Push", "Parent > Object", "Rigid", "Shade",
-         "Collection", "Relations")
+STILL = ("Transform > Move Texture", "Transform > Scale Texture", "Transform > To Sphere", "Transform > Push", "Parent > Object", "Rigid",
+         "Shade", "Collection", "Relations")
 """These leave a single object where it is."""
 NEEDS_WINDOW = {"Snap > Selection to Cursor"}
 
@@ -229,6 +232,8 @@ ELSEWHERE = {
     "Join, splats with a mesh": "test_splats_joined_with_a_mesh_stay_apart",
     "Convert > Mesh (Keep Original)": "test_converting_a_copy_leaves_both",
     "Link/Transfer Data > Link Object Data": "test_data_of_splats_that_show_another_file_is_not_shared",
+    "Link/Transfer Data > Link Object Data, of a mesh": "test_the_data_of_a_mesh_is_not_taken_over",
+    "Link/Transfer Data > Copy Modifiers": "test_modifiers_that_are_copied_leave_ours_where_it_belongs",
     "Modifiers > Add": "test_modifiers_that_do_not_act_on_splats_are_told",
     "Show/Hide": "test_hidden_and_excluded_splats_are_not_shown",
     "Delete": "test_deleting_an_object_brings_nothing_back",
