@@ -36,12 +36,15 @@ def learning_rates(settings, iteration: int, extent: float, reach: float, basis:
     decoder = np.full(12, settings.decoder_rate)  # by the columns of w1
     if not settings.decoder_place:
         decoder[PLACE] = 0
-    return {
-        "position": position, "rotation": settings.rotation_rate, "scale": settings.scale_rate,
-        "opacity": settings.opacity_rate, "features": features, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
+    others = {
+        "rotation": settings.rotation_rate, "scale": settings.scale_rate,
+        "opacity": settings.opacity_rate, "features": features,
         "rotation_motion": settings.turn_rate, "mu_tau": settings.centre_rate, "temporal": settings.duration_rate,
         "w1": decoder, "w2": settings.decoder_rate,
     }
+    fade = settings.rate_decay**done
+    return {"position": position, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
+            **{name: rate * fade for name, rate in others.items()}}
 
 
 def reduction(settings, iteration: int) -> int:

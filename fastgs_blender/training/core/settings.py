@@ -56,10 +56,13 @@ class Settings:
 
     Learning rates (position and motion in extents)
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
-                                         cameras film, which is the extent for a rig around its subject
+                                         cameras film, which is the extent for a rig around its subject: a step is about a
+                                         share of the focal length in pixels, 0.8 of a pixel where that is 500
       motion_rate     of frequency 1; divided by k for frequency k
       motion_decay    end of the motion's rate, as a fraction of its beginning
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
+      rate_decay      end of these last ones, as a fraction of their beginning: long steps first, so that Gaussians soon have their
+                      shapes, short ones at the end, so that they come to rest
       free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
 
     Starting values
@@ -120,13 +123,13 @@ class Settings:
     foreground_weight: float = 2.0
     background: str = "auto"
 
-    position_rate: float = 1.6e-4
+    position_rate: float = 1.6e-3
     position_rate_end: float = 1.6e-6
     motion_rate: float = 1e-3
     motion_decay: float = 0.1
     rotation_rate: float = 1e-3
     turn_rate: float = 1e-3
-    scale_rate: float = 5e-3
+    scale_rate: float = 3e-2
     opacity_rate: float = 0.05
     base_rate: float = 5e-3
     direction_rate: float = 2.5e-3
@@ -134,6 +137,7 @@ class Settings:
     centre_rate: float = 1e-3
     duration_rate: float = 0.03
     decoder_rate: float = 1e-3
+    rate_decay: float = 0.3
     free_centre: bool = False
 
     backdrop: float = 0.3
@@ -159,7 +163,7 @@ class Settings:
     near_size: float = 0.3
     reset_every: int = 0
     copied_time: str = "keep"
-    noise: float = 1.0
+    noise: float = 0.1
     opacity_weight: float = 0.01
     scale_weight: float = 0.01
 
@@ -199,7 +203,7 @@ LIMITS = (
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
-    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
+    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("rate_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
     ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""

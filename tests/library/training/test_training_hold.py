@@ -24,7 +24,8 @@ def test_the_pull_is_as_strong_as_so_many_pixels():
 
 def trained(capture, store, points, **choices):
     """The trainer after 200 steps without density control."""
-    chosen = settings.settings(iterations=200, densify_from=1.0, warm_up=(), preview_every=0, **choices)
+    rates = dict(position_rate=1.6e-4, scale_rate=5e-3, rate_decay=1.0)  # colours can go as far as they do here
+    chosen = settings.settings(iterations=200, densify_from=1.0, warm_up=(), preview_every=0, **rates, **choices)
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     trainer = Trainer(capture, store, chosen, first, sizes=points.size)
     for _ in range(200):

@@ -140,6 +140,8 @@ def test_rates_fall_and_divide_by_the_frequency():
     assert far == pytest.approx([12 * chosen.position_rate, 2 * chosen.position_rate_end]), "far things begin with longer steps"
     np.testing.assert_allclose(first["motion"] / first["motion"][0], np.repeat([1, 1, 0.5, 0.5, 1], 3))
     assert last["motion"][0] == pytest.approx(chosen.motion_decay * first["motion"][0])
+    for name in set(first) - {"position", "motion"}:
+        np.testing.assert_allclose(last[name], chosen.rate_decay * np.asarray(first[name]), err_msg=name)
 
 
 @pytest.mark.parametrize(("distance", "reach"), [(9.0, 9.0), (0.5, 2.2)])
