@@ -184,11 +184,16 @@ def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]
                 data = stream.read((last - first) * row.itemsize)
             if len(data) != (last - first) * row.itemsize:
                 raise _cut_short(header)
-            block = np.frombuffer(data, header.order + "f4").reshape(last - first, -1) if plain else np.frombuffer(data, row)
-            with np.errstate(over="ignore", invalid="ignore"):
+            if plain:
+                block = np.frombuffer(data, header.order + "f4").reshape(last - first, -1).astype(np.float32, copy=False)
                 for key, index in columns.items():
-                    for i, (at, name) in enumerate(zip(index, groups[key], strict=True)):
-                        out[key][first:last, i] = block[:, at] if plain else block[name]
+                    np.take(block, index, axis=1, out=out[key][first:last], mode="clip")  # no index is cut; other modes copy once more
+                return
+            block = np.frombuffer(data, row)
+            with np.errstate(over="ignore", invalid="ignore"):
+                for key, names in groups.items():
+                    for i, name in enumerate(names):
+                        out[key][first:last, i] = block[name]
 
         run(read, ranges(vertex.count, max(1, BLOCK // row.itemsize)))
     return out

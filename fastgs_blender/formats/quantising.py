@@ -37,7 +37,7 @@ SAMPLES = 16
 """Times in a lifetime at which its motion is looked at."""
 LIVES = 10
 """Values of `life`."""
-ROUNDING = 0.4
+ROUNDING = 0.36
 """Coefficients of motion are rounded towards 0 by this instead of 0.5: zeros cost least."""
 CLASSES = 12
 """`shape` and `tint` lie within +- CLASSES."""

@@ -2,13 +2,15 @@
 """How finely a model is kept, and which of its Gaussians, so that its pictures lose no more than they may.
 
 A model that is R dB from the truth in views that it was not trained on loses 10 log10(1 + e / 10^(-R/10)) dB there by a mean squared
-error e of its pictures that has nothing to do with its own: the convention of all figures here, with R = NOMINAL where nothing better is
-known.
+error e of its pictures that has nothing to do with its own: the convention of all figures here.  R is what the model's provenance says
+(HELD_OUT), NOMINAL where it says nothing.
 """
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +24,14 @@ from .sensitivity import mean_square, pictures, removal, sensitivity, shots
 
 NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
+HELD_OUT = "held_out_psnr"
+"""Key of the provenance: dB of the views of its capture that the model was not trained on."""
 LEVELS = {"fine": 0.1, "small": 0.3}
 """Losses in dB by name."""
 LEAST, MOST = 0.001, 10.0
-"""dB."""
+"""dB that may be lost."""
+LOWEST, HIGHEST = 15.0, 50.0
+"""dB that a provenance is believed."""
 SHOTS, JUDGED = 64, 12
 """Pictures that sensitivities are measured on, and others that the loss is measured on."""
 COST = 60.0
@@ -34,7 +40,7 @@ HARM = COST * 2 * np.log(2) / 12
 """A bit more for a number with an error uniform over a step of 2^level / root of its sensitivity takes 4^level 2 ln 2 / 12 of error away: a
 Gaussian is left out where that is less harm than its bits would mend elsewhere."""
 TRIALS = 9
-NEAR = 0.93
+NEAR = 0.95
 """The search ends where the error is this share of what is allowed, or more."""
 THIN = 0.1
 """Pixels: a Gaussian that is thinner still looks the same, because the rasteriser's blur is wider."""
@@ -58,10 +64,18 @@ class Loss:
                 return cls(decibels)
         raise FastGSError(f"a file is compressed {' or '.join(LEVELS)}, or by a loss from {LEAST:g} to {MOST:g} dB, not {value!r}.")
 
-    @property
-    def error(self) -> float:
-        """The mean squared error of pictures that loses them."""
-        return 10 ** (-NOMINAL / 10) * (10 ** (self.decibels / 10) - 1)
+    def error(self, model: GaussianModel) -> float:
+        """The mean squared error of a model's pictures that loses them."""
+        return 10 ** (-held_out(model) / 10) * (10 ** (self.decibels / 10) - 1)
+
+
+def held_out(model: GaussianModel) -> float:
+    """The PSNR of a model's held-out views in dB, as far as it is known."""
+    with contextlib.suppress(ValueError):
+        found = float(model.provenance.get(HELD_OUT, NOMINAL))
+        if LOWEST <= found <= HIGHEST:
+            return found
+    return NOMINAL
 
 
 def allotted(model: GaussianModel, loss: Loss, segment: int) -> list[tuple[dict[str, np.ndarray], Steps]]:
@@ -73,7 +87,7 @@ def allotted(model: GaussianModel, loss: Loss, segment: int) -> list[tuple[dict[
     if not len(model):
         return []
     series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS)
-    truth = pictures(model, judged)
+    truth, allowed = pictures(model, judged), loss.error(model)
     model = plain(canonical(model.take(hilbert_order(model.position))), [camera for camera, _ in series])
     found = sensitivity(model, series)
     harm = removal(model, found)
@@ -88,21 +102,27 @@ def allotted(model: GaussianModel, loss: Loss, segment: int) -> list[tuple[dict[
         return parts, mean_square(truth, pictures(replace(model, **again), judged))
 
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
-    level, low, high, best = 0.5 * float(np.log2(12 * loss.error / numbers)), -np.inf, np.inf, None
+    return search(tried, 0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed, NEAR, loss)
+
+
+def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, loss: Loss) -> Any:
+    """What tried(level) gives at a level whose error, which rises with the level, is at most `most`, and `near` of it or more if that is
+    found soon.  Raises FastGSError where no level is good enough."""
+    low, high, best = -np.inf, np.inf, None
     for _ in range(TRIALS):
-        parts, error = tried(level)
-        if error <= loss.error:
-            best, low = parts, level
-            if error >= NEAR * loss.error:
+        found, error = tried(level)
+        if error <= most:
+            best, low = (found,), level
+            if error >= near * most:
                 break
         else:
             high = level
-        level += 0.5 * float(np.log2(0.5 * (1 + NEAR) * loss.error / max(error, 1e-3 * loss.error)))
+        level += float(np.clip(0.5 * np.log2(0.5 * (1 + near) * most / max(error, 1e-12)), -2, 2))
         if not low < level < high:
             level = 0.5 * (max(low, high - 4) + min(high, low + 4))
     if best is None:
         raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
-    return best
+    return best[0]
 
 
 def plain(model: GaussianModel, cameras: list[Camera]) -> GaussianModel:

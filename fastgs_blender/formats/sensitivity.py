@@ -8,7 +8,7 @@ by about that times e^2.  Since blending is linear in each splat's opacity, it i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,14 +27,23 @@ WIDTH = 400
 """Pixels of the pictures' longer side."""
 GOLDEN = 0.6180339887498949
 """Multiples of it, modulo 1, are spread evenly."""
+PLASTIC = 0.7548776662466927
+"""It and its square spread points evenly in a square (Roberts 2018)."""
+SIDEWAYS = 0.15
+"""How far shots are taken from where cameras stand, by the distance of what they look at."""
+WIDE = 0.54
+"""Focal length by the width of every second guessed camera: a wide one sees what stands at the border."""
 FORWARD = 0.6
 """Length of the mean direction to the Gaussians from which on they are taken to stand before the cameras."""
+RIG = ((0.0, 0.0, 0.0), (-0.12, 0.05, 0.0), (0.12, -0.05, 0.0), (0.05, 0.04, 0.02), (-0.06, -0.05, 0.0), (-0.3, 0.0, 0.05),
+       (0.1, 0.03, 0.0), (0.3, -0.03, 0.05), (0.0, 0.0, 0.2), (0.0, 0.05, -0.1))
+"""Where cameras that look forward are guessed to stand: right, down and forward of the origin, by the distance of what they look at."""
 DOWN = dict(zip(AXES, ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)), strict=True))
 BACKGROUND = 0.5
 """Grey that the pictures lie on, so that dark Gaussians before nothing count."""
 OPAQUE = 4.5
 """Logit of the largest opacity at which sensitivities are measured: beyond it alpha is cut and nothing could be measured."""
-UNSEEN = 0.01
+UNSEEN = 0.03
 """How much of what its size, opacity and lifetime promise a Gaussian counts for beside what pictures show of it."""
 Shot = tuple[Camera, float]
 
@@ -57,10 +66,24 @@ class Sensitivity:
 
 
 def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
-    """Cameras and times to judge a model by: those of its capture, else a guess (guessed_cameras()); `first` begins another series."""
-    eyes = [smaller(camera_of(view)) for view in model.surroundings.cameras] or guessed_cameras(model)
-    numbers = range(first, first + count)
-    return [(eyes[int(len(eyes) * ((k * GOLDEN * GOLDEN + 0.37) % 1))], (0.5 + k * GOLDEN) % 1) for k in numbers]
+    """Cameras and times to judge a model by; `first` begins another series.
+
+    The cameras are those of its capture, else a guess (guessed_cameras()); each is moved sideways at random, since what cannot be seen from
+    one place may be seen from its neighbours.
+    """
+    known = [(smaller(camera_of(view)), view.distance) for view in model.surroundings.cameras]
+    eyes = known or [(camera, 0.0) for camera in guessed_cameras(model)]
+    middle, found = np.median(without_backdrop(model).position if len(model) else np.zeros((1, 3)), axis=0), []
+    for k in range(first, first + count):
+        camera, distance = eyes[int(len(eyes) * ((k * GOLDEN * GOLDEN + 0.37) % 1))]
+        pose = np.linalg.inv(camera.world_to_camera)
+        distance = distance or max(float(np.linalg.norm(middle - pose[:3, 3])), 1e-6)
+        across, up = (SIDEWAYS * distance * (2 * ((k * step) % 1) - 1) for step in (PLASTIC, PLASTIC * PLASTIC))
+        aim = pose[:3, 3] + distance * pose[:3, 2]
+        place = pose[:3, 3] + pose[:3, :3] @ [across, up, 0.0]
+        moved = replace(camera, world_to_camera=np.vstack([looking(place, aim - place, pose[:3, 1]), [0, 0, 0, 1]]))
+        found.append((moved, (0.5 + k * GOLDEN) % 1))
+    return found
 
 
 def smaller(camera: Camera) -> Camera:
@@ -75,7 +98,7 @@ def guessed_cameras(model: GaussianModel) -> list[Camera]:
     """Where the cameras of a capture may have stood that its file does not name.
 
     Reconstructions put their origin amid the cameras.  Where all Gaussians lie to one side of it, cameras stand around it and look there;
-    else they stand in a ring around the subject.
+    among them some farther to the sides, nearer and farther away, for viewers walk; else they stand in a ring around the subject.
     """
     part = without_backdrop(model)
     part = part if len(part) else model
@@ -89,9 +112,8 @@ def guessed_cameras(model: GaussianModel) -> list[Camera]:
         local = position @ frame[:, :3].T
         aspect = np.percentile(np.abs(local[:, 0]) / np.maximum(local[:, 2], 0.1 * depth), 80)
         focal = float(np.clip(0.5 / max(aspect, 1e-6), 0.5, 1.2)) * WIDTH
-        places = [frame[:, :3].T @ (np.array([x, y, 0.0]) * depth) for x, y in
-                  ((0.0, 0.0), (-0.12, 0.05), (0.12, -0.05), (-0.06, -0.05), (0.06, 0.05), (0.0, -0.05), (-0.12, 0.0), (0.12, 0.03))]
-        aims = [0.5 * place + mean / np.linalg.norm(mean) * depth for place in places]
+        places = [frame[:, :3].T @ (np.array(place) * depth) for place in RIG]
+        aims = [0.3 * place + mean / np.linalg.norm(mean) * depth for place in places]
     else:
         middle = np.median(position, axis=0)
         reach = float(np.percentile(np.linalg.norm(position - middle, axis=1), 80)) + 2 * float(np.exp(np.median(part.scale)))
@@ -103,8 +125,9 @@ def guessed_cameras(model: GaussianModel) -> list[Camera]:
                   for k, a in enumerate(angles)]
         aims = [middle] * len(places)
     height = round(0.75 * WIDTH)
-    return [Camera(WIDTH, height, focal, focal, WIDTH / 2, height / 2, np.vstack([looking(place, aim - place, down), [0, 0, 0, 1]]))
-            for place, aim in zip(places, aims, strict=True)]
+    lens = [focal, min(focal, WIDE * WIDTH)]
+    poses = [np.vstack([looking(place, aim - place, down), [0, 0, 0, 1]]) for place, aim in zip(places, aims, strict=True)]
+    return [Camera(WIDTH, height, lens[k % 2], lens[k % 2], WIDTH / 2, height / 2, pose) for k, pose in enumerate(poses)]
 
 
 def looking(place: np.ndarray, direction: np.ndarray, down: np.ndarray) -> np.ndarray:

@@ -55,12 +55,20 @@ def test_files_lose_what_they_may_and_are_smaller_for_it(tmp_path):
     for level in ("small", "fine", 0.02):
         fg.save(model, tmp_path / "m.safetensors", compress=level)
         error = sensitivity.mean_square(truth, sensitivity.pictures(fg.load(tmp_path / "m.safetensors"), judged))
-        assert 0.5 < error / rate.Loss.of(level).error < 1.6, level
+        assert 0.5 < error / rate.Loss.of(level).error(model) < 1.6, level
         sizes.append((tmp_path / "m.safetensors").stat().st_size)
     assert sizes == sorted(sizes) and sizes[0] < model.nbytes / 5
     first = (tmp_path / "m.safetensors").read_bytes()
     fg.save(model, tmp_path / "m.safetensors", compress=0.02)
     assert first == (tmp_path / "m.safetensors").read_bytes()
+
+
+def test_a_model_that_is_farther_from_the_truth_may_lose_more():
+    model = random_model(np.random.default_rng(2), 5, provenance={"held_out_psnr": "29"})
+    other = replace(model, provenance={"held_out_psnr": "no number"})
+    assert rate.held_out(other) == rate.NOMINAL == 32
+    assert rate.Loss(0.1).error(model) == pytest.approx(10 ** 0.3 * rate.Loss(0.1).error(other))
+    assert 10 * np.log10(1 + rate.Loss(0.3).error(model) / 10**-2.9) == pytest.approx(0.3)
 
 
 def test_sensitivities_foretell_what_an_error_does():
@@ -72,10 +80,9 @@ def test_sensitivities_foretell_what_an_error_does():
     expected = 1e-6 * found.rows["position"].sum()
     assert sensitivity.mean_square(truth, sensitivity.pictures(moved, series)) == pytest.approx(expected, rel=0.5)
     harm = sensitivity.removal(model, found)
-    worst = np.argsort(harm)[-5:]
-    for i in worst:
-        error = sensitivity.mean_square(truth, sensitivity.pictures(model.take(np.arange(60) != i), series))
-        assert error == pytest.approx(harm[i], rel=0.7)
+    worst = np.argsort(harm)[-12:]  # each is measured with the noise of random signs: together they are near
+    error = [sensitivity.mean_square(truth, sensitivity.pictures(model.take(np.arange(60) != i), series)) for i in worst]
+    assert sum(error) == pytest.approx(harm[worst].sum(), rel=0.5)
 
 
 @pytest.mark.parametrize("kind", ["zeros", "skewed", "wide", "far", "few", "none"])
