@@ -12,6 +12,7 @@ the same Gaussian has several quaternions).  Ends with 1 where one is above its 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import subprocess
 import sys
@@ -88,13 +89,17 @@ def splat_transform(args, folder: Path, model: fg.GaussianModel) -> Iterator[tup
         subprocess.run(["node", str(cli), "-q", "-w", str(source), str(folder / name), *options], check=True, capture_output=True)
         return folder / name
 
+    version = json.loads((cli.parents[1] / "package.json").read_text("utf-8"))["version"]
+    as_they_are = int(version.partition(".")[0]) >= 3  # then SPZ's numbers are taken and written without turning them to PLY's axes
+
     def both(label: str, path: Path, more=()):
-        return label, fg.load(path), fg.load(theirs(f"{path.name}.back.ply", source=path)), dict(more)
+        found = fg.load(theirs(f"{path.name}.back.ply", source=path))
+        return label, fg.load(path), _from_rub(found) if as_they_are and path.suffix == ".spz" else found, dict(more)
 
     for name in OURS:
         yield both(f"splat-transform reads our {name.removeprefix('ours')}", folder / name, VIEWERS if name.endswith(".splat") else ())
-    for version in ("3", "4"):
-        yield both(f".spz {version} of splat-transform", theirs(f"theirs{version}.spz", "--spz-version", version))
+    for number in ("3", "4"):
+        yield both(f".spz {number} of splat-transform", theirs(f"theirs{number}.spz", "--spz-version", number))
     yield both(".compressed.ply of splat-transform", theirs("theirs.compressed.ply"))
     yield both(".sog of splat-transform, no SH", theirs("theirs.sog", "-g", "cpu", source=folder / "plain.ply"))
     yield ".glb of splat-transform", fg.load(theirs("theirs.glb")), model, {}
