@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -18,7 +17,7 @@ PROBLEMS, FAILED, STOPPED = 1, 2, 130
 
 def add_device(parser):
     """--device; its default is $FASTGS_DEVICE, or auto."""
-    parser.add_argument("--device", default=os.environ.get("FASTGS_DEVICE") or "auto", metavar="NAME", help="auto (default: a GPU that has "
+    parser.add_argument("--device", metavar="NAME", help="auto (default: a GPU that has "
                         "passed its self-test, else the processor), cpu, gpu, or a part of a GPU's name; fastgs info --devices lists them")
 
 

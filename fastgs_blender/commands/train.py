@@ -13,7 +13,7 @@ import os
 
 from ..model.motion import trained_motions
 from ..util.errors import FastGSError
-from .shared import note, print_json, use_threads
+from .shared import add_device, note, print_json, use_threads
 
 FLAGS = {
     "motion": (str, "KIND", f"{', '.join(trained_motions())} or static (default: cosine)"),
@@ -48,6 +48,7 @@ def add_arguments(parser):
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")
     parser.add_argument("--held-out", metavar="NAME,NAME", help="views to keep for evaluation (default: the layout's)")
+    add_device(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
@@ -59,7 +60,7 @@ def run(args):
         raise FastGSError("name the CAPTURE to train on; only a run that is resumed (--resume) knows its own.")
     held_out = None if args.held_out is None else [name for name in args.held_out.split(",") if name]
     source = source_of(args.capture, args.layout, args.scale, frames_slice(args.frames), held_out)
-    report = launch(source, args.out, options(args), args.resume, args.overwrite, args.quiet, note)
+    report = launch(source, args.out, options(args), args.resume, args.overwrite, args.quiet, note, args.device)
     if not report:  # one of several processes, and not the first
         return
     if args.json:

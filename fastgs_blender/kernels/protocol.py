@@ -30,6 +30,10 @@ Rows = Any
 """A set of Gaussians, in a form of the backend's own."""
 
 
+class DeviceError(Exception):
+    """A backend's device cannot go on, and what lies on it is lost; the text is a part of a sentence that says why."""
+
+
 @dataclass(frozen=True, eq=False)
 class MotionNorm:
     """The paper's motion regulariser, for one basis.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import os
 
 from .errors import FastGSError
 
@@ -43,9 +44,10 @@ def load_backend(name: str = "auto"):
     return loaded[name]
 
 
-def choose_device(device: str = "auto") -> tuple[str, str]:
+def choose_device(device: str | None = None) -> tuple[str, str]:
     """(the name of the backend, a remark or "") of a device: auto (a GPU that has passed its self-test, else the CPU; the remark says why),
-    cpu, gpu, or a part of a GPU's name.  Raises FastGSError where there is no such device."""
+    cpu, gpu, or a part of a GPU's name; None: $FASTGS_DEVICE, or auto.  Raises FastGSError where there is no such device."""
+    device = device or os.environ.get("FASTGS_DEVICE") or "auto"
     if device == "cpu":
         return "auto", ""
     try:

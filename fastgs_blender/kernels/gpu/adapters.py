@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -13,7 +14,7 @@ from .device import Device, Failure
 KINDS = {"DiscreteGPU": "graphics card", "IntegratedGPU": "graphics in the processor", "CPU": "software"}
 """WebGPU's kinds of adapters, the best first; others come before software."""
 APIS = ("Vulkan", "Metal", "DX12")
-"""Those that compute as WebGPU promises."""
+"""Those that compute as WebGPU promises; the same adapters through OpenGL would only be found twice."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,10 @@ def adapters() -> tuple[Adapter, ...]:
         raise Failure("the package wgpu is not installed") from error
     except (OSError, RuntimeError) as error:
         raise Failure(f"the package wgpu does not work here: {error}") from error
-    try:
+    with suppress(RuntimeError):  # somebody else in this process has called wgpu before
         set_instance_extras(backends=APIS)
-        found = wgpu.gpu.enumerate_adapters_sync()
+    try:
+        found = [each for each in wgpu.gpu.enumerate_adapters_sync() if not each.info["backend_type"].startswith("OpenGL")]
     except Exception as error:
         raise Failure(f"the drivers do not answer: {error}") from error
     order = list(KINDS)

@@ -26,6 +26,7 @@ from ...util.outputs import replacing
 from ...util.reading import read_json
 from ..cpu.backend import CPU
 from ..cpu.cache import base_folder
+from ..parameters import DECODER
 from . import shaders
 from .adapters import Adapter, adapters, find
 from .backend import GPU
@@ -34,6 +35,8 @@ from .device import Failure
 UNFINISHED = "the self-test did not come to its end"
 CLOSE, MEAN, MANY = 2e-3, 1e-4, 0.01
 """A picture has passed if at most MANY of its pixels differ by more than CLOSE (those at the alpha cut), and the mean by less than MEAN."""
+STRAY = 0.01
+"""The relative error of gradients that passes."""
 
 
 def choose(device: str) -> tuple[str, str]:
@@ -111,30 +114,54 @@ def _keep(path, verdicts: dict[str, str]) -> None:
 
 
 def test(adapter: Adapter) -> str:
-    """What is wrong with an adapter, as verdict() gives it: pictures of two models, by it and by the CPU."""
+    """What is wrong with an adapter, as verdict() gives it: pictures and gradients of two models, by it and by the CPU."""
     backend = GPU(adapter.open)
-    for look in (SH(1), Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))):
-        wanted, once, again = (_picture(each, look) for each in (CPU(), backend, backend))
-        if backend.failed is not None:
-            return backend.failed
-        if not np.array_equal(once, again):
-            return "two pictures of the same are not the same"
-        difference = np.nan_to_num(np.abs(once - wanted), nan=np.inf)
-        if difference.mean() > MEAN or (difference > CLOSE).mean() > MANY:
-            return f"its pictures are wrong by {difference.max():.2g}"
+    try:
+        for look in (SH(1), Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))):
+            model, camera = _scene(look)
+            wanted, once, again = (_picture(each, model, camera) for each in (CPU(), backend, backend))
+            if backend.failed is not None:
+                return backend.failed
+            if not np.array_equal(once, again):
+                return "two pictures of the same are not the same"
+            difference = np.nan_to_num(np.abs(once - wanted), nan=np.inf)
+            if difference.mean() > MEAN or (difference > CLOSE).mean() > MANY:
+                return f"its pictures are wrong by {difference.max():.2g}"
+            wanted, found = (_gradients(each, model, camera) for each in (CPU(), backend))
+            for name, array in wanted.items():
+                error = np.linalg.norm(found[name] - array) / max(np.linalg.norm(array), 1e-12)
+                if not error < STRAY:
+                    return f"its gradients of {name} are wrong by {100 * error:.2g} %"
+    except Failure as failure:
+        return str(failure)
     return ""
 
 
-def _picture(backend, look) -> np.ndarray:
-    """Colour and alpha [h, w, 4] of a small scene of some look, by a backend."""
-    rng, n, camera = np.random.default_rng(2), 300, Camera(96, 64, 70, 75, 47, 33, np.eye(4))
+def _scene(look) -> tuple[GaussianModel, Camera]:
+    """A small model of some look, and what sees it."""
+    rng, n = np.random.default_rng(2), 300
     model = GaussianModel(
         position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-2.3, 0.6, (n, 3)),
         opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)), motion=rng.normal(0, 0.05, (n, 4, 3)),
         rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n), temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2),
         rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
+    return model, Camera(96, 64, 70, 75, 47, 33, np.eye(4))
+
+
+def _picture(backend, model: GaussianModel, camera: Camera) -> np.ndarray:
+    """Colour and alpha [h, w, 4] by a backend."""
     instances = [Instance(model, np.eye(4), 0.4).viewed(camera)]
     layout = Layout(instances, depth=False)
     buffers = backend.draw(instances, camera, layout, (), lambda share: None)
     rgb, alpha = backend.numpy(backend.colour(buffers, layout, camera)), backend.numpy(buffers.alpha)
     return np.concatenate([rgb, alpha[..., None]], -1)
+
+
+def _gradients(backend, model: GaussianModel, camera: Camera) -> dict[str, np.ndarray]:
+    """Gradients of the loss against a grey picture, by a backend."""
+    decoder = {name: getattr(model.appearance, name) for name in DECODER if hasattr(model.appearance, name)}
+    parameters = {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
+    picture = backend.splat(parameters, model, camera, 0.4)
+    goal = backend.array(np.full((camera.height, camera.width, 3), 0.4, np.float32))
+    loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
+    return {name: backend.numpy(array) for name, array in backend.backward(picture, loss.rgb, loss.alpha).items()}

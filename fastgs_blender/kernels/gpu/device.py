@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..protocol import DeviceError
 from . import shaders
 
 GROUP = 256
@@ -28,8 +29,8 @@ SPARE = 1 << 30
 """Bytes of buffers that are kept to be used again."""
 
 
-class Failure(Exception):
-    """A GPU cannot do what it was asked for; the text is a sentence that says why."""
+class Failure(DeviceError):
+    """A GPU cannot do what it was asked for."""
 
 
 class TooLarge(Failure):

@@ -10,6 +10,7 @@ from ... import formats
 from ...model.gaussians import GaussianModel
 from ...training.core.settings import Settings
 from ...util.arguments import file_path
+from ...util.backends import choose_device
 from ...util.errors import FastGSError
 from .files import MODEL
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 def train(capture: str | Path | None, out: str | Path, *, preset: str | None = None, resume: bool = False, overwrite: bool = False,
           layout: str | None = None, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
-          quiet: bool = True, **options: Any) -> GaussianModel:
+          quiet: bool = True, device: str | None = None, **options: Any) -> GaussianModel:
     """Train a model from a capture of several cameras; returns it when the training has ended.
 
     capture    folder or file of the capture; None with resume: that of the run
@@ -28,6 +29,7 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     resume     continue the run in that folder, with its own capture and options; overwrite: replace it
     layout, scale, frames, held_out  see open_capture()
     quiet      print no progress
+    device     auto (a GPU that has passed its self-test, else the processor), cpu, gpu or part of a GPU's name; None: $FASTGS_DEVICE
     options    any option of docs/training.md: iterations, motion, order, max_gaussians, seed ...
 
     Raises FastGSError, and KeyboardInterrupt where it is stopped; then resume=True continues it.
@@ -39,7 +41,7 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
         raise FastGSError("name the capture to train on; only a run that is resumed knows its own.")
     source = source_of(capture, layout, scale, frames, held_out)
     wanted = {**options, "preset": preset} if preset else dict(options)
-    launch(source, out, wanted, resume, overwrite, quiet, lambda text: None)
+    launch(source, out, wanted, resume, overwrite, quiet, lambda text: None, device)
     return formats.load(Path(out) / MODEL)
 
 
@@ -53,10 +55,10 @@ def source_of(capture: str | Path | None, layout: Any, scale: float | None, fram
 
 
 def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: bool, overwrite: bool, quiet: bool,
-           note: Callable[[str], None]) -> dict:
+           note: Callable[[str], None], device: str | None = None) -> dict:
     """Begin or continue a run and train it to its end; returns the report, in the first process of several, else {}.
 
-    wanted  the settings that were asked for by name; note: told remarks on the capture
+    wanted  the settings that were asked for by name; note: told remarks on the capture, and why no GPU is used; device: see train()
     """
     from ...captures.pixels.checks import check
     from ...captures.pixels.store import FrameStore
@@ -65,6 +67,10 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     from ..initial.calibrate import with_poses
     from . import session
     from .plan import plan_from_dict
+
+    backend, about = choose_device(device)
+    if about:
+        note(about)
 
     def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
@@ -81,6 +87,7 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
                 store = FrameStore(capture, session.MEMORY)
                 group.first_does(lambda: with_poses(capture, store, out, note))
                 capture = with_poses(capture, store, out)
-            return session.train(capture, FrameStore(capture, session.MEMORY), plan, out, group, quiet)
+            return session.train(capture, FrameStore(capture, session.MEMORY), plan, out, group, quiet,
+                                 backend="cpu" if backend == "auto" else backend)
         finally:
             session.release(out)

@@ -20,6 +20,7 @@ import numpy as np
 from ... import formats
 from ...evaluation import training_record
 from ...formats.base import generator
+from ...kernels.protocol import DeviceError
 from ...util import locks
 from ...util.errors import FastGSError
 from ...util.reading import read_json
@@ -68,10 +69,10 @@ def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, ove
         raise
 
 
-def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, reporter_type=Reporter) -> dict:
+def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, reporter_type=Reporter, backend: str = "cpu") -> dict:
     """Train, or continue, the run in a folder; returns the report, in the first process.
 
-    capture, store  see captures.capture; plan  what begin() gave; group  distributed.Group
+    capture, store  see captures.capture; plan  what begin() gave; group  distributed.Group; backend  its name (util/backends.py)
     Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.  A run that fails before its first checkpoint leaves
     no plan behind, so that the corrected one can start.
     """
@@ -94,7 +95,7 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     try:
         with StopFlag() as stop:
-            return _train(capture, store, settings, out, group, reporter, stop, cuts)
+            return _train(capture, store, settings, out, group, reporter, stop, cuts, backend)
     except KeyboardInterrupt as stopped:
         reporter.status("stopped", reason=str(stopped) or "stopped.")
         raise
@@ -108,7 +109,7 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
         release(out)
 
 
-def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
+def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) -> dict:
     from .segments import joined_model, part
 
     reporter.status("preparing")
@@ -116,7 +117,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
     about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
              "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
     if len(cuts) == 1:
-        model = _segment(capture, store, settings, out, group, reporter, stop, None, 0)
+        model = _segment(capture, store, settings, out, group, reporter, stop, None, 0, backend)
     else:
         models = []
         for number, cut in enumerate(cuts):
@@ -124,23 +125,37 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts) -> dict:
             group.first_does(lambda folder=folder: folder.mkdir(parents=True, exist_ok=True))
             reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
             decoder = models[0] if models else None
-            models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number))
+            models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number,
+                                   backend))
         model = joined_model(models, cuts, capture.clip, {})
     return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
 
 
-def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number):
+def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number, backend):
     """Train one segment (a short capture is one segment), continue it, or load it if it is finished; returns its model.
 
     decoder  the model whose decoder it shares, None: it learns its own
+    Where the backend's device fails, the CPU goes on from the last checkpoint.
     """
+    rest = (capture, store, settings, folder, group, reporter, stop, decoder, number)
+    try:
+        return _segment_on(backend, *rest)
+    except DeviceError as error:
+        if group.size > 1:
+            raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
+        reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
+        return _segment_on("cpu", *rest)
+
+
+def _segment_on(backend, capture, store, settings, folder, group, reporter, stop, decoder, number):
+    """_segment() on one backend; raises DeviceError."""
     from ..core.trainer import Trainer, run
 
     name = folder / SEGMENT_MODEL
     if group.share(name.exists() if group.first else None):
         return formats.load(name)
     found = group.first_does(lambda: checkpoint.load(folder))
-    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found, decoder)
+    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found, decoder, backend)
 
     def save(last: bool):
         arrays, about = trainer.state()
@@ -171,11 +186,11 @@ def _keep_segment(model, folder, reporter):
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
-def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
+def _trainer(kind, capture, store, settings, group, reporter, found, decoder, backend):
     """The trainer at its first step, or where the checkpoint left it; the first process tells the others."""
     about = group.share(found[1] if found else None)
     if about is not None:
-        trainer = kind(capture, store, settings, None, group, decoder)
+        trainer = kind(capture, store, settings, None, group, decoder, backend=backend)
         trainer.restore(group.share_arrays(found[0] if found else {}), about)
         return trainer
     from ..core.model import empty_model
@@ -183,7 +198,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder):
 
     began = group.first_does(lambda: start(capture, store, settings, reporter.say))
     began = Start.of(group.share_arrays(began.arrays if began else {}), empty_model(settings, capture.clip, capture.axes))
-    return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach)
+    return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach, backend)
 
 
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:
