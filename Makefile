@@ -71,6 +71,7 @@ bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
 	@$(PY) benchmarks/viewport.py
 	@$(PY) benchmarks/features.py
+	@$(PY) benchmarks/points.py
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py

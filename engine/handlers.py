@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import model_space, notices, objects, paths
-from ..scene.splats import guard, moving, native, proxy_nodes
+from ..scene import model_space, notices, objects, paths, point_edits
+from ..scene.splats import feeding, guard, moving, native, proxy_nodes
 from . import compiling
 
 
@@ -21,6 +21,7 @@ def _forget_models(*_):
 @persistent
 def _forget_objects(*_):
     guard.forget()
+    point_edits.forget()
 
 
 @persistent
@@ -54,7 +55,10 @@ HANDLERS = (
     (bpy.app.handlers.load_pre, _forget_objects),
     (bpy.app.handlers.load_post, _compile_for_splats),
     (bpy.app.handlers.load_post, _upgrade),
+    (bpy.app.handlers.frame_change_pre, feeding.before),
+    (bpy.app.handlers.frame_change_post, feeding.after),
     (bpy.app.handlers.frame_change_post, moving.follow),
+    (bpy.app.handlers.depsgraph_update_post, feeding.after),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
     (bpy.app.handlers.frame_change_post, native.follow),

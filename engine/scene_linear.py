@@ -49,4 +49,4 @@ def _painted(instances, space: str, value: float):
             return model
         return replace(model, appearance=fg.RGB(), features=np.full((len(model), 3), value, np.float32))
 
-    return [replace(instance, model=paint(instance.model)) for instance in instances]
+    return [replace(instance, model=paint(instance.model), origin=instance.source) for instance in instances]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
@@ -124,7 +124,7 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
         if self.content == 'MODEL':
             model = _model(context)
             return self._writer(few(model)).losses(few(model))
-        model, lost = self._shown(context, few)
+        model, lost = self._shown(context, lambda instance: instance.part(some(instance.model)))
         return list(dict.fromkeys([*lost, *self._writer(model).losses(model)]))
 
     def _writer(self, model):
@@ -132,14 +132,14 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
             return formats.Native(formats.Loss.of(LEVELS[self.moving_format]))
         return formats.writer_of(model, Path("x" + self.extension))
 
-    def _shown(self, context, take=lambda model: model):
+    def _shown(self, context, take=lambda instance: instance):
         """What the scene shows now as one static model, and clauses."""
         depsgraph = context.evaluated_depsgraph_get()
         chosen = (lambda obj: obj.original.select_get()) if self.selected else (lambda obj: True)
-        instances, left_out = snapshot.take(depsgraph, chosen, rendered=False).load()
+        instances, left_out = snapshot.take(depsgraph, chosen, rendered=False, final=True).load()
         if left_out:
             raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
-        return as_seen([replace(instance, model=take(instance.model)) for instance in instances])
+        return as_seen([take(instance) for instance in instances])
 
     def execute(self, context):
         target = Path(bpy.path.abspath(self.filepath))
@@ -195,7 +195,12 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
 
 def few(model: fg.GaussianModel) -> fg.GaussianModel:
     """Some Gaussians of a model."""
-    return model.take(slice(None, None, max(1, len(model) // SAMPLE)))
+    return model.take(some(model))
+
+
+def some(model: fg.GaussianModel) -> np.ndarray:
+    """Which ones."""
+    return np.arange(0, len(model), max(1, len(model) // SAMPLE))
 
 
 def _model(context) -> fg.GaussianModel:

@@ -19,6 +19,7 @@ PRESETS = (
     ('STATIC', "Static Part", "Show only what does not move", 4),
     ('SHORT', "Short-Lived", "Hide what is seen for less than a tenth of the clip", 5),
     ('COLOUR', "Colour", "Hide what has nearly a colour, such as that of a screen", 6),
+    ('CAMERAS', "Hardly Filmed", "Hide what fewer than three cameras of the capture have in their pictures", 7),
 )
 
 
@@ -60,6 +61,10 @@ def _start(preset: str, model) -> tuple[str, float, float, str]:
         return 'OPACITY', 0.0, 0.1, 'HIDE'
     if preset == 'COLOUR':
         return 'COLOUR', 0.0, 0.2, 'HIDE'
+    if preset == 'CAMERAS':
+        if not model.surroundings.cameras:
+            raise fg.FastGSError("the file knows no cameras of its capture; store them with fastgs annotate.")
+        return 'CAMERAS', 0.0, 2.0, 'HIDE'
     if not isinstance(model, fg.GaussianModel):
         raise fg.FastGSError("of a sequence this filter knows no values to begin with; add another one and choose its kind and range.")
     if preset == 'LARGE':

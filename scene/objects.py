@@ -53,6 +53,15 @@ def is_splat(obj: bpy.types.Object) -> bool:
     return bool(paths.get(obj.fastgs))
 
 
+def instances_splats(obj: bpy.types.Object) -> bool:
+    """Whether an object that shows no splats may instance objects that do: by its collection, or by Geometry Nodes."""
+    if is_splat(obj):
+        return False
+    if obj.instance_type == 'COLLECTION' and obj.instance_collection is not None:
+        return any(is_splat(other) for other in obj.instance_collection.all_objects)
+    return any(m.type == 'NODES' for m in obj.modifiers) and any(is_splat(other) for other in bpy.data.objects)
+
+
 def abspath(obj: bpy.types.Object) -> str:
     """Absolute path of an object's file, "" where it shows none; `//` is the folder of the .blend that the path comes from."""
     path = paths.get(obj.fastgs)

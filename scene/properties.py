@@ -75,6 +75,7 @@ class FASTGS_PG_filter(bpy.types.PropertyGroup):
             ('LIFETIME', "Lifetime", "Seconds in which it can be seen", 3),
             ('COLOUR', "Colour", "Difference from a colour, 0 to 1", 4),
             ('NEIGHBOURS', "Neighbours", "How many other Gaussians are around it; floaters have few", 5),
+            ('CAMERAS', "Cameras", "How many cameras of the capture have it in their pictures; few of them knew what it looks like", 6),
         ), default='SIZE', **_SHOWN)
     low: FloatProperty(name="From", description="Least value of those that are meant", default=0.0, precision=3, **_SHOWN)
     high: FloatProperty(name="To", description="Largest value of those that are meant", default=1.0, precision=3, **_SHOWN)
@@ -158,6 +159,18 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     echo_fade: FloatProperty(
         name="Echo Fade", description="Opacity of an echo as a share of that of the one before", default=0.5, min=0.0, max=1.0,
         subtype='FACTOR', **_SHOWN)
+    points: EnumProperty(
+        name="Points", description="Which Gaussians are points of the object's mesh, for modifiers and for other render engines",
+        items=(
+            ('SOME', "Some", "Those that stand for all of them in other render engines", 0),
+            ('ALL', "All", "All, as they are on the frame: what Geometry Nodes, lattices and armatures make of them is shown", 1),
+        ), default='SOME', **_SHOWN)
+    still_frame: FloatProperty(
+        name="Still Frame", description="Frame of the capture whose positions and opacities all points carry besides, as the attributes "
+        "still_position and still_opacity: what nodes freeze goes there", default=0.0, min=0.0, **_SHOWN)
+    follow_points: BoolProperty(
+        name="Turn and Stretch", description="Gaussians turn and stretch with the points around them where a lattice, an armature or "
+        "another modifier deforms these; with Geometry Nodes alone they are only moved", default=True, **_SHOWN)
     crops: CollectionProperty(
         type=FASTGS_PG_crop, name="Crops", description="Shapes outside or inside which nothing of the model is shown",
         override=_OWN | {'USE_INSERTION'})
@@ -183,6 +196,12 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
     opacity: _look("Opacity", "Factor on the opacity of every Gaussian", 1.0, *RANGES["opacity"], soft_max=1.0)
     opacity_cut: _look("Opacity Cut", "Gaussians of less opacity are not shown, by what the file says without fading in and out", 0.0,
                        *RANGES["opacity_cut"])
+    viewport_density: FloatProperty(
+        name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
+        min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
+    density: FloatProperty(
+        name="Render Density", description="Share of the Gaussians that final renders and exports show, the most important ones first",
+        default=1.0, min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
     splat_scale: _look("Splat Scale", "Factor on the size of every Gaussian", 1.0, *RANGES["splat_scale"], soft_max=3.0)
     min_size: _look("Minimum Size", "Gaussians are made at least this large, by their longest axis; their shape stays", 0.0,
                     *RANGES["min_size"], soft_max=1.0, unit='LENGTH', precision=4)

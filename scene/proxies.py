@@ -10,6 +10,8 @@ import bpy
 
 GROUP = "FAST-GS Proxy"
 SWITCH = "Hide Points in Viewports"
+OFFSET = "Offset"
+"""Attribute of what the group makes: where a vertex of an octahedron lies, in radii from its middle; 0 at the points themselves."""
 
 
 def hide(hidden: bool) -> None:

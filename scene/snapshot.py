@@ -9,8 +9,8 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
-from ..fastgs_blender.rendering.instances import LIMIT, Instance, ObjectSettings
-from . import crops, model_space, objects
+from ..fastgs_blender.rendering.instances import LIMIT, RANGES, Instance, ObjectSettings
+from . import crops, model_space, objects, point_edits
 from .time import Retime, shown_frames
 
 
@@ -25,6 +25,7 @@ class FileInstance:
     settings   how the object shows its model
     index      the object's number, its pass index
     place      what finds the instance again on another frame
+    points     what modifiers have made of its points, with *Points: All*
     """
 
     name: str
@@ -34,6 +35,7 @@ class FileInstance:
     settings: ObjectSettings = field(default_factory=ObjectSettings)
     index: int = 0
     place: Hashable = None
+    points: point_edits.Carried | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -43,7 +45,7 @@ class FileInstance:
     @property
     def state(self) -> tuple:
         """All of it as values that can be compared."""
-        return self.path, self.placement.tobytes(), self.retime, self.settings
+        return self.path, self.placement.tobytes(), self.retime, self.settings, self.points and self.points.number
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +93,21 @@ class Snapshot:
         for number, (frame, share) in enumerate(shown_frames(self.frame, self.fps, item.retime, source.clip)):
             model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
             settings = item.settings if share == 1 else replace(item.settings, opacity=item.settings.opacity * share)
-            made.append(Instance(model, item.placement, t, settings, item.name, item.index, (item.place, number) if number else item.place))
+            shown, at = (model, t) if item.points is None else item.points.shown(model, t, read)
+            made.append(Instance(shown, item.placement, at, settings, item.name, item.index, (item.place, number) if number else item.place,
+                                 None if shown is model else model))
         return made
 
 
-def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot:
+def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool | None = None) -> Snapshot:
     """The splats that the depsgraph's view layer shows on its frame and sub-frame.
 
     visible(obj) may leave out more: it is asked about each object that shows splats, and about each object that makes instances.
     rendered      whether it is for a render, from which *Ray Visibility > Camera* leaves objects and what they instance out
+    final         whether it is for a final picture, or a file, and not for a viewport; None: by the depsgraph
     """
     found, seen = [], set()
+    final = depsgraph.mode == 'RENDER' if final is None else final
     for instance in depsgraph.object_instances:
         obj = instance.object
         maker = instance.parent if instance.is_instance else obj
@@ -115,8 +121,11 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True) -> Snapshot
         if key not in seen:
             seen.add(key)
             place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
-            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings_of(obj, depsgraph),
-                                      obj.pass_index, place))
+            settings = settings_of(obj, depsgraph, final)
+            if maker != obj and not objects.is_splat(maker):
+                settings = settings.under(looks_of(maker, final))
+            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings, obj.pass_index, place,
+                                      point_edits.carried_of(obj, depsgraph)))
     return Snapshot(found, *clock(depsgraph.scene))
 
 
@@ -134,8 +143,14 @@ def retime_of(obj) -> Retime:
     return Retime(hold=settings.subframes == 'HOLD', capture_frame=settings.capture_frame if settings.use_capture_frame else None, **plain)
 
 
-def settings_of(obj, depsgraph) -> ObjectSettings:
-    """How an evaluated object shows its model: each setting is the property of the same name, but for crops and filters."""
-    plain = {f.name: getattr(obj.fastgs, f.name) for f in fields(ObjectSettings) if f.name not in ("crops", "filters")}
+def settings_of(obj, depsgraph, final: bool = False) -> ObjectSettings:
+    """How an evaluated object shows its model, in final pictures or in viewports."""
     filters = tuple(Filter(item.kind, item.low, item.high, item.mode == 'KEEP', item.colour) for item in obj.fastgs.filters if item.use)
-    return ObjectSettings(crops=crops.crops_of(obj, depsgraph), filters=filters, **plain)
+    return replace(looks_of(obj, final), crops=crops.crops_of(obj, depsgraph), filters=filters, mask=obj.fastgs.mask,
+                   backdrop=obj.fastgs.backdrop)
+
+
+def looks_of(obj, final: bool) -> ObjectSettings:
+    """The looks of an evaluated object, each the property of the same name: of one that instances splats, too, on top of theirs."""
+    looks = {name: getattr(obj.fastgs, name) for name in RANGES}
+    return ObjectSettings(**looks, density=obj.fastgs.density if final else obj.fastgs.viewport_density)

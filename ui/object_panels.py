@@ -115,11 +115,24 @@ def draw_look(layout, context):
     settings = context.object.fastgs
     layout.use_property_split = True
     for names in (("exposure", "gamma", "contrast"), ("saturation", "hue", "tint"), ("opacity", "opacity_cut"),
-                  ("splat_scale", "min_size", "max_size")):
+                  ("splat_scale", "min_size", "max_size"), ("viewport_density", "density")):
         col = layout.column(align=True)
         for name in names:
             col.prop(settings, name)
-    layout.operator("fastgs.reset_look", icon='LOOP_BACK')
+    if is_ours(context.object):
+        layout.operator("fastgs.reset_look", icon='LOOP_BACK')
+
+
+def draw_points(layout, context):
+    """Draw what the points of the object's mesh are, and the effects that change them."""
+    settings = context.object.fastgs
+    layout.use_property_split = True
+    layout.prop(settings, "points")
+    col = layout.column()
+    col.active = settings.points == 'ALL'
+    col.prop(settings, "follow_points")
+    col.prop(settings, "still_frame")
+    layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
 
 
 def draw_crop(layout, context):
@@ -214,6 +227,27 @@ class FASTGS_PT_object_look(_Properties, bpy.types.Panel):
         draw_look(self.layout, context)
 
 
+class FASTGS_PT_instances(_Properties, bpy.types.Panel):
+    bl_label = "Look of 4D Gaussians"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and objects.instances_splats(context.object)
+
+    def draw(self, context):
+        draw_look(self.layout, context)
+
+
+class FASTGS_PT_object_points(_Properties, bpy.types.Panel):
+    bl_label = "Points"
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_points(self.layout, context)
+
+
 class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
     bl_label = "Crop"
     bl_parent_id = "FASTGS_PT_object"
@@ -267,6 +301,15 @@ class FASTGS_PT_sidebar_look(_Sidebar, bpy.types.Panel):
         draw_look(self.layout, context)
 
 
+class FASTGS_PT_sidebar_points(_Sidebar, bpy.types.Panel):
+    bl_label = "Points"
+    bl_parent_id = "FASTGS_PT_sidebar"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_points(self.layout, context)
+
+
 class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
     bl_label = "Crop"
     bl_parent_id = "FASTGS_PT_sidebar"
@@ -285,4 +328,5 @@ class FASTGS_PT_sidebar_filters(_Sidebar, bpy.types.Panel):
 
 
 CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,
-           FASTGS_PT_sidebar, FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look, FASTGS_PT_sidebar_crop, FASTGS_PT_sidebar_filters)
+           FASTGS_PT_object_points, FASTGS_PT_instances, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look,
+           FASTGS_PT_sidebar_crop, FASTGS_PT_sidebar_filters, FASTGS_PT_sidebar_points)

@@ -2,15 +2,14 @@
 """Finds which Gaussians a view shows and sorts them by depth; the viewport's thread does it."""
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.rendering import visibility
+from ...fastgs_blender.rendering.importance import kept_rank
 from ...fastgs_blender.rendering.instances import Instance, ViewedInstance
 from ...scene import objects
 from ...scene.snapshot import Snapshot
@@ -19,9 +18,6 @@ from .atlas import Atlas
 
 MOST = 1 << 24
 """Gaussians that a float can count."""
-
-_ranks: WeakKeyDictionary = WeakKeyDictionary()
-_lock = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +57,7 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
     atlas.pack({id(instance.model): instance.model for instance in instances}.values())
     total = sum(len(instance.model) for instance in instances)
     viewed = [instance.viewed(camera) for instance in instances]
-    order = visibility.order(viewed, camera, min(share, MOST / max(total, 1)), rank,
+    order = visibility.order(viewed, camera, min(share, MOST / max(total, 1)), kept_rank,
                              "reference" if compiling.is_running() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
@@ -72,14 +68,3 @@ def listed(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray:
     """The order as Sorted has it."""
     share, order = visibility.crop_shares(instances, order), order.astype(np.float32)
     return order if share is None else np.stack([order, 1 - share], 1)
-
-
-def rank(model: fg.GaussianModel) -> np.ndarray:
-    """visibility.importance_rank, kept while the model lives."""
-    with _lock:
-        found = _ranks.get(model)
-    if found is None:
-        found = visibility.importance_rank(model)
-        with _lock:
-            _ranks[model] = found
-    return found

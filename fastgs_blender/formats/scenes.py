@@ -11,7 +11,6 @@ from ..model.appearance import SH, SH_C0, Features
 from ..model.gaussians import GaussianModel
 from ..model.slicing import freeze, sigmoid
 from ..rendering.crops import crop_share
-from ..rendering.filters import hidden
 from ..rendering.instances import Instance
 from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
@@ -48,8 +47,8 @@ def _seen(instance: Instance) -> tuple[GaussianModel, list[str]]:
     keep = sigmoid(model.opacity) >= settings.opacity_cut
     if settings.backdrop == "HIDDEN" and backdrop is not None:
         keep &= backdrop.distance(model.position) <= 1
-    if settings.filters or settings.mask:
-        keep &= ~hidden(model, settings.filters, settings.mask)
+    if len(instance.hidden):
+        keep &= ~instance.hidden
     model = freeze(model.take(keep), instance.t)
     share = crop_share(settings.crops, model.position)
     model, share = model.take(share > 0), share[share > 0]

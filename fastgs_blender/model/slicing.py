@@ -85,7 +85,11 @@ def freeze(model: GaussianModel, t: float) -> GaussianModel:
     Example:
         fg.save(fg.freeze(model, t=0.25), "still.ply")
     """
-    s = slice_model(model, t)
+    return still(model, slice_model(model, t))
+
+
+def still(model: GaussianModel, s: Slice) -> GaussianModel:
+    """A static model of the Gaussians of a slice; everything but their arrays is the given model's."""
     count = len(s.index)
     # a static model is looked at at t = 0: with time features, the factor t - mu_tau is then 1
     mu_tau = np.full(count, -1.0 if isinstance(model.appearance, Features) else 0.0)

@@ -6,11 +6,12 @@ their light is added up.  With more samples the average goes to that of all time
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..model.edits import mixed
 from ..util.errors import FastGSError
 from . import colour
 from .holdout import between
@@ -177,8 +178,13 @@ class Exposure:
         before, after, share = self._between(time)
         a, b = (moment.instances.get(instance.place, instance) for moment in (before, after))
         placement = a.placement + share * (b.placement - a.placement)
-        same = a.model is instance.model is b.model
-        return replace_time(instance, a.t + share * (b.t - a.t) if same else instance.t, placement)
+        if not a.source is instance.source is b.source:  # frames of a sequence are not the same Gaussians
+            return replace_time(instance, instance.t, placement)
+        if a.origin is None is b.origin:
+            return replace_time(instance, a.t + share * (b.t - a.t), placement)
+        between = mixed(a.model, a.t, b.model, b.t, share)
+        model = between if instance.rows is None else between.take(instance.rows)
+        return replace(replace_time(instance, 0.0, placement), model=model, origin=instance.source)
 
     def _between(self, time: float) -> tuple[Moment, Moment, float]:
         """The moments before and after a time, and how far it lies between them."""
@@ -189,8 +195,8 @@ class Exposure:
 
 def replace_time(instance: Instance, t: float, placement=None) -> Instance:
     """The instance at another time, and perhaps at another place, before no camera."""
-    return Instance(instance.model, instance.placement if placement is None else placement, t, instance.settings, instance.name,
-                    instance.index, instance.place)
+    plain = {f.name: getattr(instance, f.name) for f in fields(Instance)}
+    return Instance(**plain | {"placement": instance.placement if placement is None else placement, "t": t})
 
 
 def _mixed_camera(before: Moment, after: Moment, share: float) -> Camera:

@@ -10,10 +10,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..cameras.viewpoints import camera_of
 from ..model.appearance import SH, SH_C0, momentary
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util.errors import FastGSError
+from .importance import kept_rank
 from .masks import unpack_mask
 
 TIMES = 17
@@ -92,8 +94,29 @@ def _neighbours(model, _):
     return (total[own.ravel()] - 1).astype(np.float64)
 
 
+def _cameras(model, _):
+    """Of each Gaussian at the moment at which it is most opaque."""
+    best, count = np.full(len(model), -1.0), np.zeros(len(model))
+    cameras = [camera_of(viewpoint) for viewpoint in model.surroundings.cameras]
+    for t, sigma in _moments(model) if cameras else ():
+        at = np.flatnonzero(sigma > best)
+        best[at] = sigma[at]
+        moved, _ = model.basis.evaluate(model.motion[at], t, model.mu_tau[at].astype(np.float64))
+        position = model.position[at] + moved
+        count[at] = sum(_in_picture(camera, position) for camera in cameras)
+    return count
+
+
+def _in_picture(camera, position):
+    """Whether a camera has points [M, 3] in its picture: [M] bool."""
+    view = position @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    at = camera.pixels(view)
+    return (view[:, 2] > 0) & ((at >= 0) & (at <= (camera.width, camera.height))).all(1)
+
+
 KINDS: dict[str, Callable] = {
-    "SIZE": _size, "OPACITY": _opacity, "SPEED": _speed, "LIFETIME": _lifetime, "COLOUR": _colour, "NEIGHBOURS": _neighbours}
+    "SIZE": _size, "OPACITY": _opacity, "SPEED": _speed, "LIFETIME": _lifetime, "COLOUR": _colour, "NEIGHBOURS": _neighbours,
+    "CAMERAS": _cameras}
 """What filters look at, each as values [N] of a model.
 
 SIZE        the largest standard deviation, in the model's units
@@ -101,6 +124,8 @@ OPACITY     without the temporal factor
 SPEED       the mean, weighted by the opacity at each time, in units per second: what a trained Gaussian does unseen does not count
 LIFETIME    seconds in which it can be seen
 COLOUR      largest difference of a channel from the filter's colour; of harmonics and decoders their constant part counts
+CAMERAS     how many cameras of the capture (surroundings.py) have it in their pictures while it is seen best; what hides it from them
+            does not count.  0 for all where the file knows no cameras
 NEIGHBOURS  how many others are in the cells around it, in the middle of the clip; few are what is called floaters
 """
 
@@ -142,11 +167,13 @@ def parting(value: np.ndarray) -> float:
     return float(0.5 * (edges[best[0] + 1] + edges[best[-1] + 1]))
 
 
-def hidden(model: GaussianModel, filters, mask: str = "") -> np.ndarray:
-    """Which Gaussians filters and a mask hide: [N] bool, or [0] where there are none; the last answer is kept while the model lives."""
-    if not filters and not mask:
+def hidden(model: GaussianModel, filters, mask: str = "", density: float = 1.0) -> np.ndarray:
+    """Which Gaussians filters, a mask and a density hide: [N] bool, or [0] where there are none; the last answer is kept while the
+    model lives.  Of a density below 1 the most important Gaussians are left (importance.py).
+    """
+    if not filters and not mask and density >= 1:
         return np.zeros(0, bool)
-    asked = tuple(filters), mask
+    asked = tuple(filters), mask, density
     with _lock:
         known = _hidden.get(model)
     if known is not None and known[0] == asked:
@@ -156,6 +183,8 @@ def hidden(model: GaussianModel, filters, mask: str = "") -> np.ndarray:
         value = values(model, each.kind, each.colour)
         chosen = (value >= each.low) & (value <= each.high)
         out |= ~chosen if each.keep else chosen
+    if density < 1:
+        out |= kept_rank(model) >= density
     with _lock:
         _hidden[model] = asked, out
     return out

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ RANGES = {
 }
 """What numbers the looks of ObjectSettings take; the properties in Blender have the same limits."""
 BACKDROPS = ("INSIDE", "SHOWN", "HIDDEN")
+One = TypeVar("One", bound="Instance")
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class ObjectSettings:
               a factor on the opacity; Gaussians of less opacity than the cut, before that factor, are left out
     splat_scale, min_size, max_size
               a factor on each Gaussian's size, and limits of its largest standard deviation, in the model's units; max_size 0: none
+    density   share of the Gaussians that are shown, the most important ones
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     """
 
@@ -59,6 +62,7 @@ class ObjectSettings:
     max_size: float = 0.0
     filters: tuple[Filter, ...] = ()
     mask: str = ""
+    density: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crops", tuple(self.crops))
@@ -70,8 +74,20 @@ class ObjectSettings:
                     raise FastGSError(f"the setting {name} of an object must lie between {low:g} and {high:g}, not {value!r}.")
         if len(self.tint) != 3:
             raise FastGSError("the setting tint of an object must be three numbers, of red, green and blue.")
+        if not 0 <= self.density <= 1:
+            raise FastGSError(f"the density of an object must lie between 0 and 1, not {self.density!r}.")
         if self.backdrop not in BACKDROPS:
             raise FastGSError(f"how a backdrop is shown must be one of {', '.join(BACKDROPS)}, not {self.backdrop!r}.")
+
+    def under(self, above: ObjectSettings) -> ObjectSettings:
+        """These settings with the looks of an object that instances this one on top; what is no look stays."""
+        looks = {name: getattr(self, name) * getattr(above, name) for name in ("gamma", "contrast", "saturation", "opacity", "splat_scale")}
+        looks |= {name: getattr(self, name) + getattr(above, name) for name in ("exposure", "hue")}
+        looks |= {name: max(getattr(self, name), getattr(above, name)) for name in ("opacity_cut", "min_size")}
+        looks["max_size"] = min((size for size in (self.max_size, above.max_size) if size), default=0.0)
+        looks = {name: min(max(value, RANGES[name][0]), RANGES[name][1]) for name, value in looks.items()}
+        tint = tuple(min(a * b, RANGES["tint"][1]) for a, b in zip(self.tint, above.tint, strict=True))
+        return replace(self, **looks, tint=tint, density=self.density * above.density)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +101,8 @@ class Instance:
     name       of the object that shows the model, and
     index      its number: what Cryptomatte and the Object Index pass tell objects apart by
     place      what finds the instance again at another moment (Moment)
+    origin     the model whose Gaussians `model` holds, edited, painted or in part; None: `model` itself.  Filters and masks are its
+    rows       which of the origin's Gaussians, [len(model)]; None: all, in their order
 
     Raises FastGSError where the placement or the time is not finite.
     """
@@ -96,6 +114,8 @@ class Instance:
     name: str = ""
     index: int = 0
     place: Hashable = None
+    origin: GaussianModel | None = None
+    rows: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         placement = numbers(self.placement, "a model's placement", "(4, 4)").copy()
@@ -107,6 +127,22 @@ class Instance:
     def viewed(self, camera: Camera) -> ViewedInstance:
         """The instance before a camera."""
         return ViewedInstance(**{f.name: getattr(self, f.name) for f in fields(Instance)}, camera=camera)
+
+    @property
+    def source(self) -> GaussianModel:
+        """The model that its Gaussians come from: two instances with one source have the same Gaussians in the same rows."""
+        return self.origin or self.model
+
+    def part(self: One, index: np.ndarray, model: GaussianModel | None = None) -> One:
+        """The instance with some of its Gaussians [M] alone; model: of these, where there is one already."""
+        return replace(self, model=model or self.model.take(index), origin=self.source,
+                       rows=index if self.rows is None else self.rows[index])
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """Which Gaussians its filters, its mask and its density hide: [N] bool, or [0] where there are none."""
+        found = hidden(self.source, self.settings.filters, self.settings.mask, self.settings.density)
+        return found[self.rows] if len(found) and self.rows is not None else found
 
     @property
     def identity(self) -> tuple[str, int]:
@@ -161,11 +197,6 @@ class ViewedInstance(Instance):
     def far(self) -> float:
         """Depth up to which Gaussians are drawn."""
         return min(self.camera.far, LIMIT)
-
-    @cached_property
-    def hidden(self) -> np.ndarray:
-        """Which Gaussians its filters and its mask hide: [N] bool, or [0] where there are none."""
-        return hidden(self.model, self.settings.filters, self.settings.mask)
 
     @cached_property
     def look(self) -> np.ndarray:

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..model.gaussians import GaussianModel
 from ..util import rotations
 from .instances import LIMIT, Instance, Moment, ViewedInstance
 
@@ -24,7 +25,7 @@ class Shown:
     @cached_property
     def position(self) -> np.ndarray:
         """[M, 3] in the model's space."""
-        return self._position_at(self.instance.t)
+        return self._position_at(self.instance.t, self.instance.model)
 
     @cached_property
     def world(self) -> np.ndarray:
@@ -54,10 +55,10 @@ class Shown:
 
     def pixels(self, instance: ViewedInstance) -> np.ndarray:
         """[M, 2] where the same Gaussians of another instance of the model lie in its camera's picture."""
-        return instance.camera.pixels(_transformed(instance.model_to_camera, self._position_at(instance.t)))
+        return instance.camera.pixels(_transformed(instance.model_to_camera, self._position_at(instance.t, instance.model)))
 
-    def _position_at(self, t: float) -> np.ndarray:
-        model, i = self.instance.model, self.index
+    def _position_at(self, t: float, model: GaussianModel) -> np.ndarray:
+        i = self.index
         return model.position[i] + model.basis.evaluate(model.motion[i], t, model.mu_tau[i].astype(np.float64))[0]
 
 
@@ -119,8 +120,9 @@ def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> View
     if moment is None:
         return replace(instance, t=instance.t + frames / instance.model.clip.frame_count)
     there = moment.instances.get(instance.place, instance)
-    t = there.t if there.model is instance.model else instance.t  # frames of a sequence are not the same Gaussians
-    return Instance(instance.model, there.placement, t).viewed(moment.camera)
+    if there.source is not instance.source:  # frames of a sequence are not the same Gaussians
+        return Instance(instance.model, there.placement, instance.t).viewed(moment.camera)
+    return Instance(there.model, there.placement, there.t).viewed(moment.camera)
 
 
 def shares(instances: list[ViewedInstance], names: list) -> Quantity:

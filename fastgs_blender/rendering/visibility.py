@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.gaussians import GaussianModel
-from ..model.slicing import sigmoid
 from ..util.backends import load_backend
 from .crops import crop_share
 from .instances import ViewedInstance
@@ -35,12 +33,3 @@ def crop_shares(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarra
             share[own] = crop_share(instance.settings.crops, model.position[at] + moved)
         done += len(model)
     return share
-
-
-def importance_rank(model: GaussianModel) -> np.ndarray:
-    """[N] float32 from 0, the most important Gaussian, up to 1: by the area that it covers at most, times its opacity."""
-    size = np.sort(model.scale, axis=1)
-    weight = np.nan_to_num(size[:, 1] + size[:, 2] + np.log(sigmoid(model.opacity) + 1e-12), nan=-np.inf)
-    rank = np.empty(len(model), np.float32)
-    rank[np.argsort(-weight, kind="stable")] = np.arange(len(model)) / max(len(model), 1)
-    return rank

@@ -26,7 +26,8 @@ CONVERTED = ('"{}" shows splats and stays what it is: they are no mesh. Clear it
 JOINED = '"{}" cannot be joined with others, because splats are no mesh; they stay apart. Parent them (Ctrl P) to move them as one.'
 SHARED = '"{}" shows another file than the object whose data it was given, so it keeps points of its own.'
 KEPT = f'The modifier "{NAME}" shows "{{}}" in other render engines, so it was put back.'
-MODIFIER = 'The modifier "{}" changes the points of "{}" in other render engines, not its splats.'
+MODIFIER = ('The modifier "{}" changes the points of "{}" in other render engines, not its splats; set Points to All to let it change '
+            "these.")
 
 
 @dataclass(frozen=True)
@@ -247,11 +248,12 @@ def _keep_modifier(obj):
     record = _records.get(obj.session_uid)
     if record is not None and record.modifier and OFFSET not in obj.data.attributes and modifier_of(obj) is None:
         give_modifier(obj)
-        obj.modifiers.move(len(obj.modifiers) - 1, 0)
         notices.tell(KEPT.format(obj.name))
 
 
 def _tell_of_modifiers(obj):
+    if obj.fastgs.points == 'ALL':
+        return
     ours = modifier_of(obj)
     for modifier in obj.modifiers:
         key = obj.session_uid, modifier.name

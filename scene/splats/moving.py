@@ -14,10 +14,10 @@ from ...fastgs_blender.rendering.crops import kept_by
 from ...fastgs_blender.rendering.filters import hidden
 from ...fastgs_blender.rendering.looks import look_numbers
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, objects, snapshot
+from .. import model_space, objects, point_edits, snapshot
 from ..colour import rec709_to_working
 from ..time import shown_frames
-from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, OFFSET
+from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, NONE, OFFSET, RADIUS
 from .proxy_points import Shown, choose, shared_out, show
 
 MOVED = "fastgs_moved"
@@ -32,7 +32,7 @@ class _Chosen:
 
     def __init__(self, model, mesh, usual: int):
         self.model, self.key = model, _read(mesh, GAUSSIAN, "value", np.int32)
-        self.index = np.unique(self.key[self.key >= 0])
+        self.index = np.unique(self.key[(self.key >= 0) & (_read(mesh, RADIUS, "value", np.float32) > 1e10 * NONE)])
         taken = self.index
         if len(model) != usual:
             taken = np.sort(choose(model, len(self.index)).index)
@@ -81,7 +81,8 @@ def _move(obj, depsgraph):
     if any(chosen.part is None for chosen in parts):
         return
     settings, larger = snapshot.settings_of(obj, depsgraph), stored.get(LARGER, 1.0)
-    looks = [_seen(chosen, t, settings, larger) for chosen, (_, t) in zip(parts, moments)]
+    carried = point_edits.carried_of(obj, depsgraph)
+    looks = [_seen(chosen, *_edited(chosen, t, carried), settings, larger) for chosen, (_, t) in zip(parts, moments)]
     if not frames:
         looks = [(shown, np.zeros_like(seen)) for shown, seen in looks]
     shares = [share for _, share in frames] or [1.0]
@@ -96,9 +97,15 @@ def _chosen_of(stored, number: int, model, usual: int) -> _Chosen:
     return found
 
 
-def _seen(chosen: _Chosen, t: float, settings, larger: float):
+def _edited(chosen: _Chosen, t: float, carried):
+    """(the chosen Gaussians as modifiers have left them, and the time to show them at)."""
+    model, at = (chosen.model, t) if carried is None else carried.shown(chosen.model, t)
+    return (chosen.part, t) if model is chosen.model else (model.take(chosen.taken), at)
+
+
+def _seen(chosen: _Chosen, part, t: float, settings, larger: float):
     """(how the chosen Gaussians look at a time, which of them the object's crops, filters and mask leave)."""
-    shown = show(chosen.part, t, larger, look_numbers(settings, chosen.model.colour_space))
+    shown = show(part, t, larger, look_numbers(settings, chosen.model.colour_space))
     seen = np.ones(len(chosen.index), bool)
     if settings.crops:
         seen &= kept_by(settings.crops, shown.position.astype(np.float64))
@@ -128,13 +135,14 @@ def _write(obj, index, shown: Shown, seen):
     mesh, turn = obj.data, model_space.model_matrix(obj)
     number = _read(mesh, GAUSSIAN, "value", np.int32)
     row = np.minimum(np.searchsorted(index, number), len(index) - 1)
-    ours = index[row] == number
-    row = row[ours]
     at = _read(mesh, "position", "vector", np.float32).reshape(-1, 3)
-    offset = _read(mesh, OFFSET, "vector", np.float32).reshape(-1, 3)[ours]
+    offset = _read(mesh, OFFSET, "vector", np.float32).reshape(-1, 3)
+    drawn = offset.any(1) | (point_edits.OPACITY not in mesh.attributes)  # of all points, modifiers have the last word
+    ours = (index[row] == number) & drawn
+    row, offset = row[ours], offset[ours]
     place = shown.position[row] + np.einsum("mij,mj->mi", shown.axes[row], offset * seen[row, None])
     at[ours] = model_space.mapped(place, turn)
-    at[~ours & (number >= 0)] = model_space.mapped(shown.position[:1], turn)
+    at[drawn & ~ours & (number >= 0)] = model_space.mapped(shown.position[:1], turn)
     mesh.vertices.foreach_set("co", at.ravel())
     colour = _read(mesh, COLOUR, "color", np.float32).reshape(-1, 4)
     colour[ours, :3] = (shown.colour @ rec709_to_working().T)[row]

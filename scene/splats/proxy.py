@@ -8,17 +8,19 @@ points there is the edges of their bounding box.
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.rendering.colour import linear_to_srgb
-from .. import model_space
+from .. import model_space, point_edits
 from ..colour import rec709_to_working
-from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, LEVELS, RADIUS, SHADE, give_modifier
-from .proxy_points import LIMIT, Points, choose
+from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, LEVELS, NONE, RADIUS, SHADE, give_modifier
+from .proxy_points import LIMIT, Points, choose, linear_colour
 
-__all__ = ["LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
+__all__ = ["EVERY", "LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
 
 CORNERS = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], bool)
 """Of the points' box, those that are vertices too: they hold its extent, and with them few or flat points have a place in space."""
@@ -27,6 +29,8 @@ POINTS = "fastgs_points"
 """Custom property of a proxy's mesh: how many vertices it was made with."""
 LIMITED = "fastgs_limit"
 """Custom property: the most points that were asked for."""
+EVERY = -1
+"""As a limit: a point for each Gaussian, as *Points: All* wants it.  No more octahedra than otherwise are drawn for them."""
 
 
 def new_mesh(name: str, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> bpy.types.Mesh:
@@ -46,10 +50,10 @@ def limit_of(mesh: bpy.types.Mesh) -> int:
 
 def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> None:
     """Replace the mesh's points by those of the model; materials and everything else that hangs on the mesh stay."""
-    points = prepare(model, limit)
+    points = _every(model) if limit == EVERY else prepare(model, limit)
     place = np.concatenate([points.position, _corners(points.box)]).astype(np.float64)
     mesh.clear_geometry()
-    for name in (COLOUR, RADIUS, GAUSSIAN, SHADE):
+    for name in (COLOUR, RADIUS, GAUSSIAN, SHADE, *point_edits.ATTRIBUTES):
         if mesh.attributes.get(name) is not None:
             mesh.attributes.remove(mesh.attributes[name])
     mesh.vertices.add(len(place))
@@ -61,7 +65,17 @@ def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.nda
 
 def prepare(model: Source, limit: int = LIMIT) -> Points:
     """The Gaussians of a proxy, which takes the most time; for models that live on, a thread may do it beforehand."""
-    return choose(model, min(limit, LIMIT - len(CORNERS)))
+    return choose(model, min(LIMIT if limit == EVERY else limit, LIMIT - len(CORNERS)))
+
+
+def _every(source: Source) -> Points:
+    """All Gaussians, of a sequence those of its first frame, in their order; those that prepare() chooses have a radius."""
+    model, _ = source.moment(0.0, hold=True)
+    chosen = prepare(model)
+    now = point_edits.state(model, chosen.t)
+    radius = np.full(len(model), NONE, np.float32)
+    radius[chosen.index] = chosen.radius
+    return replace(chosen, index=np.arange(len(model)), position=now.position, colour=linear_colour(now.colour, model), radius=radius)
 
 
 def _write(mesh, points: Points, count: int):

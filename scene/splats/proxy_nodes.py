@@ -11,6 +11,8 @@ import numpy as np
 from mathutils import Color
 
 from .. import proxies
+from ..point_edits import OPACITY
+from ..proxies import OFFSET
 
 NAME = proxies.GROUP
 """Of the node group, the modifier and the materials."""
@@ -20,13 +22,13 @@ GAUSSIAN = "Gaussian"
 """Attribute: which Gaussian of the model a point stands for; -1: the corners of the box."""
 SHADE = "Shade"
 """Attribute: the palette's material."""
-OFFSET = "Offset"
-"""Attribute of what is evaluated: where a vertex of an octahedron lies, in radii from its middle."""
+NONE = 1e-30
+"""Radius of points that no octahedron is drawn for."""
 LARGER = "fastgs_larger"
 """Custom property of the mesh: how much larger than their Gaussians points are, because few stand for many."""
 LEVELS = 3
 """Of each channel in the palette."""
-VERSION = 2
+VERSION = 3
 VERSION_KEY = "fastgs_version"
 
 
@@ -35,6 +37,12 @@ def give_modifier(obj: bpy.types.Object) -> None:
     modifier = obj.modifiers.new(NAME, 'NODES')
     modifier.node_group = group()
     modifier.show_expanded = False
+    keep_last(modifier)
+
+
+def keep_last(modifier) -> None:
+    """Keep the modifier behind all others of its object, those that come later too: they act on points, it makes them visible."""
+    modifier.use_pin_to_last = True
 
 
 def modifier_of(obj):
@@ -70,12 +78,14 @@ def upgrade() -> None:
 def _build(tree):
     node = {}
     for x, (key, kind) in enumerate((
-            ("in", 'NodeGroupInput'), ("radius", 'GeometryNodeInputNamedAttribute'), ("drawn", 'FunctionNodeCompare'),
+            ("in", 'NodeGroupInput'), ("parts", 'GeometryNodeSeparateComponents'), ("vertices", 'GeometryNodePointsToVertices'),
+            ("points", 'GeometryNodeJoinGeometry'), ("radius", 'GeometryNodeInputNamedAttribute'), ("drawn", 'FunctionNodeCompare'),
             ("ball", 'GeometryNodeMeshUVSphere'), ("position", 'GeometryNodeInputPosition'), ("store", 'GeometryNodeStoreNamedAttribute'),
             ("smooth", 'GeometryNodeSetShadeSmooth'), ("balls", 'GeometryNodeJoinGeometry'), ("shade", 'GeometryNodeInputNamedAttribute'),
             ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'), ("join", 'GeometryNodeJoinGeometry'),
             # what depends on the time is evaluated on each frame, so that moving.py finds it as it was made
             ("time", 'GeometryNodeInputSceneTime'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
+            ("all", 'GeometryNodeInputNamedAttribute'), ("carried", 'GeometryNodeSeparateGeometry'), ("kept", 'GeometryNodeJoinGeometry'),
             ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
             ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
         node[key] = tree.nodes.new(kind)
@@ -87,25 +97,33 @@ def _build(tree):
     node["radius"].data_type, node["shade"].data_type = 'FLOAT', 'INT'
     node["radius"].inputs["Name"].default_value = RADIUS
     node["shade"].inputs["Name"].default_value = SHADE
+    node["all"].data_type, node["carried"].domain = 'FLOAT', 'POINT'
+    node["all"].inputs["Name"].default_value = OPACITY
     node["drawn"].data_type, node["drawn"].operation = 'FLOAT', 'GREATER_THAN'
+    find_socket(node["drawn"].inputs, "B", 'VALUE').default_value = 1e10 * NONE
     node["store"].data_type, node["store"].domain = 'FLOAT_VECTOR', 'POINT'
     node["store"].inputs["Name"].default_value = OFFSET
     for name, value in (("Segments", 4), ("Rings", 2), ("Radius", 1.0)):
         node["ball"].inputs[name].default_value = value
 
     def link(source, output, target, socket, kind=None):
-        tree.links.new(_socket(node[source].outputs, output), _socket(node[target].inputs, socket, kind))
+        tree.links.new(find_socket(node[source].outputs, output), find_socket(node[target].inputs, socket, kind))
 
     for wire in (
             ("ball", "Mesh", "store", "Geometry"), ("position", 0, "store", "Value", 'VECTOR'),
-            ("radius", "Attribute", "drawn", "A", 'VALUE'), ("in", 0, "instance", "Points"), ("drawn", "Result", "instance", "Selection"),
+            # of what modifiers before this one make, mesh and point cloud are points
+            ("in", 0, "parts", 0), ("parts", "Mesh", "points", 0), ("parts", "Point Cloud", "vertices", 0), ("vertices", 0, "points", 0),
+            ("radius", "Attribute", "drawn", "A", 'VALUE'), ("points", 0, "instance", "Points"),
+            ("drawn", "Result", "instance", "Selection"),
             ("store", "Geometry", "smooth", "Geometry"),
             ("balls", 0, "instance", "Instance"), ("shade", "Attribute", "instance", "Instance Index"),
             ("radius", "Attribute", "instance", "Scale"), ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
-            ("in", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("edges", 0, "switch", "True"),
+            ("points", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("kept", 0, "switch", "True"),
+            # hidden points that carry something stay as vertices without a face, which no viewport draws
+            ("points", 0, "carried", 0), ("all", "Exists", "carried", "Selection"), ("carried", 0, "kept", 0), ("edges", 0, "kept", 0),
             ("hide", 0, "both", 0), ("viewport", 0, "both", 1), ("both", 0, "switch", "Switch"), ("switch", 0, "out", 0),
             # the points themselves come along: only they know which colour attribute is the active one
-            ("in", 0, "join", 0), ("join", 0, "switch", "False")):
+            ("points", 0, "join", 0), ("join", 0, "switch", "False")):
         link(*wire)
     node["instance"].inputs["Pick Instance"].default_value = True
     for number, material in reversed(list(enumerate(_palette()))):  # the last link comes first
@@ -117,7 +135,7 @@ def _build(tree):
         tree.links.new(single.outputs[0], node["balls"].inputs[0])
 
 
-def _socket(sockets, key, kind=None):
+def find_socket(sockets, key, kind=None):
     """The socket of this number, or of this name or identifier and type: nodes with a data type may have one of a name for every type."""
     if isinstance(key, int):
         return sockets[key]

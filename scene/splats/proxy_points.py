@@ -234,7 +234,11 @@ def _fair_order(position, kind, importance, box, limit: int) -> np.ndarray:
 
 def _colour(s: Slice, model: GaussianModel, look: np.ndarray | None = None) -> np.ndarray:
     """Linear colour [M, 3] from no particular side: of SH the constant term, of features the base without the decoder's rest."""
-    rgb = np.clip(np.nan_to_num(model.appearance.plain_colours(s.features)), 0, 100)
-    if look is not None:
-        rgb = np.clip(np.nan_to_num(graded(rgb, look)), 0, 100)
+    rgb = model.appearance.plain_colours(s.features)
+    return linear_colour(rgb if look is None else graded(np.clip(np.nan_to_num(rgb), 0, 100), look), model)
+
+
+def linear_colour(colour: np.ndarray, model: GaussianModel) -> np.ndarray:
+    """Colours [M, 3] of a model's colour space as linear ones, 0 or more."""
+    rgb = np.clip(np.nan_to_num(colour), 0, 100)
     return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)

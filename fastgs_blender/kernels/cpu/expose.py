@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import float32
 
-from ...model.slicing import freeze
+from ...model.slicing import slice_model, still
 from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
 from ...rendering.layout import Layout
@@ -67,7 +67,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
     x0, y0, width, height = camera.window
     film = Film(height, width, {instance.model.colour_space for instance in instances})
     if not exposure.moves:
-        instances = [replace(instance, model=freeze(instance.model, instance.t), t=0.0) for instance in instances]
+        instances = [_frozen(instance) for instance in instances]
     paths = _paths(exposure, instances, camera)
     left, top = x0 // TILE, y0 // TILE
     grid = left, top, (x0 + width - 1) // TILE - left + 1, (y0 + height - 1) // TILE - top + 1
@@ -127,6 +127,12 @@ def _edges(exposure: Exposure, holdout, camera) -> tuple[np.ndarray, np.ndarray]
         needed = np.maximum(_steps(path, path / STEP), _steps(2 * blur, SHARP * blur**2))
     box = np.concatenate([np.min(corners, (0, 2)), np.max(corners, (0, 2))], -1)
     return np.where(np.isnan(box), [-1e6, -1e6, 1e6, 1e6], box).astype(np.float32), np.where(np.isnan(needed), np.inf, needed)
+
+
+def _frozen(instance):
+    """The instance as it is at its time, where nothing moves."""
+    now = slice_model(instance.model, instance.t)
+    return replace(instance.part(now.index, still(instance.model, now)), t=0.0)
 
 
 def _paths(exposure: Exposure, instances, camera) -> Paths:
@@ -200,7 +206,7 @@ def _picked(instances, touching):
     for instance in instances:
         index = np.flatnonzero(touching[done:done + len(instance.model)])
         if len(index):
-            out.append(replace(instance, model=instance.model.take(index)))
+            out.append(instance.part(index))
             keep.append(done + index)
         done += len(instance.model)
     return out, np.concatenate(keep) if keep else np.empty(0, np.int64)

@@ -8,8 +8,9 @@ from ...cameras.camera import Camera
 from ...model.appearance import RGB, Features
 from ...model.gaussians import GaussianModel
 from ...rendering.api import render
+from ...rendering.importance import importance_rank
 from ...rendering.instances import Instance
-from ...rendering.visibility import importance_rank, order
+from ...rendering.visibility import order
 from . import cache
 
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))

@@ -86,3 +86,45 @@ def test_reset(shown):
     bpy.context.view_layer.objects.active = shown
     bpy.ops.fastgs.reset_look()
     assert not any(shown.fastgs.is_property_set(name) for name in LOOK)
+
+
+def test_what_instances_splats_has_a_look_of_its_own(module, shown, scene):
+    """Two empties with one collection, and a mesh whose Geometry Nodes instance it: each adds its look to that of the object."""
+    shown.fastgs.exposure = 1.0
+    collection = bpy.data.collections.new("Instanced")
+    scene.collection.objects.unlink(shown)
+    collection.objects.link(shown)
+    for x, exposure in ((-1, 0.0), (1, -3.0)):
+        empty = bpy.data.objects.new("Instance", None)
+        empty.instance_type, empty.instance_collection, empty.location.x = 'COLLECTION', collection, x
+        scene.collection.objects.link(empty)
+        empty.fastgs.exposure, empty.fastgs.tint = exposure, (1.0, 0.5, 1.0)
+    maker = bpy.data.objects.new("Maker", bpy.data.meshes.new("Maker"))
+    scene.collection.objects.link(maker)
+    maker.fastgs.opacity = 0.5
+    tree = bpy.data.node_groups.new("Make", 'GeometryNodeTree')
+    tree.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
+    info, out = tree.nodes.new('GeometryNodeObjectInfo'), tree.nodes.new('NodeGroupOutput')
+    info.inputs["Object"].default_value = shown
+    info.inputs["As Instance"].default_value = True
+    tree.links.new(info.outputs["Geometry"], out.inputs[0])
+    maker.modifiers.new("Make", 'NODES').node_group = tree
+    bpy.context.view_layer.update()
+    parts, _ = module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get()).load()
+    found = sorted((p.settings.exposure, p.settings.tint[1], p.settings.opacity) for p in parts)
+    assert np.allclose(found, [(-2.0, 0.5, 1.0), (1.0, 0.5, 1.0), (1.0, 1.0, 0.5)])
+    panel = module("ui.object_panels").FASTGS_PT_instances
+    for obj, drawn in ((maker, True), (scene.collection.objects["Instance"], True), (scene.camera, False)):
+        bpy.context.view_layer.objects.active = obj
+        assert panel.poll(bpy.context) == drawn
+
+
+def test_density_for_viewports_and_for_renders(module, shown, render):
+    shown.fastgs.viewport_density, shown.fastgs.density = 0.25, 0.5
+    bpy.context.view_layer.update()
+    depsgraph, take = bpy.context.evaluated_depsgraph_get(), module("scene.snapshot").take
+    assert [take(depsgraph, final=final).instances[0].settings.density for final in (None, False, True)] == [0.25, 0.25, 0.5]
+    half = render()["ViewLayer.Combined"]
+    shown.fastgs.density = 1.0
+    whole = render()["ViewLayer.Combined"]
+    assert 0.1 < half[..., 3].sum() / whole[..., 3].sum() < 0.98

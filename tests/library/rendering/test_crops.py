@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from random_models import random_model
 
 import fastgs_blender as fg
+from fastgs_blender.cameras.viewpoints import viewpoint_of
+from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.crops import Crop, crop_share, cropped, kept_by
 from fastgs_blender.rendering.filters import Filter, parting, values
+from fastgs_blender.rendering.importance import importance_rank
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
 from fastgs_blender.rendering.volumes import mesh_volume
 
@@ -190,5 +193,40 @@ def test_what_filters_look_at():
     assert np.allclose(values(model, "COLOUR", (1, 0, 0)), [0, 1, 1]) and np.allclose(values(model, "NEIGHBOURS"), [1, 1, 0])
     assert 0.01 < parting(np.array([0.0, 0.001, 0.01, 3, 4, 5])) < 3 and parting(np.zeros(3)) == 1
     assert 0 < parting(np.full(5, 2.0)) < 2  # where everything moves alike, everything is the moving part
+    assert np.allclose(values(model, "CAMERAS"), 0)
     with pytest.raises(fg.FastGSError, match="'WEIGHT' is unknown"):
         Filter("WEIGHT")
+
+
+def test_how_many_cameras_see_a_gaussian():
+    """Two cameras side by side: one Gaussian before both, one before the right one, one behind, one that comes into view when it shows."""
+    views = [viewpoint_of(fg.Camera(64, 48, 60, 60, 32, 24, np.array([[1, 0, 0, -x], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])))
+             for x in (0.0, 1.0)]
+    model = fg.GaussianModel(
+        position=np.array([[0.5, 0, 4], [2.5, 0, 4], [0.5, 0, -4], [-99, 0, 4.0]]), rotation=np.tile([1.0, 0, 0, 0], (4, 1)),
+        scale=np.full((4, 3), -3.0), opacity=np.zeros(4), features=np.zeros((4, 3)), basis=fg.Polynomial(1),
+        motion=np.array([[[0, 0, 0]], [[0, 0, 0]], [[0, 0, 0]], [[90.0, 0, 0]]]), temporal_kind=fg.Window(),
+        temporal=np.array([[-1, 2, -4, -4]] * 3 + [[0.97, 2, -4, -4]]), surroundings=Surroundings(cameras=views))
+    assert values(model, "CAMERAS").tolist() == [2, 1, 0, 0]
+    late = replace(model, motion=model.motion * 99.5 / 90 / 0.970588)
+    assert values(late, "CAMERAS")[3] == 2
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_density_leaves_the_most_important_gaussians(backend):
+    model = random_model(np.random.default_rng(3), 200, "paper", "line", "radial", motion=0.05)
+    left = importance_rank(model) < 0.25
+    assert left.sum() == 50
+    wanted = fg.render(model.take(left), CAMERA, 0.4, backend=backend)
+    got = fg.render([(model, np.eye(4), 0.4, ObjectSettings(density=0.25))], CAMERA, backend=backend)
+    assert np.abs(got["rgb"] - wanted["rgb"]).max() < 1e-6 and wanted["alpha"].max() > 0.1
+    with pytest.raises(fg.FastGSError, match="density"):
+        ObjectSettings(density=1.5)
+
+
+def test_looks_of_what_instances_an_object_come_on_top():
+    below, above = ObjectSettings(exposure=1, tint=(1, 0.5, 1), opacity=0.5, max_size=2, density=0.5, mask="m"), ObjectSettings(
+        exposure=-0.5, tint=(0.5, 0.5, 1), opacity=0.5, splat_scale=2, max_size=1, density=0.5)
+    assert below.under(above) == ObjectSettings(exposure=0.5, tint=(0.5, 0.25, 1), opacity=0.25, splat_scale=2, max_size=1, density=0.25,
+                                                mask="m")
+    assert below.under(ObjectSettings()) == below

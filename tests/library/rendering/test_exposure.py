@@ -9,9 +9,11 @@ import pytest
 from random_models import random_model
 
 import fastgs_blender as fg
+from fastgs_blender.model.edits import Edit
 from fastgs_blender.rendering import colour
 from fastgs_blender.rendering.exposure import Aperture, Exposure
-from fastgs_blender.rendering.instances import Instance, Moment
+from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
+from fastgs_blender.rendering.masks import pack_mask
 from fastgs_blender.util import threads
 
 CAMERA = fg.Camera(96, 64, 90, 90, 48, 32, np.eye(4))
@@ -162,3 +164,35 @@ def test_exposures_that_make_no_sense():
         Exposure(steps=0)
     with pytest.raises(fg.FastGSError, match="curve"):
         Exposure(curve=(0.0, 0.0))
+
+
+def test_what_is_hidden_stays_hidden_and_what_moves_moves_in_every_sample():
+    """A shutter of moments, in which the ball covers a few tiles alone: the same as one of the model's own time, with a mask too."""
+    model = arm(2.0)
+    for gone in (np.zeros(440, bool), np.arange(440) % 3 == 0):
+        settings = ObjectSettings(mask=pack_mask(gone))
+        left = model.take(~gone)
+        expected = fg.render(left, CAMERA, 0.5, exposure=Exposure(-2, 2, steps=64))
+        moments = [Moment({"one": Instance(model, np.eye(4), t, settings, place="one")}, CAMERA) for t in np.linspace(0.3, 0.7, 9)]
+        shutter = Exposure(moments=tuple(moments), steps=64)
+        found = fg.render([Instance(model, np.eye(4), 0.5, settings, place="one")], CAMERA, exposure=shutter)
+        assert np.abs(found["rgb"] - expected["rgb"]).max() < 2e-3
+        lens = Exposure(aperture=Aperture(0.05, 4.0, samples=16))
+        blurred = fg.render([Instance(model, np.eye(4), 0.5, settings)], CAMERA, exposure=lens)
+        assert np.abs(blurred["rgb"] - fg.render(left, CAMERA, 0.5, exposure=lens)["rgb"]).max() < 2e-3
+
+
+def test_edits_are_blurred_between_the_moments():
+    """A still model that an edit moves through the open shutter is what a model that moves by itself is."""
+    model = arm(2.0)
+    still = replace(model, basis=fg.Static(), motion=np.zeros((440, 0, 3)))
+    expected = fg.render(model, CAMERA, 0.5, exposure=Exposure(-2, 2, steps=64))
+
+    def at(t):
+        edited = Edit(0.0, position=fg.slice_model(model, t, cull=False).position).applied(still)
+        return Instance(edited, np.eye(4), 0.0, place="one", origin=still)
+
+    moments = tuple(Moment({"one": at(t)}, CAMERA) for t in np.linspace(0.3, 0.7, 9))
+    for backend in ("cpu", "reference"):
+        found = fg.render([at(0.5)], CAMERA, exposure=Exposure(moments=moments, steps=64), backend=backend)
+        assert np.abs(found["rgb"] - expected["rgb"]).mean() < 1e-3 and np.abs(found["rgb"] - expected["rgb"]).max() < 0.02

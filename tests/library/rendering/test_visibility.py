@@ -9,7 +9,7 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import sort
-from fastgs_blender.rendering import visibility
+from fastgs_blender.rendering import importance, visibility
 from fastgs_blender.rendering.instances import Instance
 
 
@@ -73,7 +73,7 @@ def test_ranks_leave_out_the_least_important():
     pose[2, 3] = 5
     camera = fg.Camera(64, 64, 40, 40, 32, 32, pose)
     part = Instance(model, np.eye(4), 0.0).viewed(camera)
-    whole, half = visibility.order([part], camera), visibility.order([part], camera, 0.5, visibility.importance_rank)
+    whole, half = visibility.order([part], camera), visibility.order([part], camera, 0.5, importance.importance_rank)
     assert len(half) == 200 and len(whole) == 400
     area = np.sort(model.scale, 1)[:, 1:].sum(1)
     assert area[half].min() >= np.delete(area, half).max()

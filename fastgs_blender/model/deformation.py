@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finds how a deformation of points turns and stretches what lies at each of them, from where its neighbours go."""
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+ENOUGH = 40
+"""Points around one, its own and the neighbouring cells', over which a deformation counts as linear."""
+LEVELS = 6
+"""Of cells: where there are not enough points around, cells of twice the size are tried."""
+RIGID = 3e-4
+"""Where neighbours say nothing (across a surface, along a line), the map is the rotation that fits best: this much of the spread."""
+
+
+def local_maps(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Linear maps [N, 3, 3] that take the surroundings of each point `before` [N, 3] to where they are `after` [N, 3].
+
+    Least squares over the points of a cell and of its 26 neighbours, as large as it takes to hold enough of them:  J = (C + e R) (M + e 1)^-1,  with M = sum d d^T,
+    C = sum d' d^T of the points' distances from their means, R the rotation that fits C best (Kabsch), e small.  The identity where
+    a point has no neighbours, and for points that are not finite.
+    """
+    maps = np.tile(np.eye(3), (len(before), 1, 1))
+    good = np.flatnonzero(np.isfinite(before).all(1) & np.isfinite(after).all(1))
+    if not len(good):
+        return maps
+    p, q = before[good].astype(np.float64), after[good].astype(np.float64)
+    low, high = np.percentile(p, (2, 98), axis=0)
+    size = max(float((high - low).max()), 1e-12) / np.clip(np.cbrt(len(p)), 1, 4096)
+    waiting = np.arange(len(p))
+    for level in range(LEVELS):
+        found, number = _maps(p, q, low, size * 2**level, waiting)
+        done = number >= (ENOUGH if level < LEVELS - 1 else 4)
+        maps[good[waiting[done]]] = found[done]
+        waiting = waiting[~done]
+        if not len(waiting):
+            break
+    return maps
+
+
+def _maps(p, q, low, size, wanted):
+    """The maps at the points `wanted` by cells of a size, and how many points each was found from."""
+    keys, own = _cells(p, low, size)
+    middle, count = np.zeros((len(keys), 3)), np.bincount(own, minlength=len(keys))
+    for axis in range(3):
+        middle[:, axis] = np.bincount(own, p[:, axis], len(keys)) / count
+    local = (p - middle[own]) / size  # small numbers, so that sums of squares are exact enough
+    moved = (q - p) / size
+    # columns: 1, p, d, p p^T, d p^T with the displacement d
+    columns = np.concatenate([np.ones((len(p), 1)), local, moved, _outer(local, local), _outer(moved, local)], 1)
+    sums = np.stack([np.bincount(own, column, len(keys)) for column in columns.T], 1)
+    total = np.zeros_like(sums)
+    asked = np.unique(own[wanted])
+    for offset in itertools.product((-1, 0, 1), repeat=3):
+        beside = keys[asked] + np.array(offset) @ _STEP
+        at = np.minimum(np.searchsorted(keys, beside), len(keys) - 1)
+        there = keys[at] == beside
+        total[asked[there]] += _about(sums[at[there]], (middle[at] - middle[asked])[there] / size)
+    row = np.searchsorted(asked, own[wanted])
+    return _fitted(total[asked])[row], total[asked, 0][row]
+
+
+_STEP = np.array([1, 1 << 21, 1 << 42])
+
+
+def _cells(p, low, size):
+    """(keys of the filled cells, sorted; each point's cell)."""
+    place = np.clip(np.floor((p - low) / size), -2**19, 2**19).astype(np.int64) + 2**19
+    keys, own = np.unique(place @ _STEP, return_inverse=True)
+    return keys, own.ravel()
+
+
+def _outer(a, b):
+    return (a[:, :, None] * b[:, None, :]).reshape(len(a), 9)
+
+
+def _about(sums, shift):
+    """Sums of cells, their places counted from points that lie `shift` before their own."""
+    n, p, d = sums[:, :1], sums[:, 1:4], sums[:, 4:7]
+    pp = sums[:, 7:16] + _outer(p, shift) + _outer(shift, p) + n * _outer(shift, shift)
+    return np.concatenate([n, p + n * shift, d, pp, sums[:, 16:] + _outer(d, shift)], 1)
+
+
+def _fitted(sums):
+    """The map [K, 3, 3] of each cell, from sums over its surroundings."""
+    n = np.maximum(sums[:, :1], 1)
+    p, d = sums[:, 1:4], sums[:, 4:7]
+    spread = (sums[:, 7:16] - _outer(p, p) / n).reshape(-1, 3, 3)
+    covariance = spread + (sums[:, 16:] - _outer(d, p) / n).reshape(-1, 3, 3)  # q = p + d
+    u, _, v = np.linalg.svd(covariance)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ v))[:, None]
+    turn = u @ v
+    little = np.maximum(RIGID * np.trace(spread, axis1=1, axis2=2), 1e-12)[:, None, None]
+    found = (covariance + little * turn) @ np.linalg.inv(spread + little * np.eye(3))
+    alone = (sums[:, 0] < 4) | ~np.isfinite(found).all((1, 2))
+    found[alone] = np.eye(3)
+    return found
