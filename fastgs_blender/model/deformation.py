@@ -17,9 +17,12 @@ RIGID = 3e-4
 def local_maps(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Linear maps [N, 3, 3] that take the surroundings of each point `before` [N, 3] to where they are `after` [N, 3].
 
-    Least squares over the points of a cell and of its 26 neighbours, as large as it takes to hold enough of them:  J = (C + e R) (M + e 1)^-1,  with M = sum d d^T,
-    C = sum d' d^T of the points' distances from their means, R the rotation that fits C best (Kabsch), e small.  The identity where
-    a point has no neighbours, and for points that are not finite.
+    Least squares over the points of a cell and of its 26 neighbours, as large as it takes to hold enough of them:
+
+        J = (C + e R) (M + e 1)^-1,    M = sum d d^T,    C = sum d' d^T
+
+    with the points' distances d and d' from their means, the rotation R that fits C best (Kabsch), and a small e.  The identity where a
+    point has no neighbours, and for points that are not finite.
     """
     maps = np.tile(np.eye(3), (len(before), 1, 1))
     good = np.flatnonzero(np.isfinite(before).all(1) & np.isfinite(after).all(1))
