@@ -86,8 +86,8 @@ class ObjectSettings:
         looks |= {name: max(getattr(self, name), getattr(above, name)) for name in ("opacity_cut", "min_size")}
         looks["max_size"] = min((size for size in (self.max_size, above.max_size) if size), default=0.0)
         looks = {name: min(max(value, RANGES[name][0]), RANGES[name][1]) for name, value in looks.items()}
-        tint = tuple(min(a * b, RANGES["tint"][1]) for a, b in zip(self.tint, above.tint, strict=True))
-        return replace(self, **looks, tint=tint, density=self.density * above.density)
+        r, g, b = (min(a * b, RANGES["tint"][1]) for a, b in zip(self.tint, above.tint, strict=True))
+        return replace(self, **looks, tint=(r, g, b), density=self.density * above.density)
 
 
 @dataclass(frozen=True, eq=False)
