@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Opening zip files from outside: regular files only, and none whose table of contents is a bomb."""
+"""Opening zip files from outside: regular files only, none whose table of contents is a bomb, and none packed in a way that takes as much
+memory as the file says."""
 from __future__ import annotations
 
 import os
@@ -14,6 +15,8 @@ from .reading import open_file
 TAIL = (1 << 16) + 22 + 20
 """Bytes at the end of a file in which the record lies that says how long the table of contents is."""
 END, END_64, LOCATOR = b"PK\5\6", b"PK\6\6", b"PK\6\7"
+PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
+"""LZMA's dictionary, which a damaged file can make 4 GB large, is made before a byte is unpacked."""
 SMALL = 1 << 18
 SHARE = 8
 """A table of contents of more than SMALL bytes may be at most one part in so many of the file: Python makes 600 bytes of each 46."""
@@ -27,6 +30,8 @@ def opened_zip(path: str | os.PathLike) -> Iterator[zipfile.ZipFile]:
         if listed > max(SMALL, length // SHARE):
             raise FastGSError(f"{path}: its table of contents has {listed} of {length} bytes, which no model's has; unpack it yourself.")
         with zipfile.ZipFile(stream) as archive:
+            if any(member.compress_type not in PLAIN for member in archive.infolist()):
+                raise FastGSError(f"{path}: a part of it is packed by LZMA; unpack it, and pack it anew as usual.")
             yield archive
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import warnings
-import zipfile
 from reprlib import repr as shortened
 
 import numpy as np
@@ -53,8 +52,6 @@ def read_project(file) -> dict:
     """document.json of a project."""
     advice = "this is no SuperSplat project, or it is damaged; save it again in SuperSplat"
     with reading(file, advice), opened_zip(file) as archive:
-        if archive.getinfo("document.json").compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others take any memory
-            raise FastGSError(f"{file}: its document.json is compressed in a way that SuperSplat does not use; save it again there.")
         if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:
             raise FastGSError(f"{file}: its document.json is larger than {LARGEST_DOCUMENT} bytes, so it is no project's.")
         return json.loads(archive.read("document.json").decode("utf-8-sig"))

@@ -39,3 +39,10 @@ def test_archives_of_many_files_are_read(tmp_path, count, content):
     (tmp_path / "m.zip").write_bytes(many(count, content))
     with opened_zip(tmp_path / "m.zip") as archive:
         assert len(archive.namelist()) == count
+
+
+def test_what_would_take_any_memory_to_unpack_is_refused_before(tmp_path):
+    with zipfile.ZipFile(tmp_path / "m.zip", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("a", b"a")
+    with pytest.raises(fg.FastGSError, match="LZMA"), opened_zip(tmp_path / "m.zip"):
+        pass
