@@ -37,7 +37,7 @@ def load_backend(name: str = "auto"):
             loaded[name] = load_backend("reference")
     elif name in MODULES:
         loaded[name] = _module(MODULES[name]).BACKEND
-    elif name.partition(":")[0] == "gpu":
+    elif isinstance(name, str) and name.partition(":")[0] == "gpu":
         loaded[name] = _module(GPU).named(name.partition(":")[2])
     else:
         raise FastGSError(f"the backend {name!r} is unknown; there are auto, {', '.join(MODULES)}, gpu.")
