@@ -14,7 +14,8 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = [page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
          if any("bpy." in code for code in BLOCK.findall(page.read_text("utf-8")))]
 FEWER = {"count=12, width=640, height=480": "count=4, width=64, height=48, samples=1, frame_end=3",
-         "preset='DRAFT'": "preset='DRAFT', iterations=3, max_gaussians=300", "count=200_000": "count=500"}
+         "preset='DRAFT'": "preset='DRAFT', iterations=3, max_gaussians=300", "count=200_000": "count=500",
+         "frame_end = 1, 72": "frame_end = 1, 2"}
 
 
 @pytest.fixture

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Memory of a process that renders an animation in Blender: it should stay flat, and the model should be read once.
+
+    python benchmarks/memory.py [--frames 500] [--gaussians 20000]
+
+Prints the resident memory every fifty frames, and the last as a share of the fiftieth.  Needs Linux and the bpy module.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = """
+import sys, bpy, addon_utils
+assert addon_utils.enable("bl_ext.user_default.fastgs_blender")
+from bl_ext.user_default.fastgs_blender import fastgs_blender as fg
+from bl_ext.user_default.fastgs_blender.fastgs_blender.commands.bench import synthetic
+folder, frames, count = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+fg.save(synthetic(count), folder + "/model.safetensors")
+bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+bpy.ops.import_scene.fastgs(filepath=folder + "/model.safetensors", use_engine=True)
+scene = bpy.context.scene
+camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+camera.location, camera.rotation_euler = (0, -4, 0), (1.5708, 0, 0)
+scene.collection.objects.link(camera)
+scene.camera = camera
+scene.render.resolution_x, scene.render.resolution_y = 320, 180
+scene.frame_start, scene.frame_end = 1, frames
+scene.render.filepath = folder + "/frames/"
+
+def tell(*_):
+    with open("/proc/self/statm") as file:
+        print("resident", scene.frame_current, file.read().split()[1], flush=True)
+
+bpy.app.handlers.render_write.append(tell)
+bpy.ops.render.render(animation=True)
+"""
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=500)
+    parser.add_argument("--gaussians", type=int, default=20_000)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder, "user", "extensions", "user_default", "fastgs_blender")
+        link.parent.mkdir(parents=True)
+        link.symlink_to(ROOT, target_is_directory=True)
+        environment = os.environ | {"BLENDER_USER_RESOURCES": str(Path(folder, "user"))}
+        text = subprocess.run([sys.executable, "-c", SCENE, folder, str(args.frames), str(args.gaussians)], env=environment, check=True,
+                              text=True, stdout=subprocess.PIPE).stdout
+    unit = os.sysconf("SC_PAGE_SIZE") / 2**20
+    sizes = {int(n): int(pages) * unit for n, pages in (line.split()[1:] for line in text.splitlines() if line.startswith("resident "))}
+    for number in range(50, args.frames + 1, 50):
+        print(f"frame {number:4}  {sizes[number]:8.1f} MiB   {sizes[number] / sizes[50]:.4f} of frame 50")
+
+
+if __name__ == "__main__":
+    main()
