@@ -226,6 +226,8 @@ def test_several_kinds_of_geometry_are_still_one_object(scene, make_model, model
     for source in ('NodeGroupInput', 'GeometryNodePoints'):
         tree.links.new(nodes[source].outputs[0], nodes['GeometryNodeJoinGeometry'].inputs[0])
     tree.links.new(nodes['GeometryNodeJoinGeometry'].outputs[0], nodes['NodeGroupOutput'].inputs[0])
+    for ours in obj.modifiers:
+        ours.use_pin_to_last = False
     obj.modifiers.new("Both", 'NODES').node_group = tree
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert len([i for i in depsgraph.object_instances if i.object.original == obj]) == 2
