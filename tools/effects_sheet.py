@@ -44,9 +44,8 @@ def main():
         if effect is not None:
             bpy.ops.fastgs.add_effect(effect=effect)
             modifier = obj.modifiers.active
-            inputs = {item.name: item.identifier for item in modifier.node_group.interface.items_tree if item.in_out == 'INPUT'}
             for key, value in values.items():
-                modifier[inputs[key]] = value
+                module("scene.splats.effects").set_input(modifier, key, value)
         pictures[name] = picture(bpy)
         if effect is not None:
             obj.modifiers.remove(modifier)
@@ -68,7 +67,8 @@ def picture(bpy) -> np.ndarray:
     """uint8 [h, w, 3] of what the scene shows, over paper."""
     bpy.context.view_layer.update()
     parts, _ = module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get()).load()
-    out = module("fastgs_blender").render(parts, camera())
+    fg = module("fastgs_blender")
+    out = fg.render(parts, fg.Camera(**vars(camera())))
     alpha = out["alpha"][..., None]
     straight = np.clip(module("fastgs_blender.rendering.colour").display(out["rgb"], out["alpha"], parts[0].model.colour_space), 0, 1)
     return np.round(255 * straight * alpha + np.array(PAPER) * (1 - alpha)).astype(np.uint8)

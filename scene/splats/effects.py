@@ -20,6 +20,16 @@ SPACING = 180, 260
 COLUMNS = 8
 
 
+def set_input(modifier: bpy.types.Modifier, name: str, value) -> None:
+    """Set an input of a modifier's node group by its name; Blender 5.2 keeps it elsewhere than its predecessors."""
+    identifier = next(i.identifier for i in modifier.node_group.interface.items_tree if i.name == name and i.in_out == 'INPUT')
+    if hasattr(modifier, "properties"):
+        getattr(modifier.properties.inputs, identifier).value = value
+    else:
+        modifier[identifier] = value
+    modifier.id_data.update_tag()
+
+
 class Builder:
     """Writes a node tree as expressions.  A value is an output socket, or a constant for an input's default."""
 

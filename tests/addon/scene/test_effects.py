@@ -19,13 +19,6 @@ def obj(fg, make_model, model_file):
     return bpy.context.object
 
 
-def put(modifier, name, value):
-    """Set an input of a modifier's node group."""
-    item = next(i for i in modifier.node_group.interface.items_tree if i.name == name and i.in_out == 'INPUT')
-    modifier[item.identifier] = value
-    modifier.id_data.update_tag()
-
-
 def shown(module):
     """(the instance that is rendered, the state of its model, that of its origin)."""
     bpy.context.view_layer.update()
@@ -49,7 +42,7 @@ def test_an_effect_is_a_modifier_that_changes_what_is_shown(module, obj, scene, 
         "FREEZE": {"position"}}[effect]
     for item in modifier.node_group.interface.items_tree:
         assert item.description or item.name == "Geometry"
-    put(modifier, NOTHING[effect], 0.0)
+    module("scene.splats.effects").set_input(modifier, NOTHING[effect], 0.0)
     assert shown(module)[0].origin is None
     bpy.ops.fastgs.add_effect(effect=effect)
     assert obj.modifiers.active.node_group == modifier.node_group  # one group for all
@@ -60,7 +53,7 @@ def test_amounts_go_from_all_to_nothing(module, obj):
         bpy.ops.fastgs.add_effect(effect=effect)
         modifier, left = obj.modifiers.active, []
         for amount in (0.25, 0.5, 0.75, 1.0):
-            put(modifier, "Amount", amount)
+            module("scene.splats.effects").set_input(modifier, "Amount", amount)
             _, after, before = shown(module)
             left.append((after.opacity / before.opacity).mean())
         assert 0.9 > left[1] > 0.1 and left == sorted(left, reverse=True) and left[3] < 1e-4
@@ -76,7 +69,7 @@ def test_what_is_far_stands_still(module, obj, scene):
     bpy.ops.fastgs.add_effect(effect='FREEZE')
     modifier = obj.modifiers.active
     for name, value in (("Centre", centre), ("Distance", 0.6), ("Width", 0.2)):
-        put(modifier, name, value)
+        module("scene.splats.effects").set_input(modifier, name, value)
     for frame in (3, 15):
         scene.frame_set(frame)
         instance, after, before = shown(module)
