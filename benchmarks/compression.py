@@ -25,12 +25,15 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT)]
 
 import fastgs_blender as fg  # noqa: E402
-from fastgs_blender.formats import rate  # noqa: E402
+from fastgs_blender.formats import rate, sensitivity  # noqa: E402
 from fastgs_blender.formats.rate import LEVELS  # noqa: E402
 
 EXAMPLE = ROOT / "examples" / "playground.safetensors"
 WANTED = {"fine": (8.0, 0.1), "small": (15.0, 0.3)}
 """How many times smaller, at least, and the dB that may be lost."""
+GUESSED, UNSEEN = 5, 5000
+"""Cameras of a model that has none, and the number of the first in the series of shots: compressing takes its first few hundred."""
+WIDTH = 676
 TIMES = (0.11, 0.31, 0.53, 0.72, 0.93)
 
 
@@ -69,22 +72,19 @@ def main() -> None:
 
 
 def cameras(path: Path) -> list[fg.Camera]:
-    """Some cameras of the file beside it; without one, three that look along z, as those of Neural 3D Video do."""
+    """Some cameras of the file beside it; without one, guessed cameras at places that compressing does not look from."""
     beside = path.with_name("cameras.json")
     if beside.is_file():
         views = fg.load_cameras(beside)
         return [view.camera for view in views[::max(1, len(views) // 4)]]
-    model = fg.load(path)
-    mean = model.position.mean(0) / np.linalg.norm(model.position.mean(0))
-    across = np.cross([0.0, 1.0, 0.0], mean)
-    turn = np.array([across / np.linalg.norm(across), np.cross(mean, across / np.linalg.norm(across)), mean])
-    depth = float(np.median(model.position @ mean))
-    found = []
-    for x, y in ((0.0, 0.0), (-0.04, 0.01), (0.05, -0.02)):
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:2, 3] = turn, (-x * depth, -y * depth)
-        found.append(fg.Camera(676, 507, 370.0, 370.0, 338.0, 253.5, matrix))
-    return found
+    return [enlarged(camera) for camera, _ in sensitivity.shots(fg.load(path), GUESSED, UNSEEN)]
+
+
+def enlarged(camera: fg.Camera) -> fg.Camera:
+    """The camera with pictures of WIDTH pixels."""
+    factor = WIDTH / camera.width
+    lens = (factor * value for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    return fg.Camera(WIDTH, round(factor * camera.height), *lens, camera.world_to_camera)
 
 
 def pictures(model: fg.GaussianModel, views: list[fg.Camera]) -> list[np.ndarray]:

@@ -23,17 +23,35 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 from raster_cpu import scene  # noqa: E402
 
 import fastgs_blender as fg  # noqa: E402
+from fastgs_blender.cameras.viewpoints import viewpoint_of  # noqa: E402
+from fastgs_blender.model.surroundings import Surroundings  # noqa: E402
 from fastgs_blender.rendering.exposure import Aperture, Exposure  # noqa: E402
-from fastgs_blender.rendering.passes import PASSES  # noqa: E402
+from fastgs_blender.rendering.passes import PASSES, PassSettings  # noqa: E402
+from fastgs_blender.rendering.shadow import Light, Shadow  # noqa: E402
 
 
-def features() -> dict[str, tuple[dict, float | None]]:
+def sheet(columns: int = 80, rows: int = 45) -> np.ndarray:
+    """The triangles of a wavy sheet in the middle of the scene, before a half of the picture."""
+    u, v = np.meshgrid(np.linspace(-1, 1, columns + 1), np.linspace(-1, 1, rows + 1))
+    points = np.stack([2.4 * u, 1.3 * v, 6 + 0.4 * np.sin(7 * u) * np.cos(5 * v)], -1)
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    return np.concatenate([np.stack(corners, 2).reshape(-1, 3, 3) for corners in ((a, b, c), (b, d, c))]).astype(np.float32)
+
+
+def features(model, camera) -> dict[str, tuple[dict, float | None]]:
     """By name: the options of render(), and how many plain frames may pass for one with the feature (None: no bound)."""
     found = {f"pass {name}": ({"passes": ("rgb", "alpha", name)}, None) for name, entry in PASSES.items()
              if name not in ("rgb", "alpha") and not entry.level}
     found["all passes"] = {"passes": tuple(PASSES)}, None
+    shadow = Shadow(Light.sun((0.3, -0.8, -0.5), 0.05, samples=16), sheet())
+    found["holdout of 7200 triangles"] = {"holdout": sheet()}, None
+    found["splat shadow, a sun of 16 samples"] = {"passes": ("rgb", "alpha", "shadow"), "settings": PassSettings(shadow=shadow)}, None
     found["motion blur, 32 steps"] = {"exposure": Exposure(-0.25, 0.25, steps=32)}, 0.6 * 32
+    found["the same with Cryptomatte"] = {"passes": ("rgb", "alpha", "cryptomatte_00"), "exposure": Exposure(-0.25, 0.25, steps=32)}, None
     found["depth of field, 64 samples"] = {"exposure": Exposure(aperture=Aperture(0.02, 5.0, samples=64))}, 0.7 * 64
+    found["sorting by pixel"] = {"settings": PassSettings(sorting="pixel")}, None
+    sharper = viewpoint_of(replace(camera, fx=4 * camera.fx, fy=4 * camera.fy))
+    found["far view, antialiased"] = {"model": replace(model, surroundings=Surroundings(cameras=(sharper,)))}, None
     return found
 
 
@@ -41,7 +59,7 @@ def cost(model, camera, options: dict, runs: int) -> float:
     """Processor time of a frame with these options by that of a plain one: the median of the ratios of neighbouring runs."""
     def spent(**given):
         begin = time.process_time()
-        fg.render(model, camera, 0.4, **given)
+        fg.render(**{"model": model, "camera": camera, "t": 0.4} | given)
         return time.process_time() - begin
 
     spent(**options)
@@ -59,9 +77,9 @@ def main():
     model = replace(model, clip=fg.Clip(60))
     fg.render(model, camera, 0.4)
     print(f"{args.gaussians:,} Gaussians, {width} x {height}: cost in plain frames")
-    for name, (options, bound) in features().items():
+    for name, (options, bound) in features(model, camera).items():
         ratio = cost(model, camera, options, args.runs)
-        print(f"{name:32} {ratio:6.2f}" + (f"   {ratio / bound:.0%} of what it may cost" if bound else ""), flush=True)
+        print(f"{name:34} {ratio:6.2f}" + (f"   {ratio / bound:.0%} of what it may cost" if bound else ""), flush=True)
 
 
 if __name__ == "__main__":

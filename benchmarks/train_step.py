@@ -34,28 +34,19 @@ EXTENT = 6.0
 
 
 class Step:
-    """A step of training, again and again on the same view, and its parts on what it began with."""
+    """A step of training on a backend, again and again on the same view."""
 
-    def __init__(self, gaussians: int, width: int, height: int):
+    def __init__(self, gaussians: int, width: int, height: int, backend: str = "cpu"):
         self.model, self.camera = scene(gaussians, width, height, "features")
         look = self.model.appearance
         arrays = {name: array.copy() for name, array in self.model.arrays.items()}
-        self.optimiser = Optimiser({**arrays, "w1": look.w1.copy(), "w2": look.w2.copy()})
+        self.backend = load_backend(backend)
+        self.optimiser = Optimiser({**arrays, "w1": look.w1.copy(), "w2": look.w2.copy()}, backend=self.backend)
         self.rates = dict.fromkeys(self.optimiser.arrays, 1e-5)
         self.rates["motion"] = 1e-5 / np.repeat(np.arange(1.0, 6), 6)
-        self.backend = load_backend("cpu")
         self.statistics, self.norm = Statistics.empty(self.backend, gaussians), motion_norm(self.model.basis, EXTENT)
         target = fg.render(self.model, self.camera, TIME + 0.01, backend="cpu")["rgb"]
-        self.target = np.ascontiguousarray(target, np.float32)
-        self.instance = Instance(self.model, np.eye(4), TIME).viewed(self.camera)
-        self.layout = Layout([self.instance], False)
-        self.projected = self.project()
-        self.order = self.projected.order()
-        self.picture, self.state = self.forward()
-        numbers = np.random.default_rng(1)
-        self.grad = [numbers.normal(0, 1e-6, array.shape).astype(np.float32) for array in (self.picture.channels, self.picture.alpha)]
-        self.gradients = {name: numbers.normal(0, 1e-6, array.shape).astype(np.float32) for name, array in self.optimiser.arrays.items()}
-        self.gradient = self.backward()
+        self.target = self.backend.array(np.ascontiguousarray(target, np.float32))
 
     def __call__(self):
         backend, arrays, seen = self.backend, self.optimiser.arrays, self.backend.zeros((len(self.model),))
@@ -65,6 +56,22 @@ class Step:
         rows = backend.rows(seen)
         backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, self.optimiser.waits(rows))
         self.optimiser.step(gradients, rows, self.rates)
+
+
+class Parts(Step):
+    """A step on the processor, and its parts on what it began with."""
+
+    def __init__(self, gaussians: int, width: int, height: int):
+        super().__init__(gaussians, width, height)
+        self.instance = Instance(self.model, np.eye(4), TIME).viewed(self.camera)
+        self.layout = Layout([self.instance], False)
+        self.projected = self.project()
+        self.order = self.projected.order()
+        self.picture, self.state = self.forward()
+        numbers = np.random.default_rng(1)
+        self.grad = [numbers.normal(0, 1e-6, array.shape).astype(np.float32) for array in (self.picture.channels, self.picture.alpha)]
+        self.gradients = {name: numbers.normal(0, 1e-6, array.shape).astype(np.float32) for name, array in self.optimiser.arrays.items()}
+        self.gradient = self.backward()
 
     def project(self):
         return splats.project_instances([self.instance], self.camera, self.layout)
@@ -95,7 +102,7 @@ class Step:
 
 def measure(gaussians: int, width: int, height: int, runs: int) -> dict:
     """The two sections of figures."""
-    step = Step(gaussians, width, height)
+    step = Parts(gaussians, width, height)
     parts = step.parts()
     forward, backward, whole, *rest = timed(step.forward, step.backward, step, *parts.values(), runs=runs)
     middle = statistics.median

@@ -12,11 +12,11 @@ from ..fastgs_blender import __version__
 from ..fastgs_blender.kernels.cpu import cache
 from ..fastgs_blender.util.errors import printable
 from ..fastgs_blender.util.threads import thread_count
-from ..scene import objects, settings
+from ..scene import devices, objects, settings
 from . import compiling
 from .viewport import spaces
 
-PACKAGES = ("numpy", "numba", "llvmlite", "safetensors", "OpenEXR", "torch")
+PACKAGES = ("numpy", "numba", "llvmlite", "safetensors", "OpenEXR", "wgpu", "torch")
 
 
 def text() -> str:
@@ -27,6 +27,7 @@ def text() -> str:
         "packages: " + ", ".join(f"{name} {_version(name)}" for name in PACKAGES),
         f"graphics: {_graphics()}",
         f"backend: {'cpu' if compiling.has_numba() else 'reference (numba is missing)'}, {thread_count()} threads",
+        f"GPUs: {_gpus()}",
         f"kernels: {'compiled' if cache.is_filled() else 'not compiled'}, {cache.size() / 1e6:.1f} MB in {cache.folder()}",
     ]
     for obj in bpy.data.objects:
@@ -51,6 +52,16 @@ def _stages() -> list[str]:
     except Exception as error:  # a driver's, which is what such a report is about
         return [f"viewport: could not be timed ({type(error).__name__}: {error})"]
     return lines or ["viewport: has not drawn splats"]
+
+
+def _gpus() -> str:
+    """Those that could render and train, and what their self-test said."""
+    known = devices.found()
+    if known is None:
+        return "not looked for yet"
+    said = {None: "not tested", "": "passed"}
+    return ", ".join(f"{each['name']} ({each['interface']}, {each['driver']}): {said.get(each['self_test'], each['self_test'])}"
+                     for each in known["devices"]) or known["reason"]
 
 
 def _graphics() -> str:

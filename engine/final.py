@@ -11,8 +11,9 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
+from ..fastgs_blender.util.backends import describe_backend, failure_of
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
+from ..scene import camera, devices, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -42,7 +43,9 @@ def _render_layer(engine, depsgraph):
     settings_now = passes.settings(scene)
     if _has(wanted, "shadow"):
         settings_now = replace(settings_now, shadow=shadows.shadow_of(depsgraph))
-    vectors, shutter = [-1, 1] if _has(wanted, "vector") else [], exposure.times(scene)
+    shutter = exposure.times(scene)
+    middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
+    vectors = [middle - 1, middle + 1] if _has(wanted, "vector") else []
     taken = _moments(engine, depsgraph, area, views, vectors + shutter)
     for text in unshown.all_of(scene, layer):
         notices.warn(engine, text)
@@ -54,27 +57,41 @@ def _render_layer(engine, depsgraph):
     if compiling.is_running():
         status("Compiling the renderer for this machine, once")
         worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)
+    backend = _backend(engine, now.shown.device, status)
     status.count = sum(len(instance.model) for instance in instances)
     status.memory(objects.loaded_bytes(), area)
 
     passes.add(engine, layer, wanted)
     for index, view in enumerate(views):
         eye = now.cameras[view]
-        status(f"Rendering {view}".strip())
+        status(f"Rendering {view}".strip() + f" on {describe_backend(backend)}")
         moments = [each.moment(view) for each in taken]
         before, after = moments[:2] if vectors else (None, None)
         found = replace(settings_now, before=before, after=after)
         blur = exposure.exposure(scene, moments[len(vectors):], now.lens)
         images = worker.run(
             lambda progress, eye=eye, found=found, blur=blur: passes.images(
-                instances, eye, wanted, background(eye), progress, found, blur, now.holdout),
+                instances, eye, wanted, background(eye), progress, found, blur, now.holdout, backend),
             engine.test_break,
             lambda fraction, index=index: status.progress((index + fraction) / len(views)))
         _, _, width, height = area.window
         result = engine.begin_result(0, 0, width, height, layer=layer.name, view=view)
         passes.fill(result.layers[0], images)
         engine.end_result(result)
+    if failed := failure_of(backend):
+        notices.warn(engine, f"{describe_backend(backend)} fails, so the processor goes on: {failed}.")
     passes.describe(engine, layer, wanted, [instance.name for instance in instances])
+
+
+def _backend(engine, device: str, status) -> str:
+    """The name of the backend that renders; says in a line why it is not the GPU that was asked for."""
+    if device == "cpu":
+        return "auto"
+    name, remark = worker.run(lambda progress: devices.backend(device, progress), engine.test_break,
+                              lambda fraction: status("Testing the GPU, once"))
+    if remark:
+        notices.inform(engine, remark)
+    return name
 
 
 def _background(engine, scene, layer, status):

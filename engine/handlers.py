@@ -63,6 +63,7 @@ HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
     (bpy.app.handlers.frame_change_post, native.follow),
     (bpy.app.handlers.depsgraph_update_post, native.follow),
+    (bpy.app.handlers.depsgraph_update_post, native.tidy),
     (bpy.app.handlers.undo_post, native.forget),
     (bpy.app.handlers.redo_post, native.forget),
     (bpy.app.handlers.save_pre, native.empty),

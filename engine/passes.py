@@ -36,6 +36,14 @@ def switched_on(scene, layer) -> list[Pass]:
     return [p for p in PASSES.values() if names.get(p.blender) == p.name and attrgetter(p.switch)(layer) and p.level < levels]
 
 
+def in_viewport(shading, scene) -> str | None:
+    """The name in the table of the pass that a View3DShading shows; None for the picture itself."""
+    found = PASSES.get(shading.fastgs.render_pass.lower())
+    if found is None:
+        return None
+    return CHOICES[found.blender](scene) if found.blender in CHOICES else found.name
+
+
 def register(engine, scene, layer):
     """Tell the compositor which sockets a view layer has."""
     for p in switched_on(scene, layer):
@@ -55,14 +63,16 @@ def _name(p: Pass) -> str:
 
 def settings(scene) -> PassSettings:
     """What passes depend on in an evaluated scene, but for the frames before and after."""
+    sorting = scene.fastgs.sorting.lower()
     if scene.world is None:
-        return PassSettings()
+        return PassSettings(sorting=sorting)
     mist = scene.world.mist_settings
-    return PassSettings(Mist(mist.start, mist.depth, mist.falloff))
+    return PassSettings(Mist(mist.start, mist.depth, mist.falloff), sorting=sorting)
 
 
 def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, progress=lambda fraction: None,
-           settings: PassSettings = DEFAULTS, exposure: Exposure | None = None, holdout: np.ndarray | None = None) -> dict[str, np.ndarray]:
+           settings: PassSettings = DEFAULTS, exposure: Exposure | None = None, holdout: np.ndarray | None = None,
+           backend: str = "auto") -> dict[str, np.ndarray]:
     """All pictures of one view by the names of Blender's passes, [h, w] or [h, w, channels], the top row first.
 
     instances   list of rendering.instances.Instance
@@ -71,9 +81,10 @@ def images(instances, camera: fg.Camera, wanted: list[Pass], background=None, pr
     settings    PassSettings
     exposure    Exposure, or None for a sharp picture
     holdout     triangles [F, 3, 3] float32 that hide splats, or None
+    backend     the name of the library's backend
     """
     found = scene_linear.render(instances, camera, colour.rec709_to_working(), [p.name for p in wanted], progress, settings, exposure,
-                                holdout)
+                                holdout, backend)
     named = {_name(p): p.shown(found[p.name]) for p in wanted}
     return named | {COMBINED: colour.film(found["rgb"], found["alpha"], background, found.get("holdout"))}
 

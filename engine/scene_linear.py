@@ -15,29 +15,28 @@ from ..scene import colour
 
 def render(instances: list[Instance], camera: fg.Camera, working: np.ndarray, passes=(),
            progress=lambda fraction: None, settings: PassSettings = DEFAULTS,
-           exposure: Exposure | None = None, holdout: np.ndarray | None = None) -> dict[str, np.ndarray]:
+           exposure: Exposure | None = None, holdout: np.ndarray | None = None, backend: str = "auto") -> dict[str, np.ndarray]:
     """fastgs_blender.render() with "rgb" as premultiplied scene-linear light.
 
     working   [3, 3] from linear Rec.709 to the primaries of the picture, see colour.rec709_to_working()
     passes    of the library's table; "rgb" and "alpha" are always there, and so is "holdout" with a holdout
     progress  called with 0..1; what it raises cancels the render
-    settings, exposure, holdout  as the library takes them
+    settings, exposure, holdout, backend  as the library takes them
     Returns float32 arrays of the camera's window, the top row first.  Raises FastGSError as the library does.
     """
     passes = tuple(dict.fromkeys(("rgb", "alpha", *([] if holdout is None else ["holdout"]), *passes)))
-    options = {"exposure": exposure, "holdout": holdout}
+    options = {"settings": settings, "exposure": exposure, "holdout": holdout, "backend": backend}
     colours = [name for name in passes if PASSES[name].colour]
     spaces = {instance.model.colour_space for instance in instances}
     if len(spaces) < 2:
-        images = fg.render(instances, camera, passes=passes, progress=progress, settings=settings, **options)
+        images = fg.render(instances, camera, passes=passes, progress=progress, **options)
         return images | {name: colour.scene_linear(images[name], images["alpha"], spaces != {"linear"}, working) for name in colours}
     # Splats add up: rgb = sum of weight x colour.  So each space's share of the picture, and of the weight, is rendered
     # with the other's splats in black, and is decoded by itself.
     encoded = fg.render(_painted(instances, "linear", 0), camera, passes=colours, progress=lambda f: progress(f / 3), **options)
     weight = fg.render(_painted(_painted(instances, "srgb", 1), "linear", 0), camera, passes=("rgb",),
                        progress=lambda f: progress((1 + f) / 3), **options)["rgb"][..., 0]
-    images = fg.render(_painted(instances, "srgb", 0), camera, passes=passes, progress=lambda f: progress((2 + f) / 3),
-                       settings=settings, **options)
+    images = fg.render(_painted(instances, "srgb", 0), camera, passes=passes, progress=lambda f: progress((2 + f) / 3), **options)
     return images | {name: colour.scene_linear(encoded[name], weight, True, working)
                      + colour.scene_linear(images[name], images["alpha"], False, working) for name in colours}
 

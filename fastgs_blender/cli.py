@@ -11,7 +11,7 @@ import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NoReturn
 
 from . import __version__
 from .commands import COMMANDS
@@ -22,8 +22,8 @@ from .util.remarks import be_quiet
 EPILOG = f"""\
 fastgs COMMAND --help tells more.
 
-Exit codes: 0 all is well; {PROBLEMS} fastgs info found problems; {FAILED} the command failed, one sentence says why; {STOPPED} it was
-stopped.  Results go to standard output, progress and remarks to standard error."""
+Exit codes: 0 all is well; {PROBLEMS} fastgs info or check found problems; {FAILED} the command failed, one sentence says why;
+{STOPPED} it was stopped.  Results go to standard output, progress and remarks to standard error."""
 
 
 class Paragraphs(argparse.HelpFormatter):
@@ -42,13 +42,22 @@ class Paragraphs(argparse.HelpFormatter):
         return textwrap.indent("\n\n".join(parts), indent)
 
 
+class Parser(argparse.ArgumentParser):
+    """Tells of wrong arguments as commands tell of their errors."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        complain(message if message.endswith(".") else f"{message}.")
+        self.exit(FAILED)
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line; nothing heavy is imported for it."""
-    common = argparse.ArgumentParser(add_help=False)
+    common = Parser(add_help=False)
     common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
     common.add_argument("--quiet", action="store_true", help="show no progress and no remarks, only results and errors")
     common.add_argument("--debug", action="store_true", help="show where in the program an error came from")
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="fastgs", description="4D Gaussian models: train, look at, convert, render and measure them.", epilog=EPILOG,
         formatter_class=Paragraphs)
     top.add_argument("--version", action="version", version=f"fastgs {__version__}")

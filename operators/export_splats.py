@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import bpy
@@ -16,7 +17,9 @@ from ..fastgs_blender.formats.scenes import as_seen
 from ..fastgs_blender.formats.usd import save_samples
 from ..fastgs_blender.util.errors import printable
 from ..scene import objects, snapshot
+from ..scene.background import in_background
 from ..scene.splats.splat_object import sentence
+from .stepwise import Stepwise
 
 SAMPLE = 200
 """Gaussians of each object that are looked at to say what a format cannot hold."""
@@ -36,7 +39,7 @@ MOVING = (
     ('FREE_TIME', "FreeTimeGS PLY", ".ftgs.ply", "The PLY of FreeTimeGS and the FTGS player: straight motion, bell-shaped lives"),
     ('FOUR_DGS', "4dgs", ".4dgs", "avala-ai's container: straight motion, bell-shaped lives, quantised"),
     ('SPLATV', "splaTV", ".splatv", "The format of the web viewer splaTV"),
-    ('SMALL', "FAST-GS, Small", ".safetensors", "Our own format, packed so that pictures lose at most 0.3 dB"),
+    ('SMALL', "FAST-GS, Small", ".safetensors", "Our own format, packed so that pictures lose at most 0.3 dB; takes minutes"),
 )
 LEVELS = {'COMPRESSED': "fine", 'SMALL': "small"}
 """How far the compressed variants of our own format go."""
@@ -46,12 +49,13 @@ def _items(kinds):
     return tuple((key, label, description, number) for number, (key, label, _, description) in enumerate(kinds))
 
 
-class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
+class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
     """Export what splat objects show as files for other programs"""
 
     bl_idname = "export_scene.fastgs"
     bl_label = "Export 4D Gaussians"
     bl_options = {'PRESET'}
+    doing, interrupted = "Exporting splats", "The export was cancelled; nothing was written"
 
     filename_ext = ".ply"
     filter_glob: StringProperty(default=";".join(f"*{extension}" for extension in formats.writable()), options={'HIDDEN'})
@@ -78,6 +82,7 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
 
     def invoke(self, context, event):
         self.frame_start, self.frame_end = context.scene.frame_start, context.scene.frame_end
+        self._interactive = True
         return ExportHelper.invoke(self, context, event)
 
     @property
@@ -142,55 +147,68 @@ class FASTGS_OT_export(bpy.types.Operator, ExportHelper):
         return as_seen([take(instance) for instance in instances])
 
     def execute(self, context):
-        target = Path(bpy.path.abspath(self.filepath))
-        with warnings.catch_warnings(record=True) as remarks:
-            warnings.simplefilter("always")
-            try:
-                written = self._write(context, target)
-            except fg.FastGSError as error:
-                self.report({'ERROR'}, sentence(error))
-                return {'CANCELLED'}
-        for text in dict.fromkeys(printable(remark.message) for remark in remarks if issubclass(remark.category, fg.LossWarning)):
+        self._remarks = []
+        return self.begin(context, self._write(context, Path(bpy.path.abspath(self.filepath))))
+
+    def finish(self, context, written):
+        for text in dict.fromkeys(self._remarks):
             self.report({'WARNING'}, text)
         self.report({'INFO'}, f"Exported {written}")
         return {'FINISHED'}
 
-    def _write(self, context, target: Path) -> str:
-        if self.content == 'MODEL':
-            model = _model(context)
-            fg.save(model, target, LEVELS.get(self.moving_format))
-            return f"{len(model):,} Gaussians"
-        if self.content == 'FRAME':
-            model = self._shown(context)[0]
-            fg.save(model, target)
-            return f"{len(model):,} Gaussians"
-        if self.frame_end < self.frame_start:
-            raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
-        return self._write_range(context, target)
+    def _write(self, context, target: Path):
+        """Yields the progress; returns what was written, in words."""
+        if self.content == 'RANGE':
+            if self.frame_end < self.frame_start:
+                raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
+            return (yield from self._write_range(context, target))
+        with self._listening():
+            model = _model(context) if self.content == 'MODEL' else self._shown(context)[0]
+        level = LEVELS.get(self.moving_format) if self.content == 'MODEL' else None
+        steps = in_background(lambda progress: self._save(model, target, level, progress))
+        with closing(steps):
+            for share in steps:
+                yield share, 1
+        return f"{len(model):,} Gaussians"
 
-    def _write_range(self, context, target: Path) -> str:
-        scene = context.scene
+    def _write_range(self, context, target: Path):
+        scene, count = context.scene, self.frame_end + 1 - self.frame_start
         before = scene.frame_current, scene.frame_subframe
         digits = max(4, len(str(self.frame_end)))
         stem = target.name[:-len(self.extension)] if target.name.endswith(self.extension) else target.stem
-        context.window_manager.progress_begin(self.frame_start, self.frame_end + 1)
         try:
-            if self.static_format == 'USD':
-                save_samples(target, self._frames(context), scene.render.fps / scene.render.fps_base)
+            if self.static_format == 'USD':  # one file, whose frames are asked for while it is written
+                with self._listening():
+                    save_samples(target, self._frames(context, count), scene.render.fps / scene.render.fps_base)
             else:
-                for frame, model in self._frames(context):
-                    fg.save(model, target.with_name(f"{stem}_{frame:0{digits}d}{self.extension}"))
+                self.interrupted = "The export was cancelled; the files of {} are kept"
+                for done, (frame, model) in enumerate(self._frames(context, count)):
+                    self._save(model, target.with_name(f"{stem}_{frame:0{digits}d}{self.extension}"))
+                    yield done + 1, count
         finally:
-            context.window_manager.progress_end()
             scene.frame_set(before[0], subframe=before[1])
-        return f"{self.frame_end + 1 - self.frame_start:,} frames"
+        return f"{count:,} frames"
 
-    def _frames(self, context):
+    def _frames(self, context, count):
         """(frame, what the scene shows on it) for each frame of the range."""
-        for frame in range(self.frame_start, self.frame_end + 1):
-            context.scene.frame_set(frame)
-            yield frame, self._shown(context)[0]
-            context.window_manager.progress_update(frame)
+        for done in range(count):
+            context.scene.frame_set(self.frame_start + done)
+            with self._listening():
+                model = self._shown(context)[0]
+            yield self.frame_start + done, model
+            self._show(context, done + 1, count)
+
+    def _save(self, model, target: Path, level: str | None = None, progress=None):
+        with self._listening():
+            fg.save(model, target, level, progress)
+
+    @contextmanager
+    def _listening(self):
+        """Keeps what the block warns of for the report at the end."""
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            yield
+        self._remarks += [printable(remark.message) for remark in heard if issubclass(remark.category, fg.LossWarning)]
 
 
 def few(model: fg.GaussianModel) -> fg.GaussianModel:

@@ -14,6 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..fastgs_blender.jobs import checks
 from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
+from ..scene import devices
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.splats.splat_object import sentence
 from ..scene.training import alignment, folders, installation, plates, results, watch
@@ -106,8 +107,9 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         _, memory = checks.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
         for remark in checks.before_start(place.out, memory):
             self.report({'WARNING'}, sentence(remark))
-        options = arguments(self) if place.existing != "--resume" else []  # a run continues with its own
-        if options and (Path(capture) / "points.ply").is_file():
+        resumed = place.existing == "--resume"
+        options = ["--device", devices.wanted(scene)] + ([] if resumed else arguments(self))  # a run continues with its own
+        if not resumed and (Path(capture) / "points.ply").is_file():
             options += ["--set", "start=file"]  # what a capture brings along is better than what can be guessed
         about = {"blend": bpy.data.filepath, "process": os.getpid(), "start_frame": self.start_frame, "import": self.import_result,
                  "hide": self.hide_originals, "world": alignment.world_of(scene, capture)}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Translates Blender's scene for the library (properties, objects, cameras, time), and makes splat objects, captures and runs in it."""
-from . import properties, settings
+from . import devices, properties, settings
 from .splats import effect_assets
 from .training import watch
 
-_MODULES = (settings, properties, watch, effect_assets)
+_MODULES = (settings, properties, devices, watch, effect_assets)
 
 
 def register():

@@ -46,6 +46,15 @@ def warn(engine, text: str):
         engine.report({'WARNING'}, text)
 
 
+def inform(engine, text: str):
+    """Report what a user may want to know, once in a render job, and log it."""
+    text = printable(text)
+    if text not in _said:
+        _said.add(text)
+        log.info(text)
+        engine.report({'INFO'}, text)
+
+
 def fail(engine, text: str):
     """Report and log why there is no picture.  Only an error report keeps Blender from writing a black file and calling it finished."""
     text = printable(text)

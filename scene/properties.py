@@ -207,11 +207,21 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
                     *RANGES["min_size"], soft_max=1.0, unit='LENGTH', precision=4)
     max_size: _look("Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0.0,
                     *RANGES["max_size"], soft_max=1.0, unit='LENGTH', precision=4)
+    antialias: BoolProperty(
+        name="Antialias Far Views", description="Draw splats fainter where they are seen from farther than the capture's cameras saw them, "
+        "so that they do not grow into each other and do not flicker. The file must know those cameras; nearer views stay as they are",
+        default=True, **_SHOWN)
 
 
 class FASTGS_PG_scene(bpy.types.PropertyGroup):
     """Settings of the render engine."""
 
+    device: EnumProperty(
+        name="Device", description="What computes final pictures and trains models; viewports are drawn by the graphics card in any case",
+        items=(
+            ('CPU', "CPU", "The processor: the same picture on every machine, to the last bit", 0),
+            ('GPU', "GPU", "The graphics card that the preferences name, if it has passed its self-test; else the processor", 1),
+        ), default='GPU')
     depth: EnumProperty(
         name="Depth",
         description="Which depth the Depth pass holds where splats are translucent",
@@ -221,6 +231,13 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('FIRST', "First Hit", "Depth of the nearest splat, however faint it is", 2),
         ),
         default='EXPECTED')
+    sorting: EnumProperty(
+        name="Sorting", description="Which splat final renders take to be in front of another",
+        items=(
+            ('CENTRE', "By Centre", "The one whose centre is nearer. Splats that reach through each other pop while the camera turns", 0),
+            ('PIXEL', "By Pixel", "In each pixel the one that is nearer there: nothing pops, and it takes the processor much longer", 1),
+        ),
+        default='CENTRE')
     use_meshes: BoolProperty(
         name="Meshes Hide Splats", description="Leave out of final renders what of the splats lies behind the scene's meshes, which "
         "another engine renders. Objects and collections with Holdout hide splats in any case", default=False, update=updates.viewports)
@@ -274,6 +291,23 @@ FASTGS_PG_view_layer = type("FASTGS_PG_view_layer", (bpy.types.PropertyGroup,), 
 })
 
 
+def _viewport_passes():
+    """Items of a menu: the picture, and Blender's passes that the library's table fills, by the name of the first that fills each."""
+    found = {}
+    for entry in PASSES.values():
+        if not entry.colour and not entry.level:
+            found.setdefault(entry.blender, (entry.name.upper(), entry.title or entry.blender, entry.shows))
+    return [(*item, number) for number, item in enumerate([('COMBINED', "Combined", "The picture"), *found.values()])]
+
+
+class FASTGS_PG_shading(bpy.types.PropertyGroup):
+    """What a viewport shows in Rendered shading."""
+
+    render_pass: EnumProperty(
+        name="Render Pass", description="What to show: the picture, or a pass in false colours",
+        update=updates.viewports, items=_viewport_passes())
+
+
 class FASTGS_PG_camera(bpy.types.PropertyGroup):
     """A camera that comes from a capture."""
 
@@ -287,12 +321,14 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     clip_fps: FloatProperty(name="Clip Rate", description="The capture's frames per second", min=0.0)
 
 
-CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera)
+CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera,
+           FASTGS_PG_shading)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),
     (bpy.types.ViewLayer, FASTGS_PG_view_layer),
     (bpy.types.Camera, FASTGS_PG_camera),
+    (bpy.types.View3DShading, FASTGS_PG_shading),
 )
 
 

@@ -19,6 +19,8 @@ BLEND_RELATIVE = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0
 
 threads = 0
 """Threads for rendering where the scene does not say; 0: all processors."""
+gpu = ""
+"""The name of the GPU that scenes with the device GPU use; empty: the first that has passed its self-test."""
 
 
 class RecentLines(logging.Handler):
@@ -40,8 +42,8 @@ console.setFormatter(logging.Formatter("FAST-GS %(levelname)s: %(message)s"))
 
 def apply(preferences) -> None:
     """Take over the preferences; the cache folder counts for kernels that are not loaded yet."""
-    global threads
-    threads = preferences.threads
+    global threads, gpu
+    threads, gpu = preferences.threads, preferences.gpu
     cache.use_folder(kernel_folder(preferences))
     logging.getLogger(EXTENSION).setLevel(preferences.log_level)
 

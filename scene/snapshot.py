@@ -10,7 +10,7 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
 from ..fastgs_blender.rendering.instances import LIMIT, RANGES, Instance, ObjectSettings
-from . import crops, model_space, objects, point_edits
+from . import crops, devices, model_space, objects, point_edits
 from .time import Retime, shown_frames
 
 
@@ -53,11 +53,13 @@ class Snapshot:
     """A scene's splats at one moment, copied out of the depsgraph: nothing here refers to Blender's data.
 
     frame, fps  the scene's frame (fractions are sub-frames) and frame rate
+    device      what renders the scene, see devices.wanted()
     """
 
     instances: list[FileInstance]
     frame: float
     fps: float
+    device: str = "cpu"
 
     @property
     def state(self) -> tuple:
@@ -126,7 +128,7 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
                 settings = settings.under(looks_of(maker, final))
             found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings, obj.pass_index, place,
                                       point_edits.carried_of(obj, depsgraph)))
-    return Snapshot(found, *clock(depsgraph.scene))
+    return Snapshot(found, *clock(depsgraph.scene), devices.wanted(depsgraph.scene))
 
 
 def clock(scene) -> tuple[float, float]:
@@ -153,4 +155,4 @@ def settings_of(obj, depsgraph, final: bool = False) -> ObjectSettings:
 def looks_of(obj, final: bool) -> ObjectSettings:
     """The looks of an evaluated object, each the property of the same name: of one that instances splats, too, on top of theirs."""
     looks = {name: getattr(obj.fastgs, name) for name in RANGES}
-    return ObjectSettings(**looks, density=obj.fastgs.density if final else obj.fastgs.viewport_density)
+    return ObjectSettings(**looks, antialias=obj.fastgs.antialias, density=obj.fastgs.density if final else obj.fastgs.viewport_density)

@@ -3,9 +3,9 @@
 
     python tools/build_extension.py [--platform linux-x64 ...] [--python 3.13 ...] [--no-wheels] [--website URL] [--out dist]
 
-Beside them an index is written, which makes the folder, put on any web server or disk, an extension repository for Blender.
-Works on a staged copy; the repository's manifest names no wheels, so that it is valid as it stands.  Building, validating and
-indexing is done by Blender's own tool, which comes with the bpy wheel.
+It also writes an index: with it the folder is an extension repository for Blender, on any web server or disk.  The build works on a copy of
+the files; the manifest in the source tree names no wheels, so that it is valid there.  Blender's own tool, which comes with the bpy wheel,
+builds, validates and indexes.
 """
 from __future__ import annotations
 

@@ -109,19 +109,14 @@ def difference(rows) -> float:
 
 
 def save(rows, frames, path):
-    from PIL import Image, ImageDraw
+    from PIL import Image
+    from sheet import grid
 
-    gap, label = 6, 18
-    height, width = rows[0][0].shape[:2]
-    sheet = Image.new("RGB", (len(frames) * (width + gap) + gap, 2 * (height + gap + label) + gap), (255, 255, 255))
-    draw = ImageDraw.Draw(sheet)
-    for y, (name, row) in enumerate(zip(("Workbench, the mesh", "FAST-GS, the baked Gaussians"), rows, strict=True)):
-        for x, (frame, picture) in enumerate(zip(frames, row, strict=True)):
-            left, top = gap + x * (width + gap), gap + y * (height + gap + label)
-            draw.text((left + 2, top + 3), f"{name if x == 0 else ''}  frame {frame:g}".strip(), fill=(40, 40, 40))
-            sheet.paste(Image.fromarray(np.round(picture).astype(np.uint8)), (left, top + label))
+    labelled = [(f"{name if x == 0 else ''}  frame {frame:g}".strip(), np.round(picture).astype(np.uint8))
+                for name, row in zip(("Workbench, the mesh", "FAST-GS, the baked Gaussians"), rows, strict=True)
+                for x, (frame, picture) in enumerate(zip(frames, row, strict=True))]
     path.parent.mkdir(parents=True, exist_ok=True)
-    sheet.quantize(255, dither=Image.Dither.NONE).save(path, optimize=True)
+    grid(labelled, len(frames)).quantize(255, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 if __name__ == "__main__":

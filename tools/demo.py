@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The whole way in one go: the example model is imported, a camera goes around it, and Blender renders it through FAST-GS.
+"""A demo of the whole workflow: imports the example model, moves a camera around it, and renders it in Blender through FAST-GS.
 
     python tools/demo.py [--model FILE] [--out demo]
 

@@ -13,7 +13,8 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "benchmarks")]
-from looks_sheet import FRAME, PAPER, camera, save  # noqa: E402
+from looks_sheet import FRAME, PAPER, camera  # noqa: E402
+from sheet import grid  # noqa: E402
 from viewport import load_extension, module  # noqa: E402
 
 SHOTS = (
@@ -59,7 +60,7 @@ def main():
     modifier = obj.modifiers.new("Lattice", 'LATTICE')
     modifier.object = lattice
     pictures["a twisted lattice"] = picture(bpy)
-    save(pictures, options.out)
+    grid(pictures.items(), 4).save(options.out, quality=85, method=6)
     print(options.out)
 
 

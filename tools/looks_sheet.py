@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from sheet import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -43,7 +44,7 @@ def main():
     pictures = {name: picture(model, [(FRAME, ObjectSettings(**look))]) for name, look in looks.items()}
     echoes = [(FRAME, ObjectSettings(**still))] + [(FRAME - 4 * n, ObjectSettings(opacity=0.6**n, **moving)) for n in range(5)]
     pictures["echoes of what moves"] = picture(model, echoes)
-    save(pictures, options.out)
+    grid(pictures.items(), 4).save(options.out, quality=85, method=6)
     print(options.out)
 
 
@@ -65,21 +66,6 @@ def camera() -> fg.Camera:
     pose[:3, 3] = -pose[:3, :3] @ EYE
     width, height = SIZE
     return fg.Camera(width, height, 1.05 * width, 1.05 * width, width / 2, height / 2, pose)
-
-
-def save(pictures, path):
-    from PIL import Image, ImageDraw
-
-    gap, label, columns = 6, 18, 4
-    width, height = SIZE
-    rows = -(-len(pictures) // columns)
-    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + gap + label) + gap), (255, 255, 255))
-    draw = ImageDraw.Draw(sheet)
-    for number, (name, pixels) in enumerate(pictures.items()):
-        left, top = gap + number % columns * (width + gap), gap + number // columns * (height + gap + label)
-        draw.text((left + 2, top + 3), name, fill=(40, 40, 40))
-        sheet.paste(Image.fromarray(pixels), (left, top + label))
-    sheet.save(path, quality=85, method=6)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from sheet import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 400, 250
@@ -54,7 +55,7 @@ def main():
     strength = tree.nodes["FAST-GS Join"].inputs["Shadow Strength"]
     for name, strength.default_value in (("joined, without shadows", 0.0), ("joined", 0.8)):
         pictures[name] = render(scene)
-    save(pictures, options.out)
+    grid(pictures.items(), 3).save(options.out, quality=85, method=6)
     print(options.out)
 
 
@@ -114,21 +115,6 @@ def render(scene) -> np.ndarray:
     pixels = image_files.read_png(file(scene, "PNG")) / 255
     alpha = pixels[..., 3:] if pixels.shape[2] > 3 else 1.0
     return pixels[..., :3] * alpha + PAPER * (1 - alpha)
-
-
-def save(pictures, path):
-    from PIL import Image, ImageDraw
-
-    gap, label, columns = 6, 18, 3
-    width, height = SIZE
-    rows = -(-len(pictures) // columns)
-    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + gap + label) + gap), (255, 255, 255))
-    draw = ImageDraw.Draw(sheet)
-    for number, (name, pixels) in enumerate(pictures.items()):
-        left, top = gap + number % columns * (width + gap), gap + number // columns * (height + gap + label)
-        draw.text((left + 2, top + 3), name, fill=(40, 40, 40))
-        sheet.paste(Image.fromarray(np.uint8(np.clip(pixels, 0, 1) * 255 + 0.5)), (left, top + label))
-    sheet.save(path, quality=85, method=6)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 
     python tools/train_example.py [--work build/example]
 
-Takes about a quarter of an hour on two cores; what is there already is not made again.
+Takes about a quarter of an hour on two cores; files that exist already are kept.
 """
 from __future__ import annotations
 

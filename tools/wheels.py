@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The wheels that travel in the extension's zip: which, for whom, and under which licences."""
+"""The wheels that the extension's zip contains, for each platform and Python, and their licences."""
 from __future__ import annotations
 
 import importlib.metadata
@@ -31,6 +31,10 @@ PACKAGES = {
 Rendering needs the first three.  Captures have films (av, with FFmpeg in it), and pictures without their lenses' distortion (pillow);
 training says how far it is (tqdm).  The last four are for GPUs: wgpu, which holds its library, and what it asks for.
 """
+OPTIONAL = {"pycolmap": "BSD-3-Clause"}
+"""What is brought along where there is a wheel for a platform and Python, and room: it finds cameras' poses and starting points."""
+ROOM = 120_000_000
+"""Bytes of wheels in a zip with those of OPTIONAL: a zip is to stay below 130 MB."""
 FOR_ONE = {"macos-arm64": {"rubicon-objc": ("BSD-3-Clause", "0.5.7")}}
 """What one platform needs beside, with its licence and version: wgpu reaches Metal through Objective-C."""
 
@@ -65,15 +69,29 @@ def download(platform: str, python: str, folder: Path) -> list[Path]:
     needed = {package: importlib.metadata.version(package) for package in PACKAGES}
     needed |= {package: version for package, (_, version) in FOR_ONE.get(platform, {}).items()}
     for package, version in needed.items():
-        command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
-                   "--only-binary=:all:", "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
-        wanted = f"{package}=={version}"
-        command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        if result.returncode:
-            errors = [line for line in result.stderr.splitlines() if line.startswith("ERROR")] or result.stderr.splitlines() or ["?"]
-            raise Missing(f"{platform} with Python {python} is left out: pip has no wheel of {wanted} for it ({errors[-1]}).")
+        _download(f"{package}=={version}", platform, python, folder)
+    for package in OPTIONAL:
+        try:
+            _download(f"{package}=={importlib.metadata.version(package)}", platform, python, folder)
+        except Missing:
+            print(f"{platform} with Python {python} goes without {package}: pip has no wheel of it.")
+        size = sum(wheel.stat().st_size for wheel in folder.glob("*.whl"))
+        if size > ROOM:
+            print(f"{platform} with Python {python} goes without {package}: the zip would have {size / 1e6:.0f} MB of wheels.")
+            for wheel in folder.glob(f"{package}-*.whl"):
+                wheel.unlink()
     return sorted(folder.glob("*.whl"), key=lambda path: path.name.lower())
+
+
+def _download(wanted: str, platform: str, python: str, folder: Path) -> None:
+    """One wheel; raises Missing."""
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:",
+               "--implementation=cp", f"--python-version={python}", f"--dest={folder}"]
+    command += [*(f"--platform={tag}" for tag in TAGS[platform]), wanted]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode:
+        errors = [line for line in result.stderr.splitlines() if line.startswith("ERROR")] or result.stderr.splitlines() or ["?"]
+        raise Missing(f"{platform} with Python {python} is left out: pip has no wheel of {wanted} for it ({errors[-1]}).")
 
 
 def problems(wheels: list[Path]) -> list[str]:
@@ -118,7 +136,7 @@ def notices(wheels: list[Path]) -> str:
 
 def licence(name: str) -> str:
     """SPDX of one of PACKAGES or FOR_ONE, however its name is written."""
-    known = PACKAGES | {package: spdx for packages in FOR_ONE.values() for package, (spdx, _) in packages.items()}
+    known = PACKAGES | OPTIONAL | {package: spdx for packages in FOR_ONE.values() for package, (spdx, _) in packages.items()}
     return next(spdx for package, spdx in known.items() if canonicalize_name(package) == canonicalize_name(name))
 
 

@@ -13,6 +13,7 @@ PAGES = (
     ("bpy.ops.fastgs.*training_python*", "training-in-blender.md"),
     ("bpy.ops.fastgs.capture_scene*", "training-in-blender.md"),
     ("bpy.types.fastgs_pg_training*", "training-in-blender.md"),
+    ("bpy.ops.fastgs.check_capture*", "captures.md"),
     ("bpy.ops.fastgs.import_capture*", "captures.md"),
     ("bpy.ops.export_scene.fastgs*", "formats.md"),
     ("bpy.ops.fastgs.export_native*", "formats.md"),

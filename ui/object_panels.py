@@ -115,7 +115,7 @@ def draw_look(layout, context):
     settings = context.object.fastgs
     layout.use_property_split = True
     for names in (("exposure", "gamma", "contrast"), ("saturation", "hue", "tint"), ("opacity", "opacity_cut"),
-                  ("splat_scale", "min_size", "max_size"), ("viewport_density", "density")):
+                  ("splat_scale", "min_size", "max_size"), ("antialias",), ("viewport_density", "density")):
         col = layout.column(align=True)
         for name in names:
             col.prop(settings, name)

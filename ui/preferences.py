@@ -7,7 +7,7 @@ import bpy
 from ..engine import compiling
 from ..fastgs_blender.kernels.cpu import cache
 from ..fastgs_blender.util.threads import available
-from ..scene import settings
+from ..scene import devices, settings
 from ..scene.training import installation
 from .object_panels import draw_rows
 
@@ -17,10 +17,13 @@ def _apply(self, context):
 
 
 class FASTGS_AP_preferences(bpy.types.AddonPreferences):
-    """Threads, compiled kernels, log, training Python."""
+    """GPU, threads, compiled kernels, log, training Python."""
 
     bl_idname = settings.EXTENSION
 
+    gpu: bpy.props.StringProperty(
+        name="GPU", description="The GPU that scenes with the device GPU use; empty for the first that has passed its self-test",
+        update=_apply)
     threads: bpy.props.IntProperty(
         name="Threads", description="Threads for rendering where the scene does not fix their number; 0 takes all processors",
         default=0, min=0, max=1024, update=_apply)
@@ -50,6 +53,7 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         layout.use_property_decorate = False
 
         col = headed(layout, "Rendering")
+        draw_gpus(col, self.gpu)
         col.prop(self, "threads")
         if not self.threads:
             draw_rows(col, [("", f"all: {available()} on this machine")])
@@ -84,6 +88,36 @@ def headed(layout, heading: str):
     col.label(text=heading)
     layout.separator()
     return col
+
+
+def draw_gpus(layout, chosen: str):
+    """Draw the GPUs with what their self-test said, of which one is chosen, and the button that tests them."""
+    known = devices.found()
+    box = layout.column(align=True)
+    if known is None:
+        draw_rows(box, [("GPU", "being looked for")])
+        return
+    auto = known["auto"] or "none yet: the processor is used"
+    draw_gpu(box, "", f"Automatic ({auto})", not chosen)
+    for each in known["devices"]:
+        draw_gpu(box, each["name"], f"{each['name']}: {each['kind']}, {verdict(each['self_test'])}", each["name"] == chosen)
+    if chosen and chosen not in [each["name"] for each in known["devices"]]:
+        draw_gpu(box, chosen, f"{chosen}: not there now, the processor is used", True)
+    if line := devices.line():
+        draw_rows(box, [("Test", line)])
+    elif devices.trouble():
+        draw_rows(box, [("Test", devices.trouble())])
+    box.operator("fastgs.test_gpus", text="Test GPUs", icon='CHECKMARK')
+
+
+def draw_gpu(layout, name: str, text: str, chosen: bool):
+    """Draw the line of a GPU, whose button chooses it."""
+    layout.operator("fastgs.use_gpu", text=text, icon='RADIOBUT_ON' if chosen else 'RADIOBUT_OFF').name = name
+
+
+def verdict(wrong: str | None) -> str:
+    """What a self-test said, in few words."""
+    return "not tested yet" if wrong is None else f"failed its self-test: {wrong}" if wrong else "passed its self-test"
 
 
 def kernel_state() -> str:

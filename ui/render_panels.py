@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES
+from ..fastgs_blender.util.backends import describe_backend
 from ..fastgs_blender.util.threads import available
-from ..scene import holdout, objects, settings, unshown
+from ..scene import devices, holdout, objects, settings, unshown
 from . import facts
 from .object_panels import draw_rows, draw_trouble
 
@@ -33,6 +34,21 @@ def draw_unshown(layout, context):
         draw_trouble(layout.column(align=True), context, text, 'INFO')
 
 
+def draw_device(layout, context):
+    """What renders and trains, and which GPU that is, or why it is none."""
+    layout.prop(context.scene.fastgs, "device")
+    if context.scene.fastgs.device == 'CPU':
+        return
+    if devices.found() is None or devices.line():
+        draw_rows(layout, [("GPU", devices.line() or "being looked for")])
+        return
+    name, remark = devices.backend(devices.wanted(context.scene))
+    if remark:
+        draw_trouble(layout.column(align=True), context, remark, 'INFO')
+    else:
+        draw_rows(layout, [("GPU", describe_backend(name))])
+
+
 def draw_threads(layout, render):
     """Blender's own setting, which no panel of its own shows under our engine, and what it means."""
     col = layout.column()
@@ -53,7 +69,9 @@ class FASTGS_PT_render(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
+        draw_device(layout, context)
         layout.prop(context.scene.fastgs, "depth")
+        layout.prop(context.scene.fastgs, "sorting")
         draw_threads(layout, context.scene.render)
         draw_rows(layout, facts.scene_facts(context.scene))
         draw_unshown(layout, context)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from ..fastgs_blender.jobs import checks
+from ..fastgs_blender.jobs import capture_check, checks
 from ..fastgs_blender.jobs.places import Place
 from ..scene.filming import progress
 from ..scene.settings import EXTENSION
@@ -60,18 +60,34 @@ def draw_start(layout, context, settings, place):
         row = layout.row(align=True)
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
         row.operator("preferences.addon_show", text="Preferences", icon='PREFERENCES').module = EXTENSION
+    if settings.source == 'FOLDER':
+        row = layout.row()
+        row.enabled = not (unable or source)
+        row.operator("fastgs.check_capture", icon='VIEWZOOM')
     row = layout.row(align=True)
     if settings.source != 'CAMERAS':
         other = row.row(align=True)
         if settings.source == 'FOLDER':
             other.enabled = not (unable or source)
-            other.operator("fastgs.train_check", icon='VIEWZOOM')
+            other.operator("fastgs.train_check", icon='INFO')
+            other.operator("fastgs.sync_cameras", text="", icon='TIME')
         else:
             other.enabled = not source
             other.operator("fastgs.capture_scene", text="Capture Only", icon='OUTLINER_OB_CAMERA')
     sub = row.row(align=True)
     sub.enabled = not reason
     sub.operator("fastgs.train", icon='PLAY')
+
+
+def draw_verdict(layout, context, capture):
+    """Draw what the last check of this capture said, and the worst of it."""
+    values = capture_check.latest
+    if values is None or values["asked"] != capture:
+        return
+    bad = [finding for finding in values["findings"] if finding["severity"] == "wrong"]
+    draw_sentence(layout, context, values["verdict"], 'ERROR' if bad else 'INFO')
+    for finding in bad[:2]:
+        draw_trouble(layout.column(align=True), context, finding["sentence"])
 
 
 def draw_sentence(layout, context, text, icon='ERROR'):
@@ -102,6 +118,9 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
                 draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])
                 for problem in found.problems[:3]:
                     draw_trouble(layout.column(align=True), context, problem)
+            draw_verdict(layout, context, bpy.path.abspath(settings.capture).rstrip("/\\"))
+            if wish := installation.wish():
+                draw_sentence(layout, context, wish, 'INFO')
         elif settings.source == 'CAMERAS':
             draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
         else:
@@ -113,6 +132,7 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
             col.prop(settings, "height")
         col = layout.column()
         col.prop(settings, "preset")
+        col.prop(context.scene.fastgs, "device")
         draw_rows(col, estimate_rows(context, settings))
         place = draw_place(layout, context, settings)
         col = layout.column(align=True)
@@ -233,6 +253,8 @@ def job_rows(state) -> list[tuple[str, str]]:
         rows.append(("Gaussians", f"{values['gaussians']:,}"))
     if values.get("psnr"):
         rows.append(("PSNR", f"{values['psnr']:.1f} dB"))
+    if values.get("device"):
+        rows.append(("Device", values["device"]))
     if values.get("held_out_psnr"):
         rows.append(("Held Out", f"{values['held_out_psnr']:.2f} dB"))
     return rows

@@ -42,6 +42,22 @@ class FASTGS_PT_viewport(bpy.types.Panel):
             draw_trouble(layout.column(align=True), context, trouble)
 
 
+class FASTGS_PT_viewport_pass(bpy.types.Panel):
+    """In the popover of the viewport's shading, where other engines have it."""
+
+    bl_label = "Render Pass"
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'HEADER'
+    bl_parent_id = "VIEW3D_PT_shading"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == 'FASTGS' and context.space_data.shading.type == 'RENDERED'
+
+    def draw(self, context):
+        self.layout.prop(context.space_data.shading.fastgs, "render_pass", text="")
+
+
 class FASTGS_PT_pictures(bpy.types.Panel):
     bl_label = "Pictures on Cameras"
     bl_space_type = 'VIEW_3D'
@@ -63,4 +79,4 @@ class FASTGS_PT_pictures(bpy.types.Panel):
         layout.prop(context.scene.fastgs, "picture_size")
 
 
-CLASSES = (FASTGS_PT_viewport, FASTGS_PT_pictures)
+CLASSES = (FASTGS_PT_viewport, FASTGS_PT_viewport_pass, FASTGS_PT_pictures)

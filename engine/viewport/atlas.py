@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Holds all models that viewports show in two textures, so that one draw call blends them together, in one order.
 
-Python cannot write into a part of a texture.  So a model that comes is uploaded into a texture of its own, and the GPU copies that to its
-rows of the large one: of a sequence's frames, only the Gaussians of that sequence are sent, whatever else is shown.
+Python cannot write into a part of a texture.  So a new model is uploaded into a texture of its own, and the GPU copies that to the model's
+rows of the large one: for a new frame of a sequence, only the Gaussians of that sequence are uploaded.
 """
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table of what the shader needs that takes overlays away behind splats (glsl/covering.py), as one row of a texture."""
+"""The parameters of the shader that removes overlays behind splats (glsl/covering.py), as one row of a texture."""
 from __future__ import annotations
 
 from enum import IntEnum

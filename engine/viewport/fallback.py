@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draws splats where the GPU cannot: renders them on the CPU and shows the picture as a texture."""
+"""Draws viewports through the library's renderer, where Blender's shaders cannot draw and for passes: renders and shows a texture."""
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import gpu
 import numpy as np
@@ -8,24 +10,58 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ... import fastgs_blender as fg
-from ...scene.colour import film
+from ...fastgs_blender.rendering.passes import PASSES, PassSettings
+from ...scene import devices
+from ...scene.colour import film, srgb_to_linear
 from ...scene.sky import Panorama
 from ...scene.snapshot import Snapshot
 from .. import scene_linear
 from .textures import upload
 
+COARSE = 3
+"""Pixels, in x and in y, that one of a pass covers while the view moves."""
 
-def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, background) -> np.ndarray:
+
+@dataclass(frozen=True, eq=False)
+class DataPass:
+    """A pass that a viewport shows in place of the picture.
+
+    name      in the library's table
+    settings  PassSettings
+    holdout   triangles [F, 3, 3] that hide splats, or None
+    state     equal as long as none of it has changed
+    """
+
+    name: str
+    settings: PassSettings
+    holdout: np.ndarray | None
+    state: tuple
+
+
+def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, background, data: DataPass | None = None) -> np.ndarray:
     """Premultiplied picture [h, w, 4], the bottom row first.
 
     working     [3, 3] from linear Rec.709 to the target's primaries
     background  colour [3] or Panorama under the splats, or None
+    data        a pass to show in its false colours, opaque; None: the picture
     """
+    instances, _ = snapshot.load()
+    backend = devices.backend(snapshot.device)[0]
+    if data is not None:
+        image = fg.render(instances, camera, passes=(data.name,), backend=backend, settings=data.settings, holdout=data.holdout)[data.name]
+        colour = srgb_to_linear(PASSES[data.name].look(image)) @ working.T
+        return np.concatenate([colour, np.ones_like(colour[..., :1])], -1).astype(np.float32)[::-1]
     if isinstance(background, Panorama):
         background = background.behind(camera)
-    instances, _ = snapshot.load()
-    images = scene_linear.render(instances, camera, working)
+    images = scene_linear.render(instances, camera, working, backend=backend)
     return film(images["rgb"], images["alpha"], background)[::-1]
+
+
+def coarse(camera: fg.Camera) -> fg.Camera:
+    """The camera with fewer pixels."""
+    width, height = max(camera.width // COARSE, 1), max(camera.height // COARSE, 1)
+    x, y = width / camera.width, height / camera.height
+    return replace(camera, width=width, height=height, fx=x * camera.fx, fy=y * camera.fy, cx=x * camera.cx, cy=y * camera.cy, window=None)
 
 
 class Image:
@@ -58,7 +94,12 @@ class Image:
             draw_texture_2d(self._texture, (-1, -1), 2, 2)
         gpu.state.blend_set('NONE')
 
-    def free(self) -> None:
-        """Free the texture."""
+    def forget(self) -> None:
+        """Free the texture: what it shows is of no use any more."""
         self._values = self._texture = None
-        self.needed = self.fresh = False
+        self.fresh = False
+
+    def free(self) -> None:
+        """Free the texture; the GPU is to be tried again."""
+        self.forget()
+        self.needed = False

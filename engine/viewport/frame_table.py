@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table of what changes from frame to frame, as one small texture: a row for the view and one for each instance.
+"""The parameters of shaders that change from frame to frame, as one small texture: a row for the view and one for each instance.
 
 The splats' shaders (glsl/splat.py) read it by the same names.
 """
@@ -55,7 +55,9 @@ class InstanceTexel(IntEnum):
     BASES      first run of the motion's weights, number of runs; how the rotation's basis comes, its terms
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
     RASTER     near, alpha_max, alpha_cut, blur
-    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw
+    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw; growth of
+               pixels beyond the capture's cameras, see ViewedInstance.beyond
+    BEYOND     the ball that holds those cameras: centre, radius
     LOOK       five texels of the instance's looks, see rendering/looks.py
     """
 
@@ -69,7 +71,8 @@ class InstanceTexel(IntEnum):
     GROUP = 9
     RASTER = 10
     FIRST = 11
-    LOOK = 12
+    BEYOND = 12
+    LOOK = 13
 
 
 HEAD = InstanceTexel.LOOK + LOOK_NUMBERS // 4
@@ -135,7 +138,8 @@ def _instance_row(instance, texels, first, group, far):
         (move_first, len(move_weights), turning, layout.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
         (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
-        (first % WIDTH, far, 0, 0),
+        (first % WIDTH, far, instance.beyond[4], 0),
+        instance.beyond[:4],
         *instance.look.reshape(-1, 4),
     ]
     assert len(head) == HEAD

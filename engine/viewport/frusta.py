@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shows the background images of cameras (what they have filmed) on their frusta, at the current frame.
 
-Blender itself shows a background only to who looks through the camera.  Pictures are drawn where the frustum ends that Blender draws,
-and write depth, so that splats, which come after them, are hidden where they must be.
+Blender itself shows a background image only in the camera's own view.  Pictures are drawn at the end of the frustum that Blender draws,
+and write depth, so that they hide the splats behind them, which are drawn later.
 """
 from __future__ import annotations
 

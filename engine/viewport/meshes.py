@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes that hide splats in Rendered shading under our engine: Blender draws none there, so their depth is rasterised here."""
+"""Rasterises the depth of meshes that hide splats in Rendered shading under our engine, where Blender draws no meshes."""
 from __future__ import annotations
 
 import numpy as np

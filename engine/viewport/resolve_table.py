@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table of what the resolve shader needs, as one row of a texture.  The shader (glsl/resolve.py) reads it by the same names."""
+"""The parameters of the resolve shader, as one row of a texture.  The shader (glsl/resolve.py) reads them by the same names."""
 from __future__ import annotations
 
 from enum import IntEnum

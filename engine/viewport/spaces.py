@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from functools import cache
 
 import bpy
@@ -10,11 +11,12 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, holdout, objects, proxies, sky, snapshot, unshown, world
-from .. import compiling
+from ...scene import colour, holdout, objects, proxies, shadows, sky, snapshot, unshown, world
+from .. import compiling, passes
 from . import frusta, meshes, overlays, shaders
 from .atlas import Atlas
 from .eye import WHOLE, eye, frame_in
+from .fallback import DataPass
 from .picture import SceneDepth
 from .textures import flat
 from .view import Around, Display, View
@@ -30,6 +32,7 @@ _views: dict[tuple[int, bool], View] = {}
 _snapshots: dict[tuple, snapshot.Snapshot] = {}
 _surfaces: dict[tuple, bool] = {}
 _holdouts: dict[tuple, np.ndarray | None] = {}
+_data_passes: dict[tuple, DataPass] = {}
 _any_splats: bool | None = None
 _changes = 0
 _wish: tuple[int, sky.Wish] | None = None
@@ -41,7 +44,7 @@ def view_draw(context, depsgraph) -> None:
     scene, region = depsgraph.scene, context.region
     background = _background(scene, depsgraph.view_layer)
     display = Display(colour.rec709_to_working(), background, _border(context, depsgraph))
-    _draw(context, depsgraph, display, region, rendered=True)
+    _draw(context, depsgraph, display, region, rendered=True, data=_data_pass(context.space_data, depsgraph))
 
 
 def _background(scene, view_layer):
@@ -116,7 +119,7 @@ def shows_over(space, scene) -> bool:
     return scene.fastgs.show_splats and shading != 'WIREFRAME' and not (shading == 'RENDERED' and scene.render.engine == 'FASTGS')
 
 
-def _draw(context, depsgraph, display, region, rendered, hidden=False):
+def _draw(context, depsgraph, display, region, rendered, hidden=False, data=None):
     shown = snapshot_of(context.space_data, depsgraph, rendered)
     _forget_closed()
     view = _views.get((region.as_pointer(), rendered))
@@ -138,12 +141,13 @@ def _draw(context, depsgraph, display, region, rendered, hidden=False):
         space = context.space_data
         around = Around(depths, (_changes, overlays.state(context)), bool(shown.instances) and has_surfaces(space, depsgraph),
                         lambda: scene_depth(region.width, region.height, depths))
-    elif rendered and not compiling.is_running():
+    elif rendered and data is None and not compiling.is_running():
         triangles = _holdout(context.space_data, depsgraph)
         if triangles is not None:
             around = Around(depths, (_changes,), True, lambda: meshes.scene_depth(triangles, camera, depths), True)
     playing = context.screen is not None and context.screen.is_animation_playing
-    view.draw(shown, camera, display, settings.viewport_density, playing, around, deep=rendered and overlays.drawn(context))
+    view.draw(shown, camera, display, settings.viewport_density, playing, around, deep=rendered and overlays.drawn(context),
+              data=data)
     if view.waiting or view.coarse or view.stale or (shown.instances and not proxies.hidden()):
         _start()
 
@@ -185,6 +189,23 @@ def _holdout(space, depsgraph):
     return _holdouts[key]
 
 
+def _data_pass(space, depsgraph) -> DataPass | None:
+    """The pass that a viewport shows in Rendered shading, kept until something changes; None for the picture itself."""
+    chosen = passes.in_viewport(space.shading, depsgraph.scene)
+    if chosen is None:
+        return None
+    key = *_key(space, depsgraph), chosen
+    if key not in _data_passes:
+        settings = passes.settings(depsgraph.scene)
+        if chosen == "shadow":
+            try:
+                settings = replace(settings, shadow=shadows.shadow_of(depsgraph))
+            except fg.FastGSError as error:
+                _say_once(str(error))
+        _data_passes[key] = DataPass(chosen, settings, _holdout(space, depsgraph), (_changes,))
+    return _data_passes[key]
+
+
 def has_surfaces(space, depsgraph) -> bool:
     """Whether a viewport shows surfaces beside splats."""
     key = _key(space, depsgraph)
@@ -204,6 +225,7 @@ def changed(*_) -> None:
     _snapshots.clear()
     _surfaces.clear()
     _holdouts.clear()
+    _data_passes.clear()
 
 
 def memory() -> int:

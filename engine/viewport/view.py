@@ -80,11 +80,19 @@ class View:
         self._density, self._rough = 1.0, False
         self._whole: tuple[tuple, bool] | None = None
         self._fading: float | None = None
+        self._data: fallback.DataPass | None = None
+
+    @property
+    def as_final(self) -> bool:
+        """Whether it shows pictures that are rendered as final ones are, and not by Blender's shaders."""
+        return self.fallback.needed or self._data is not None
 
     @property
     def stale(self) -> bool:
         """Whether a newer order, or the CPU's picture, waits to be drawn."""
-        return self.fallback.fresh or (self._answer is not None and (self._order is None or self._order[0] is not self._answer))
+        if self.as_final:
+            return self.fallback.fresh
+        return self._answer is not None and (self._order is None or self._order[0] is not self._answer)
 
     @property
     def waiting(self) -> bool:
@@ -99,7 +107,7 @@ class View:
     @property
     def shows(self) -> bool:
         """Whether splats have been drawn."""
-        return self._order is not None or (self.fallback.needed and self.fallback.there)
+        return self.fallback.there if self.as_final else self._order is not None
 
     @property
     def resting(self) -> bool:
@@ -123,25 +131,31 @@ class View:
         self.trouble = f"the viewport could not be drawn ({type(error).__name__}: {error}); the log holds the details."
 
     def draw(self, snapshot: Snapshot, camera: fg.Camera, display: Display, density: float = 1.0, playing: bool = False,
-             around: Around | None = None, wait: bool = False, deep: bool = False) -> None:
+             around: Around | None = None, wait: bool = False, deep: bool = False, data: fallback.DataPass | None = None) -> None:
         """Draw a snapshot into the active framebuffer, with the order that is known by now, and ask the thread for what is missing.
 
         density   share of the splats to draw while the view moves, the time changes or the animation plays
         around    what hides splats; None: nothing does
         wait      sort first, on this thread
         deep      whether cover() will be called
+        data      the pass to show in place of the picture: it is rendered as a final one, coarsely while the view moves
         """
         seen = _signature(camera)
-        state = seen, snapshot.state, around and around.state
+        if (data and data.name) != (self._data and self._data.name):
+            self.fallback.forget()
+        self._data = data
+        state = seen, snapshot.state, around and around.state, data and (data.name, data.state)
         if self._seen is not None and state != self._seen:
             self._moved = time.monotonic()
         self._seen, self._last = state, (snapshot, camera)
         still = self.resting and not playing
         self._density = 1.0 if still else density
-        key = snapshot.state, seen, self._density, self.fallback.needed, objects.reloads()
+        if self.as_final:
+            self._rough = data is not None and not still
+        key = snapshot.state, seen, self._density, self.fallback.needed, objects.reloads(), data and (data.name, data.state, still)
         if wait:
             self._ask(snapshot, camera, display, key, wait)
-        if self.fallback.needed:
+        if self.as_final:
             self.fallback.draw()
         elif self._answer is not None:
             try:
@@ -156,12 +170,12 @@ class View:
 
     def cover(self, depths: Depths, window: tuple[int, int], floor: bool, marks) -> None:
         """Take overlays away where the splats that were drawn last lie before them, see Picture.cover()."""
-        if not self.fallback.needed and self._order is not None:
+        if not self.as_final and self._order is not None:
             self.picture.cover(depths, window, floor, marks)
 
     def timed(self) -> tuple[fg.Camera, int, dict[str, float]] | None:
         """(camera, splats in order, milliseconds of each stage, see timing.measure) of what was drawn last; None where nothing was."""
-        if self._last is None or self._order is None or self.fallback.needed:
+        if self._last is None or self._order is None or self.as_final:
             return None
         return self._last[1], self._order[1].count, timing.measure(*self._last)
 
@@ -170,15 +184,16 @@ class View:
         self.worker.forget(self)
         self.picture.free()
         self.fallback.free()
-        self._answer = self._order = self._asked = self._depth = self._last = self._whole = self._fading = None
+        self._answer = self._order = self._asked = self._depth = self._last = self._whole = self._fading = self._data = None
 
     def _ask(self, snapshot, camera, display, key, wait):
         if key == self._asked:
             return
         self._asked = key
-        density = self._density
-        if self.fallback.needed:
-            work = lambda: fallback.render(snapshot, camera, display.working, display.background)  # noqa: E731
+        density, data = self._density, self._data
+        if self.as_final:
+            eye = fallback.coarse(camera) if self._rough else camera
+            work = lambda: fallback.render(snapshot, eye, display.working, display.background, data)  # noqa: E731
         else:
             work = lambda: sorting.sort(snapshot, camera, density, self.atlas)  # noqa: E731
         if wait:

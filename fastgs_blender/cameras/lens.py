@@ -13,7 +13,7 @@ fisheye  OpenCV's fisheye (Kannala-Brandt): angle a = atan r, x' = x / r * a (1 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -181,6 +181,7 @@ def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera, scale: float = 
     return Camera(w, h, fx * sx, fy * sy, cx * sx, cy * sy, world_to_camera)
 
 
+@lru_cache(maxsize=256)  # many pictures are taken through one lens
 def _without_border(lens, source):
     """fx, fy, cx, cy of a pinhole of the source's size that shows the largest rectangle between the edges of the lens' picture."""
     fx, fy, cx, cy, width, height = source

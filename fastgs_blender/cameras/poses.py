@@ -126,7 +126,7 @@ def from_quaternion(quaternion, translation, where: str) -> np.ndarray:
 
 
 def near(place: np.ndarray, where: str) -> np.ndarray:
-    """The place [3] of a camera, or a translation, if it is within FARTHEST."""
-    if np.abs(place).max() > FARTHEST:
+    """The place [3] of a camera, a translation, or several in one array, if within FARTHEST."""
+    if np.abs(place).max(initial=0) > FARTHEST:
         raise FastGSError(f"{where}: the camera is farther than {FARTHEST:g} from the origin of its world; check its translation.")
     return place

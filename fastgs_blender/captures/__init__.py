@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -17,8 +17,9 @@ from ..util.arguments import file_path
 from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
+from .clocks.files import read_clocks
 
-LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "colmap", "folders")
+LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "toml", "colmap", "opencv", "folders")
 """Modules of layouts/, asked in this order."""
 __all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layout_modules", "open_capture", "recognised"]
 
@@ -56,17 +57,21 @@ def recognised(path: Path) -> ModuleType | None:
 
 
 def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
-                 layout: str | None = None) -> Capture:
+                 layout: str | None = None, offsets: Mapping[str, float] | None = None) -> Capture:
     """The capture in a folder (or in a file of a layout that has one).
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
+    offsets  of the cameras' clocks, in frames (see Options); None: those in sync.json beside the capture, where there is one
     Raises FastGSError where the folder is no capture, or its description cannot be read; pixels.checks.check() looks at its pictures.
 
     Example:
         capture = fg.open_capture("my-capture", scale=0.5, frames=slice(0, 2))
     """
     path = _existing(path)
-    options = Options(scale, frames, None if held_out is None else tuple(held_out))
+    if offsets is None:
+        clocks = read_clocks(path)
+        offsets = {} if clocks is None else clocks.offsets
+    options = Options(scale, frames, None if held_out is None else tuple(held_out), dict(offsets))
     with reading(path, "its description is damaged, so copy or export it again"):
         return identify(path, layout).load(path, options)
 

@@ -5,7 +5,7 @@ World: as the layout gives it.  Cameras: OpenCV axes, world-to-camera, pixel cen
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,11 +27,13 @@ class Options:
     scale     factor on the pictures' size, in (0, 1]
     frames    the part of the time line to use, as a slice of frame numbers from 0
     held_out  names of the views that are kept for evaluation
+    offsets   by view, in frames: picture f of the view shows the moment f + offset (clocks/files.py)
     """
 
     scale: float | None = None
     frames: slice | None = None
     held_out: tuple[str, ...] | None = None
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Shot:
     """One picture: one camera at one time.
 
     view      the rig camera's name; a moving camera has one name and many poses
-    frame     0 .. frame_count - 1
+    frame     0 .. frame_count - 1; where clocks differ, the one whose moment is nearest
     camera    pinhole of the picture as FrameStore gives it, undistorted and scaled; None in a capture without poses
     image     source of its pixels
     mask      a file that goes with the picture, white where the picture counts (see Capture.mask_means); None: there is none

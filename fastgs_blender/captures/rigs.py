@@ -2,7 +2,8 @@
 """Makes a Capture of the rig, or of the single pictures, that a layout found, with the options applied."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +22,8 @@ MOST_SHOTS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A picture as a layout describes it, before scale and selection; frame counts from 0, t is None where the layout states no times."""
+    """A picture as a layout describes it, before scale, clocks and selection; frame counts from 0, t is None where the layout states no
+    times."""
 
     view: str
     frame: int
@@ -55,7 +57,10 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
     chosen = _chosen(count, options.frames, path)
     entries, gaps = [], []
     for camera in cameras:
-        for frame in chosen:
+        late = _whole(options.offsets.get(_name(camera.name), 0.0))
+        for frame in (moment - late for moment in chosen):
+            if late and not 0 <= frame < count:  # it began later, or ended earlier, than the clip
+                continue
             image = camera.pictures[frame] if frame < len(camera.pictures) else None
             if image is None:
                 gaps.append((camera.name, frame))
@@ -77,8 +82,12 @@ def from_entries(
     if not (np.isfinite(scale) and 0 < scale <= 1):
         raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
     chosen = _chosen(frame_count, options.frames, path)
+    step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     place = {frame: i for i, frame in enumerate(chosen)}
-    entries = [replace(entry, view=_name(entry.view)) for entry in entries if entry.frame in place]  # for messages, and for Blender
+    entries = [replace(entry, view=_name(entry.view)) for entry in entries]  # for messages, and for Blender
+    entries, remarks = _by_the_clocks(entries, options.offsets)
+    notes = [*notes, *remarks]
+    entries = [entry for entry in entries if entry.frame in place]
     if not entries:
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
@@ -90,12 +99,12 @@ def from_entries(
         camera = None
         if entry.world_to_camera is not None:
             camera = _camera(entry, scale, focal, cameras)
-        frame = place[entry.frame]
+        frame, offset = place[entry.frame], options.offsets.get(entry.view, 0.0)
         t = frame / len(chosen) if t is None else t
+        t += (offset - _whole(offset)) / (step * len(chosen))
         shots.append(Shot(entry.view, frame, camera, entry.image, entry.mask, entry.view in kept, t))
     order = {view: i for i, view in enumerate(dict.fromkeys(shot.view for shot in shots))}
     shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
-    step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
     return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)],
                    model, (chosen[0] / frame_count, len(chosen) * step / frame_count))
@@ -104,6 +113,29 @@ def from_entries(
 def _name(view: str) -> str:
     """A view's name as it is shown, and asked for: printable, on one line."""
     return printable(view).replace("\n", "\\n")
+
+
+def _whole(offset: float) -> int:
+    """The nearest whole number of frames."""
+    return math.floor(offset + 0.5)
+
+
+def _by_the_clocks(entries: Sequence[Entry], offsets: Mapping[str, float]) -> tuple[list[Entry], list[str]]:
+    """The entries at the frames whose moments they are nearest to, and remarks on clocks that differ."""
+    names = {entry.view for entry in entries}
+    beside = {name: offset for name, offset in offsets.items() if name in names and offset}
+    if not beside:
+        return list(entries), []
+    moments = {entry.frame: entry.t for entry in entries}
+    moved = []
+    for entry in entries:
+        frame = entry.frame + _whole(beside.get(entry.view, 0.0))
+        if frame == entry.frame:
+            moved.append(entry)
+        elif frame in moments:
+            moved.append(replace(entry, frame=frame, t=moments[frame]))
+    listed = ", ".join(f"{name} {offset:+.3g}" for name, offset in beside.items())
+    return moved, [f"clocks differ, by sync.json, in frames: {listed}"]
 
 
 def check_count(path, frames: int, cameras: int = 1) -> None:

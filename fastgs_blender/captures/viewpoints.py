@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the cameras of a capture stood, as a model's file records it."""
+"""The viewpoints of a capture's cameras, as a model's file records them."""
 from __future__ import annotations
 
 import numpy as np

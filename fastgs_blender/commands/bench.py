@@ -87,7 +87,8 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
     first = _milliseconds(frame)
     stages, counts = {}, {}
     if backend != "reference":
-        stages, visible = load_backend("cpu").measure_stages(Instance(model, np.eye(4), 0.5).viewed(camera), camera, repeat)
+        kernels = load_backend("cpu" if backend == "auto" else backend)
+        stages, visible = kernels.measure_stages(Instance(model, np.eye(4), 0.5).viewed(camera), camera, repeat)
         counts = {"visible": visible}
     stages["whole frame"] = statistics.median(_milliseconds(frame) for _ in range(repeat))
     return {"gaussians": len(model), "width": camera.width, "height": camera.height, "backend": backend, "threads": thread_count(),

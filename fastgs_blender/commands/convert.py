@@ -15,9 +15,12 @@ import warnings
 from pathlib import Path
 
 from ..util.errors import FastGSError, LossWarning
+from ..util.progress import progress
 from .shared import human_bytes, note, print_json, say
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
+PARTS = 100
+"""Steps of the progress of each file."""
 
 
 def add_arguments(parser):
@@ -26,7 +29,7 @@ def add_arguments(parser):
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
     parser.add_argument("--compress", metavar="LEVEL", nargs="?", const="fine",
                         help="write .safetensors compressed: fine (the default; pictures lose at most 0.1 dB of held-out views), small "
-                             "(0.3 dB), or another number of dB")
+                             "(0.3 dB; takes minutes), or another number of dB")
     parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
                         help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
@@ -48,16 +51,22 @@ def run(args):
         source = formats.open_source(args.input)
         if isinstance(source, Sequence) and frames is None:
             source = one_model(source)
-    for target, frame in zip(targets, frames or [None], strict=True):
-        result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
-        if args.prune is not None:
-            result = pruned(result, args.prune)
-        _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
-        with _collected(losses, str(target), args.output):
-            formats.save(result, target, args.compress)
-        if not (args.json or args.quiet):
-            size = human_bytes(target.stat().st_size)
-            say(f"{target}: {len(result)} Gaussians, {size}")
+    lines: list[str] = []
+    total = PARTS * len(targets) if args.compress or len(targets) > 1 else 0
+    try:
+        with progress(total, "step", "compressing" if args.compress else "writing", quiet=args.quiet) as bar:
+            for done, (target, frame) in enumerate(zip(targets, frames or [None], strict=True)):
+                result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
+                if args.prune is not None:
+                    result = pruned(result, args.prune)
+                _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
+                with _collected(losses, str(target), args.output):
+                    formats.save(result, target, args.compress, lambda share, done=done: bar.to(int((done + share) * PARTS)))
+                bar.to((done + 1) * PARTS)
+                lines.append(f"{target}: {len(result)} Gaussians, {human_bytes(target.stat().st_size)}")
+    finally:  # once the bar is away
+        for line in lines if not (args.json or args.quiet) else ():
+            say(line)
     if args.json:
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(source), "losses": losses})
     for loss in losses:

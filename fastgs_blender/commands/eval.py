@@ -33,6 +33,8 @@ def add_arguments(parser):
     parser.add_argument("--scale", type=float, metavar="S", help="factor on the size of the pictures (default: as in training)")
     parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
     parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
+    parser.add_argument("--fit-colours", choices=("auto", "on", "off"), default="auto", help="fit a gain and an offset for each channel on "
+                        "the left half of each picture and measure its right half (default: where training evened exposures)")
     add_backend(parser)
 
 
@@ -72,7 +74,7 @@ def run(args):
                 bar.to(done, total)
 
             result = evaluate(model, capture, store, views=views, frames=frames, out=out, images=args.images, backend=backend,
-                              lpips=not args.no_lpips, progress=show)
+                              lpips=not args.no_lpips, fit_colours={"on": True, "off": False}.get(args.fit_colours), progress=show)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; no measures are written to {out}.") from None
     result = {"model": str(file), "file_bytes": file.stat().st_size, **result}

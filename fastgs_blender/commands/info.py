@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.screen import screen
-from .shared import PROBLEMS, human_bytes, is_run, print_json
+from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say
 
 CHUNK = 65_536
 LONG = 100
@@ -30,6 +30,8 @@ def add_arguments(parser):
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("file", nargs="?", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
     what.add_argument("--devices", action="store_true", help="list the GPUs that --device can name")
+    parser.add_argument("--device", default="", metavar="NAME", help="with --devices: only those whose name holds NAME")
+    parser.add_argument("--again", action="store_true", help="with --devices: test them once more")
     parser.add_argument("--layout", metavar="NAME", help="a capture's layout, where it is not recognised")
     parser.add_argument("--all", action="store_true", help="show everything, however long it is")
 
@@ -59,7 +61,7 @@ def _devices(args):
     """List the GPUs."""
     from ..util.backends import describe_devices
 
-    found = describe_devices()
+    found = describe_devices(args.device, again=args.again, tell=note)
     if args.json:
         print_json(found)
         return 0
@@ -68,7 +70,7 @@ def _devices(args):
             ("device", each["name"]), ("kind", f"{each['kind']}, through {each['interface']}"), ("driver", each["driver"]),
             ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"))], True, 0))
         print()
-    print(f"--device auto means {found['auto'] or 'cpu'}." + (f"  {found['reason']}" if found["reason"] else ""))
+    say(f"--device auto means {found['auto'] or 'cpu'}." + (f"  {found['reason']}" if found["reason"] else ""))
     return 0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which rendered frames may be kept: beside each lies a note, in a hidden folder, of the work that made it.
+"""Decides which rendered frames are kept: a note for each frame, in a hidden folder beside it, says how it was made.
 
 Two frames are the same work if model, camera, time, passes, background, format and backend are the same.  A note is written before
 its frame and says so, and again after it: a killed process leaves no frame whose note is that of another work.  Each frame has its own

@@ -45,6 +45,10 @@ def add_arguments(parser):
     blur.add_argument("--aperture", type=float, default=0.0, metavar="RADIUS", help="radius of the lens' opening, in the model's units")
     blur.add_argument("--focus", type=float, metavar="DISTANCE", help="distance at which everything is sharp; needed with --aperture")
     blur.add_argument("--lens-samples", type=int, default=64, metavar="N", help="points of the lens, at the most (default: 64)")
+    parser.add_argument("--sorting", default="centre", choices=("centre", "pixel"), help="which splats lie in front: all by the depth of "
+                        "their centres, or in each pixel by their depth there, which is slower and does not pop (default: centre)")
+    parser.add_argument("--no-antialias", action="store_true", help="draw splats as strong as ever where they are seen from farther than "
+                        "the capture's cameras saw them")
     parser.add_argument("--overwrite", action="store_true", help="render frames again that are there already")
     add_backend(parser)
 
@@ -83,7 +87,9 @@ def run(args):
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
-    notes = KeptFrames(out, model, {"passes": passes, "background": background, "backend": args.backend} | blur)
+    drawing = ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
+    options = {"passes": passes, "background": background, "backend": args.backend} | blur | drawing
+    notes = KeptFrames(out, model, options)
     states = [notes.state(*each) for each in zip(files, cameras, times, strict=True)]
     if "other" in states and not args.overwrite:
         raise FastGSError(f"{files[states.index('other')]} is there already, and was not made by this command with this model and these "
@@ -117,16 +123,18 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
     import numpy as np
 
     from ..rendering.api import render
-    from ..rendering.instances import Instance
+    from ..rendering.instances import Instance, ObjectSettings
+    from ..rendering.passes import PassSettings
 
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
+    look, settings = ObjectSettings(antialias=not args.no_antialias), PassSettings(sorting=args.sorting)
     with _stop_on_sigterm(), progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
         try:
             for done, i in enumerate(todo):
                 bar.to(done)
                 shown, t = model.moment(times[i])
-                scene = [Instance(shown, np.eye(4), t, name=name)]
-                image = render(scene, cameras[i], passes=wanted, backend=backend, exposure=exposure)
+                scene = [Instance(shown, np.eye(4), t, look, name=name)]
+                image = render(scene, cameras[i], passes=wanted, backend=backend, settings=settings, exposure=exposure)
                 write(i, image if background is None else _over(image, background, model.colour_space))
                 bar.to(done + 1)
         except KeyboardInterrupt:

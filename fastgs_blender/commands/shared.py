@@ -8,8 +8,9 @@ from pathlib import Path
 
 from ..jobs.job import read_status
 from ..training.run.files import MODEL, RUN, STATUS
-from ..util.errors import FastGSError, printable
+from ..util.errors import FastGSError
 from ..util.remarks import remark
+from ..util.screen import tell
 
 PROBLEMS, FAILED, STOPPED = 1, 2, 130
 """Exit codes: something is wrong with what was looked at; the command failed; it was stopped.  0: all is well."""
@@ -79,7 +80,7 @@ def _unicode(values):
 
 def say(text: str):
     """Print a line of the result on standard output; control characters in texts from files are escaped."""
-    print(printable(text))
+    tell(text, sys.stdout)
 
 
 def note(text: str):
@@ -89,7 +90,7 @@ def note(text: str):
 
 def complain(text: str):
     """Print on standard error what went wrong."""
-    print(f"fastgs: {printable(text)}", file=sys.stderr)
+    tell(f"fastgs: {text}", sys.stderr)
 
 
 def model_file(path) -> Path:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cameras that a path leads to, whatever is there: a capture, a training run, a model, or a camera file of any program."""
+"""Loads cameras from a path of any kind: a capture, a training run, a model, or a camera file of any program."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -19,14 +19,14 @@ from ..rendering import colour
 from ..rendering.api import render
 from ..rendering.images import write_png
 from ..util.arguments import shown
+from ..util.backends import describe_backend
 from ..util.errors import FastGSError
-from ..util.threads import thread_count
-from . import metrics
+from . import halves, metrics
 from .film import available, film
 from .flip import Flip
 from .perceptual import Lpips, Unavailable
 from .pictures import comparison
-from .training_record import TrainingRecord, recorded
+from .training_record import TrainingRecord, evened, recorded
 
 MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
 """What is measured of each frame, and averaged; None where a measure does not apply."""
@@ -34,8 +34,7 @@ MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_norma
 
 def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = None, *, views: Sequence[str] | None = None,
              frames: Sequence[int] | None = None, out: str | Path | None = None, images: int = 10, backend: str = "auto",
-             lpips: bool = True,
-             progress: Callable | None = None) -> dict:
+             lpips: bool = True, fit_colours: bool | None = None, progress: Callable | None = None) -> dict:
     """Measure a model against the pictures of a capture.
 
     store      gives the pictures (captures.pixels.store.FrameStore); None: they are decoded into the cache on disk first
@@ -43,6 +42,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     frames     their numbers from 0, beyond the model's clip too; None: all that the clip covers
     out        folder for side-by-side pictures of `images` frames of each view, and a film of each view; None: no pictures
     lpips      measure LPIPS too, where its weights are on this machine, else FLIP, where its package is
+    fit_colours  fit the colours of each picture on its left half and measure the right one (halves.py); None: where training evened
+               exposures, as the model says
     progress   called as progress(done, total, row) after each frame
 
     Returns JSON values: facts of the model and the capture; "rows", one for each frame; "views" and "average", the means of MEASURES
@@ -55,10 +56,11 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     """
     _check(model, capture)
     known = recorded(model)
+    fit_colours = "exposures" in evened(model) if fit_colours is None else fit_colours
     shots = chosen(capture, views, frames, known)
     store = _filled(FrameStore(capture, 0), shots) if store is None else store
     clock, notes = _clock(model, capture, beyond=frames is not None)
-    times = {id(shot): t for shot in shots if (t := clock(shot)) is not None}
+    times = {id(shot): t for shot in shots if (t := clock(shot)[0]) is not None}
     covered = [shot for shot in shots if id(shot) in times]
     if not covered:
         raise FastGSError(f"the model's clip has none of the frames to evaluate of {capture.path}; choose others with --frames.")
@@ -97,9 +99,9 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 picture = _picture(model, shot.camera, t, backend)
                 spent = time.perf_counter() - began
                 seconds += spent
-                if valid is not None:
-                    picture = picture * valid[..., None]
-                row = {"view": view, "frame": shot.frame, "t": t, "trained_on": _trained_on(known, model, shot, t),
+                whole, (picture, truth, foreground, valid) = _judged(picture, truth, foreground, valid, fit_colours)
+                told = None if known is None else known.saw(view, clock(shot)[1], model.clip.frame_count)
+                row = {"view": view, "frame": shot.frame, "t": t, "trained_on": told,
                        "milliseconds": round(1000 * spent, 3), **_measures(picture, truth, foreground, valid, perceptual, flip)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
                     both = None if valid is None or before[3] is None else valid & before[3]
@@ -107,26 +109,36 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 before = shot.frame, picture, truth, None if valid is None else np.asarray(valid) > 0
                 rows.append(row)
                 if gallery:
-                    gallery.add(shot, picture, truth, row)
+                    gallery.add(shot, whole[0], whole[1], row)
                 if progress:
                     progress(len(rows), len(covered), row)
-    exact = sum(row["psnr"] is None for row in rows)
-    if exact:
-        notes.append(f"{exact} frames equal the truth exactly: their PSNR is infinite and left out of the averages")
-    seen, unseen = ([row for row in rows if row["trained_on"] is told] for told in (True, False))
-    if known is None:
-        notes.append("the model's file does not say which pictures it was trained on, so whether these were held out is not known")
-    elif seen:
-        notes.append(f"{len(seen)} of the {len(rows)} pictures were trained on: they tell how well the model remembers, "
-                     "not how well it holds in new views")
+    if fit_colours:
+        notes.append(halves.NOTE)
+    notes += _remarks(rows, known)
+    seen, unseen = ([row for row in rows if row["trained_on"] is which] for which in (True, False))
     return {
         "gaussians": len(model), "memory_bytes": model.nbytes, "capture": str(capture.path), "layout": capture.layout,
         "held_out": None if known is None else not seen, "width": covered[0].camera.width, "height": covered[0].camera.height,
-        "backend": backend, "device": f"the processor, {thread_count()} threads", "fps": round(len(rows) / max(seconds, 1e-9), 3),
+        "fit_colours": fit_colours, "backend": backend, "device": describe_backend(backend),
+        "fps": round(len(rows) / max(seconds, 1e-9), 3),
         "average": _means(rows), **({"seen": _means(seen), "unseen": _means(unseen)} if seen and unseen else {}),
         "views": {view: _means([row for row in rows if row["view"] == view]) for view in dict.fromkeys(row["view"] for row in rows)},
         "rows": rows, "notes": notes, "files": [str(file) for file in files],
     }
+
+
+def _remarks(rows: list[dict[str, Any]], known: TrainingRecord | None) -> list[str]:
+    """What must be known to read the measures."""
+    remarks = []
+    exact, seen = sum(row["psnr"] is None for row in rows), sum(row["trained_on"] is True for row in rows)
+    if exact:
+        remarks.append(f"{exact} frames equal the truth exactly: their PSNR is infinite and left out of the averages")
+    if known is None:
+        remarks.append("the model's file does not say which pictures it was trained on, so whether these were held out is not known")
+    elif seen:
+        remarks.append(f"{seen} of the {len(rows)} pictures were trained on: they tell how well the model remembers, "
+                       "not how well it holds in new views")
+    return remarks
 
 
 def _check(model: object, capture: object) -> None:
@@ -180,25 +192,23 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
     return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
 
 
-def _trained_on(known: TrainingRecord | None, model: GaussianModel, shot: Shot, t: float) -> bool | None:
-    count = model.clip.frame_count
-    return None if known is None else known.saw(shot.view, t * count, count)
-
-
-def _clock(model: GaussianModel, capture: Capture, beyond: bool = False) -> tuple[Callable[[Shot], float | None], list[str]]:
-    """Gives (model time of a shot or None outside of the model's clip, notes); beyond: times outside of the clip are given too.
+def _clock(model: GaussianModel, capture: Capture, beyond: bool = False) -> tuple[Callable[[Shot], tuple[float | None, float]], list[str]]:
+    """Gives (model time of a shot or None outside of the model's clip, its frame counted from the clip's first), and notes; beyond: times
+    outside of the clip are given too.
 
     A model of the whole capture, or of one frame, shares its time.  One of a part of it is placed by its start frame; one of every
-    n-th frame by its frame rate.
+    n-th frame by its frame rate.  Pictures are told apart by their frames, not by their times: clocks of cameras may differ.
     """
     whole, part = capture.clip, model.clip
+    first = whole.start_frame - part.start_frame
     if part.frame_count in (1, whole.frame_count):
-        return (lambda shot: shot.t), []
+        return (lambda shot: (shot.t, shot.frame if part.frame_count > 1 else shot.frame + first)), []
     step = max(round(whole.fps / part.fps), 1)
 
-    def time_of(shot: Shot) -> Any:
-        frame = (whole.start_frame + shot.t * whole.frame_count - part.start_frame) / step
-        return frame / part.frame_count if beyond or -1e-6 <= frame <= part.frame_count - 1 + 1e-6 else None
+    def time_of(shot: Shot) -> tuple[float | None, float]:
+        number = (first + shot.frame) / step
+        inside = beyond or -1e-6 <= number <= part.frame_count - 1 + 1e-6
+        return (first + shot.t * whole.frame_count) / step / part.frame_count if inside else None, number
 
     clips = (f"{clip.frame_count} frames from {clip.start_frame}" for clip in (part, whole))
     return time_of, ["the model's clip is {}, the capture's {}: frames are matched by their numbers".format(*clips)]
@@ -229,6 +239,14 @@ def _truth(capture: Capture, store: FrameStore, shot: Shot) -> tuple[np.ndarray,
         rgb = rgb * valid[..., None]
         mask = None if mask is None else mask * valid
     return rgb, mask, valid
+
+
+def _judged(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, fit: bool) -> tuple:
+    """The two whole pictures to be shown; and what is to be measured: picture, truth, foreground and valid pixels."""
+    picture = halves.fitted(picture, truth, valid) if fit else picture
+    picture = picture if valid is None else picture * valid[..., None]
+    parts = (picture, truth, foreground, valid)
+    return parts[:2], halves.right(*parts) if fit else parts
 
 
 def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, perceptual: Any,

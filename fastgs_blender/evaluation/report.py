@@ -37,7 +37,8 @@ def table(result: dict) -> str:
 
     head = line("view", "frame", [COLUMNS[name][0] for name in names])
     rule = "-" * len(head)
-    return "\n".join([head, *(line(view, frame, cells(values)) for view, frame, values in rows), rule,
+    told = ["right halves of the pictures, their colours fitted on the left halves:"] if result.get("fit_colours") else []
+    return "\n".join([*told, head, *(line(view, frame, cells(values)) for view, frame, values in rows), rule,
                       *(line(view, frame, cells(values)) for view, frame, values in averages)])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a model was trained on, as its file records it: evaluation must not call a picture held out that the model has seen."""
+"""Reads from a model's file which views it was trained on, so that evaluation never calls a training view held out."""
 from __future__ import annotations
 
 import json
@@ -21,6 +21,38 @@ class TrainingRecord:
     def saw(self, view: str, frame: float, frame_count: int) -> bool:
         """Whether the picture of a view at a frame of the model's clip (counted from 0, fractions lie between frames) was trained on."""
         return view in self.views and abs(frame - round(frame)) < 1e-6 and -0.5 < frame < frame_count - 0.5
+
+
+EVENED = "evened"
+"""The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames} and "exposures"
+{view: {"gain": [3], "bias": [3]}}, each only where cameras differed."""
+
+
+def evened_entry(facts: dict) -> dict[str, str]:
+    """The provenance entry of a model trained from cameras that differed (training/core/evening.py); none where they did not."""
+    return {EVENED: json.dumps(facts)} if facts else {}
+
+
+def evened(model) -> dict:
+    """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say."""
+    try:
+        facts = parse_json(model.provenance[EVENED])
+    except (KeyError, ValueError):
+        return {}
+    return facts if isinstance(facts, dict) else {}
+
+
+def sentence(found: dict) -> str:
+    """What evened() gave, for people."""
+    parts = []
+    if clocks := found.get("clocks"):
+        late = sorted(clocks.items(), key=lambda item: -abs(item[1]))
+        parts.append("clocks differ, in frames: " + ", ".join(f"{view} {value:+.2f}" for view, value in late[:6]))
+    if exposures := found.get("exposures"):
+        middle = {view: sum(0.5 * g + b for g, b in zip(each["gain"], each["bias"])) / 1.5 for view, each in exposures.items()}
+        parts.append("exposures differ, and were evened: " + ", ".join(
+            f"{view} {value:.2f}" for view, value in sorted(middle.items(), key=lambda item: -abs(item[1] - 1))[:6]))
+    return "; ".join(parts)
 
 
 def record(capture) -> dict[str, str]:

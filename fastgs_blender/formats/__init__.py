@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -132,11 +132,13 @@ def load(path: str | os.PathLike) -> GaussianModel:
     return model
 
 
-def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | None = None) -> None:
+def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | None = None,
+         progress: Callable[[float], None] | None = None) -> None:
     """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .splatv.
 
     compress  write the compressed variant of .safetensors: "fine" (held-out views lose at most 0.1 dB), "small" (0.3 dB), or another
               number of dB; rate.py says how that is measured
+    progress  called with 0..1 while a file is compressed; what it raises cancels that, and nothing is written
     One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
     Raises FastGSError.
 
@@ -151,11 +153,13 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
         if compress is not None:
             if not isinstance(writer, Native):
                 raise FastGSError("only .safetensors files have a compressed variant; choose such a name, or a packed format such as .spz.")
-            writer = Native(Loss.of(compress))
+            writer = Native(Loss.of(compress), progress)
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
             with replacing(writer.files(fitted, path)) as targets:
                 writer.write(fitted, targets)
+    except InterruptedError:  # an OSError, but the caller's own, from progress()
+        raise
     except (FastGSError, OSError, MemoryError) as error:
         raise _named("cannot write", path, error) from error
     if lost:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes what is known of a model's surroundings into its file; the Gaussians stay as they are."""
+"""Writes the surroundings (the capture's cameras, the backdrop, a good view) into a model's file without changing its Gaussians."""
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Columns of whole numbers packed with zstd, and unpacked again.
+"""Packs columns of integers with zstd, and unpacks them.
 
-A number z, less the column's centre and zigzag coded (0, -1, 1, -2, ...), has a symbol: below DIRECT it is z itself, above there are four
-symbols for each power of two, 128 + 4 (e - 7) + the two bits after the leading one, 2^e, and e - 2 bits more are kept as they are.
-The Gaussians may be put in the order of numbers that are known already, their context, first: so they come in groups of different
-statistics, and zstd makes a code for each.  Packed are, one after another,
+The column's centre is subtracted from each number, and the difference is zigzag coded (0, -1, 1, -2, ...) to z >= 0.  z becomes a symbol of
+one byte: below DIRECT the symbol is z itself; above, with 2^e the leading bit of z, it is 128 + 4 (e - 7) + the two bits after the leading
+one, and the other e - 2 bits are stored uncoded.  The Gaussians may first be sorted by their values in a column that the reader has already
+(the context): Gaussians with different statistics then lie in different groups, and zstd makes a code for each.  The packed column holds,
+one after another,
 
-    map      a bit for each number: whether its symbol is not 0; left out where that does not pay
-    symbols  a byte each; of those that are not 0, where there is a map
-    rest     for each e from 7 on, the bits below: the lowest of all its numbers, then the next
+    map      a bit for each number: whether its symbol is not 0; omitted where the file would be larger with it
+    symbols  a byte for each number; with a map only for those whose symbol is not 0
+    rest     for each e from 7 on, the uncoded bits: first the lowest bit of all numbers with that e, then the next bit
 """
 from __future__ import annotations
 

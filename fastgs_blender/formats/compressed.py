@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The compressed variant of our own file: quantised (quantising.py), in spatial order, each column packed with zstd (columns.py).
 
-It is a safetensors file of bytes.  `segment.<i>` holds at most SEGMENT Gaussians and can be read without the others: the packed columns
-one after another.  The metadata's JSON says, beside what an uncompressed file says,
+It is a safetensors file of uint8 arrays.  `segment.<i>` holds the packed columns of at most SEGMENT Gaussians, one column after another,
+and can be read without the other segments.  The metadata's JSON has the keys of an uncompressed file, and
 
-    compressed.count       Gaussians of each segment
-    compressed.steps       of each segment, see quantising.Steps
+    compressed.count       the number of Gaussians of each segment
+    compressed.steps       the step sizes of each segment, see quantising.Steps
     compressed.blocks      for each segment a list of its columns, see columns.Block
 """
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -27,19 +28,23 @@ from .static import plausible_count
 SEGMENT = 1 << 16
 CONTEXTS = ("shape", "tint", "life")
 """Arrays of one column by which others may be put in order."""
+ALLOTTING = 0.9
+"""Share of the time of compressing that deciding how finely takes; the rest is packing."""
 LARGEST = 60
 """Exponents in a header lie within +- LARGEST."""
 
 
-def packed(model: GaussianModel, loss: Loss) -> tuple[dict[str, np.ndarray], dict]:
-    """Arrays of bytes by name, and the entry of the header."""
+def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]) -> tuple[dict[str, np.ndarray], dict]:
+    """Arrays of bytes by name, and the entry of the header; progress is called with 0..1, and what it raises passes through."""
     tensors, counts, listed, steps = {}, [], [], []
-    for i, (codes, own) in enumerate(allotted(model, loss, SEGMENT)):
+    parts = allotted(model, loss, SEGMENT, lambda share: progress(ALLOTTING * share))
+    for i, (codes, own) in enumerate(parts):
         data, blocks = packed_segment(codes, own, model)
         tensors[f"segment.{i}"] = np.frombuffer(data, np.uint8)
         counts.append(len(codes["shape"]))
         listed.append(blocks)
         steps.append({key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in asdict(own).items()})
+        progress(ALLOTTING + (1 - ALLOTTING) * (i + 1) / len(parts))
     return tensors, {"count": counts, "steps": steps, "blocks": listed}
 
 
@@ -48,10 +53,23 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
 
     Segments are unpacked side by side.  Raises FastGSError for a damaged file.
     """
+    parts, total = [], 0
+    for data, count, steps, blocks in listed_segments(file, about, segments):
+        parts.append((data, count, _steps(steps, kinds), blocks, total))
+        total += count
+    arrays = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
+    run(lambda *part: _segment(*part, kinds, arrays), parts)
+    return replace(kinds, **arrays)
+
+
+def listed_segments(file: TensorFile, about: dict, segments: range | None = None) -> Iterator[tuple[np.ndarray, int, object, object]]:
+    """(bytes uint8, number of Gaussians, its steps, its blocks) of each segment, or of some; the last two are as the header has them.
+
+    Raises FastGSError where the header does not say which segments there are, or they are not there.
+    """
     counts, steps, blocks = (about.get(key) if isinstance(about, dict) else None for key in ("count", "steps", "blocks"))
     if not all(isinstance(v, list) for v in (counts, steps, blocks)) or not len(counts) == len(steps) == len(blocks):
         raise FastGSError("its header does not say which segments it has; copy the file again.")
-    parts, total = [], 0
     for i in range(len(counts)) if segments is None else segments:
         count = whole_number(counts[i], "the number of Gaussians of a segment")
         if count > SEGMENT:
@@ -60,11 +78,7 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
         if data.dtype != np.uint8 or data.ndim != 1:
             raise FastGSError(f"its segment {i} holds no bytes; copy the file again.")
         plausible_count(count, len(data))
-        parts.append((data, count, _steps(steps[i], kinds), blocks[i], total))
-        total += count
-    arrays = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
-    run(lambda *part: _segment(*part, kinds, arrays), parts)
-    return replace(kinds, **arrays)
+        yield data, count, steps[i], blocks[i]
 
 
 def _segment(data: np.ndarray, count: int, steps: Steps, blocks, first: int, kinds: GaussianModel, arrays: dict[str, np.ndarray]) -> None:

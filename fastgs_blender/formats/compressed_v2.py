@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads version 2 of the compressed variant of our own file; compressed.py writes version 3, which is smaller.
 
-`segment.<i>` holds the packed columns of at most SEGMENT Gaussians, each a zstd frame of its whole numbers (zigzag: 0, -1, 1, -2, ...),
-first all lowest bytes, then all second ones, and so on.  Every number times a power of two is a value of the model; docs/file-format.md
-has the exponents, which follow from three whole numbers of each Gaussian:
+`segment.<i>` holds the packed columns of as many Gaussians as in version 3, each a zstd frame of its whole numbers (zigzag: 0, -1, 1,
+-2, ...), first all lowest bytes, then all second ones, and so on.  Every number times a power of two is a value of the model;
+docs/file-format.md has the exponents, which follow from three whole numbers of each Gaussian:
 
     grain    log2 of the step of its position
     weight   log2 of its share of pictures relative to a typical Gaussian's
@@ -21,10 +21,8 @@ from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import TensorFile
 from ..util.threads import thread_count
-from .description import whole_number
-from .static import plausible_count
+from .compressed import listed_segments
 
-SEGMENT = 1 << 16
 LIVES = 10
 """Values of `life`."""
 NEIGHBOURS = 64
@@ -58,20 +56,8 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
 
     Segments are unpacked side by side.  Raises FastGSError for a damaged file.
     """
-    counts, steps, blocks = (about.get(key) if isinstance(about, dict) else None for key in ("count", "steps", "blocks"))
-    if not all(isinstance(v, list) for v in (counts, steps, blocks)) or not len(counts) == len(steps) == len(blocks):
-        raise FastGSError("its header does not say which segments it has; copy the file again.")
-    wanted = range(len(counts)) if segments is None else segments
-    parts = []
-    for i in wanted:
-        count = whole_number(counts[i], "the number of Gaussians of a segment")
-        if count > SEGMENT:
-            raise FastGSError(f"its segment {i} would have {count} Gaussians, more than a segment may have; copy the file again.")
-        data = file.read(f"segment.{i}")
-        if data.dtype != np.uint8 or data.ndim != 1:
-            raise FastGSError(f"its segment {i} holds no bytes; copy the file again.")
-        plausible_count(count, len(data))
-        parts.append((data.tobytes(), count, _steps(steps[i], kinds), blocks[i]))
+    parts = [(data.tobytes(), count, _steps(steps, kinds), blocks)
+             for data, count, steps, blocks in listed_segments(file, about, segments)]
     with ThreadPoolExecutor(max(1, min(len(parts), thread_count()))) as pool:
         arrays = list(pool.map(lambda part: _segment(*part, kinds), parts))
     if not arrays:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hilbert's curve through space: neighbours on it are neighbours in space, which those on Morton's are not at every second step."""
+"""Orders points along Hilbert's curve through space: neighbours on the curve are neighbours in space.
+
+On Morton's curve every second step is a jump."""
 from __future__ import annotations
 
 import numpy as np

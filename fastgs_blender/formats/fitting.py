@@ -166,4 +166,6 @@ def plain_colour(model: GaussianModel, keep_features: bool) -> tuple[GaussianMod
         rgb = f[:, :3] + hidden @ look.w2.T
         rgb = sigmoid(rgb) if look.activation == "sigmoid" else np.clip(rgb, 0, 1) if look.activation == "clamp" else rgb
         return replace(model, features=rgb, appearance=RGB()), ["its features and decoder become one colour a Gaussian"]
-    return model, []
+    if isinstance(look, (RGB, Features)):
+        return model, []
+    return replace(model, features=look.plain_colours(f), appearance=RGB()), [f"its appearance ({look.name}) becomes plain colours"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,10 +32,12 @@ COMPRESSED = {2: compressed_v2, 3: compressed}
 class Native(Format):
     """The format FAST-GS safetensors; it holds every model whole.
 
-    loss  write the compressed variant (compressed.py), whose pictures may lose so much; None: every number as it is
+    loss      write the compressed variant (compressed.py), whose pictures may lose so much; None: every number as it is
+    progress  called with 0..1 while it is compressed
     """
 
     loss: Loss | None = None
+    progress: Callable[[float], None] | None = None
 
     name = "FAST-GS safetensors"
     says_axes = True
@@ -80,7 +83,7 @@ class Native(Format):
         if self.loss is None:
             tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
         else:
-            tensors, about["compressed"] = compressed.packed(model, self.loss)
+            tensors, about["compressed"] = compressed.packed(model, self.loss, self.progress or (lambda share: None))
             about["version"] = max(COMPRESSED)
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
-from ..util.zip_files import opened_zip
+from ..util.zip_files import opened_zip, read_member
 from .description import read_json
 from .static import read_whole
 
@@ -103,8 +103,7 @@ class Archive:
         if size > limit or size > max(SMALL, GROWTH * self.length):
             raise FastGSError(f"{name} is larger than it can be; the file is damaged.")
         try:
-            with self.zip.open(self.members[self.base + name]) as stream:
-                return stream.read(size)
+            return read_member(self.zip, self.members[self.base + name])
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, OSError) as error:
             raise FastGSError(f"{name} cannot be unpacked ({error}); copy the file again.") from error
 

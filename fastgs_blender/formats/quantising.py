@@ -1,23 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Quantising a model: every array becomes whole numbers and steps to multiply them with; compressed.py packs these.
+"""Quantises a model: every array becomes integers and the step sizes to multiply them by; compressed.py packs these.
 
-How finely a number is kept follows from how much pictures change with it (sensitivity.py).  At a given size of a file the pictures' error
-is least where each number adds the same: a step is in inverse proportion to the root of the sensitivity.  Two whole numbers of each
-Gaussian say so for its attributes together, as powers of two on steps that the segment states:
+The step size of a parameter depends on how much pictures change with it (sensitivity.py).  For a given file size the pictures' error is
+smallest where each parameter adds the same error, so that a step size is proportional to 1 / sqrt(sensitivity).  Each Gaussian has three
+integers, exponents of two by which its step sizes differ from those of the segment:
 
     shape   of position (relative to the Gaussian's size), scale, rotation, opacity, temporal centre and temporal opacity
     tint    of its colour's features
     life    -log2 of the length of its lifetime, in which motion and the temporal centre are measured
 
-All that a reader computes is exact or rounded once in float64, so that all machines read the same model.
+Everything that a reader computes is exact or rounded once in float64, so that all machines read the same model.
 
-A coefficient of motion matters by what it moves within the lifetime, each moment by its opacity.  With the basis' functions orthogonalised
-there (QR), coefficients are rounded from the last to the first, each absorbing what rounding the later ones has moved (Babai's nearest
-plane); the step of coefficient k is the position's, divided by the length of function k's own part, a table of powers of two by life and k.
+The error of a motion coefficient is the movement that it causes within the Gaussian's lifetime, each moment weighted by its opacity.  The
+basis functions are orthogonalised under that weight (QR).  Coefficients are then rounded from the last to the first, and each corrects the
+rounding errors of the later ones (Babai's nearest plane).  The step size of coefficient k is that of the position, divided by the norm of
+the orthogonal part of function k; a table holds these norms as powers of two, by life and k.
 
-Columns in `chained` are differences from the Gaussian before, which the writer takes from what a reader has: errors do not add up.
+Columns in `chained` hold differences from the previous Gaussian.  The writer takes them from the values that a reader has reconstructed, so
+that errors do not add up.
 
-A Gaussian has 24 quaternions and orders of its axes that look the same; that nearest to no rotation is kept.
+24 pairs of a quaternion and an order of the axes describe the same Gaussian; the one nearest to no rotation is written.
 """
 from __future__ import annotations
 
@@ -275,38 +277,46 @@ def _rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def restored(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
     """The arrays of a model, float32, of columns of whole numbers; kinds: a model of its kinds."""
-    shape, tint, life = codes["shape"], codes["tint"], np.clip(codes["life"], 0, LIVES - 1)
-    n = len(shape)
+    scale = scales(codes, steps)
+    sizes = step_sizes(codes, steps, scale)
 
     def attribute(name: str, step: np.ndarray) -> np.ndarray:
         return values_of(name, codes, step, steps)
 
-    scale = scales(codes, steps)
-    grain = np.ldexp(1.0, steps.grain(scale, shape))
-    fine = steps.turning(scale, shape)
-    rotation = codes["rotation"] * fine[:, None]
+    rotation = codes["rotation"] * sizes["rotation"]
     if rotation.shape[1] == 3:
         real = np.sqrt(np.maximum(0.02, 1 - (rotation**2).sum(1)))
         rotation = np.concatenate([real[:, None], rotation], 1)
-    opacity = np.clip(attribute("opacity", steps.of("opacity", shape)), LEAST_OPACITY, 1 - LEAST_OPACITY)
+    opacity = np.clip(attribute("opacity", sizes["opacity"]), LEAST_OPACITY, 1 - LEAST_OPACITY)
     arrays = {
-        "position": np.cumsum(codes["position"] * grain[:, None], axis=0),
-        "motion": codes["motion"] * np.ldexp(grain[:, None], steps.motion[life])[..., None],
+        "position": np.cumsum(codes["position"] * sizes["position"], axis=0),
+        "motion": codes["motion"] * sizes["motion"],
         "scale": scale,
         "rotation": rotation,
-        "rotation_motion": codes["rotation_motion"] * np.ldexp(fine[:, None], steps.swing[life])[..., None],
+        "rotation_motion": codes["rotation_motion"] * sizes["rotation_motion"],
         "opacity": np.log(opacity) - np.log1p(-opacity),
-        "features": attribute("features", steps.of_features(tint)),
-        "mu_tau": attribute("mu_tau", np.ldexp(steps.of("mu_tau", shape), -life)),
+        "features": attribute("features", sizes["features"]),
+        "mu_tau": attribute("mu_tau", sizes["mu_tau"]),
+        "temporal": np.empty((len(scale), kinds.temporal_kind.width), np.float32),
     }
-    arrays["temporal"] = np.empty((n, kinds.temporal_kind.width), np.float32)
     for k, logarithm in enumerate(kinds.temporal_kind.logarithms):
         if logarithm:
-            arrays["temporal"][:, k] = attribute(f"temporal.{k}", steps.of("temporal", shape))
+            arrays["temporal"][:, k] = attribute(f"temporal.{k}", steps.of("temporal", codes["shape"]))
         else:
             bits = codes[f"temporal.{k}.high"].astype(np.uint32) << 16 | codes[f"temporal.{k}.low"].astype(np.uint32)
             arrays["temporal"][:, k] = bits.view(np.float32)
     return arrays
+
+
+def step_sizes(codes: dict[str, np.ndarray], steps: Steps, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """The steps of all arrays but temporal, [N], or of a shape that fits their codes; scale: that of a reader (scales())."""
+    shape, life = codes["shape"], np.clip(codes["life"], 0, LIVES - 1)
+    grain = np.ldexp(1.0, steps.grain(scale, shape))[:, None]
+    fine = steps.turning(scale, shape)[:, None]
+    return {
+        "position": grain, "motion": np.ldexp(grain, steps.motion[life])[..., None], "scale": steps.of("scale", shape)[:, None],
+        "rotation": fine, "rotation_motion": np.ldexp(fine, steps.swing[life])[..., None], "opacity": steps.of("opacity", shape),
+        "features": steps.of_features(codes["tint"]), "mu_tau": np.ldexp(steps.of("mu_tau", shape), -life)}
 
 
 def values_of(name: str, codes: dict[str, np.ndarray], step: np.ndarray, steps: Steps) -> np.ndarray:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How finely a model is kept, and which of its Gaussians, so that its pictures lose no more than they may.
+"""Rate control of compression: finds the coarsest step sizes, and the Gaussians to leave out, for a loss in dB that the user allows.
 
-A model that is R dB from the truth in views that it was not trained on loses 10 log10(1 + e / 10^(-R/10)) dB there by a mean squared
-error e of its pictures that has nothing to do with its own: the convention of all figures here.  R is what the model's provenance says
-(HELD_OUT), NOMINAL where it says nothing.
+The loss is counted on held-out views.  A model has a PSNR of R dB there.  Compression adds a mean squared error e, independent of the
+model's own error, which lowers the PSNR by 10 log10(1 + e / 10^(-R/10)) dB.  All figures here follow this convention.  R is stated in the
+model's provenance (HELD_OUT); else it is NOMINAL.
 """
 from __future__ import annotations
 
@@ -19,31 +19,46 @@ from ..model.gaussians import GaussianModel
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
 from .curve import hilbert_order
-from .quantising import Steps, canonical, prepared, quantised, restored
+from .quantising import Prepared, Steps, canonical, prepared
+from .refit import as_read, in_parts, refitted
 from .sensitivity import mean_square, pictures, removal, sensitivity, shots
 
 NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
 HELD_OUT = "held_out_psnr"
 """Key of the provenance: dB of the views of its capture that the model was not trained on."""
-LEVELS = {"fine": 0.085, "small": 0.3}
-"""Losses in dB by name; fine is to stay below 0.1 dB in views that it was not judged by."""
+LEVELS = {"fine": 0.07, "small": 0.2}
+"""Losses in dB by name: they are to stay below 0.1 and 0.3 dB in views that they were not judged by."""
 LEAST, MOST = 0.001, 10.0
 """dB that may be lost."""
 LOWEST, HIGHEST = 15.0, 50.0
-"""dB that a provenance is believed."""
+"""Range in dB in which the PSNR of a provenance is believed."""
 SHOTS, JUDGED = 64, 12
-"""Pictures that sensitivities are measured on, and others that the loss is measured on."""
+"""Numbers of pictures: of those that sensitivities are measured on, and of others that the loss is measured on."""
 COST = 60.0
-"""Bits that are taken to be saved by leaving a Gaussian out: fewer than they are, for errors of neighbours that are left out add up."""
+"""Bits that leaving a Gaussian out is assumed to save.  The true number is higher, but errors of left-out neighbours add up."""
 HARM = COST * 2 * np.log(2) / 12
-"""A bit more for a number with an error uniform over a step of 2^level / root of its sensitivity takes 4^level 2 ln 2 / 12 of error away: a
-Gaussian is left out where that is less harm than its bits would mend elsewhere."""
+"""A parameter has a rounding error that is uniform over a step of 2^level / sqrt(sensitivity).  One more bit for it lowers the pictures'
+squared error by 4^level 2 ln 2 / 12.  A Gaussian is left out where this adds less error than its bits would remove elsewhere."""
+SENSING = 0.5
+"""Share of the time of allotted() that measuring sensitivities takes."""
 TRIALS = 9
-NEAR = 0.95
-"""The search ends where the error is this share of what is allowed, or more."""
+HASTE = 0.6
+"""For the progress bar: the share of the remaining work that remains after a trial, as the number of trials is not known."""
+NEAR, ROUGHLY = 0.95, 0.6
+"""The search ends where the error is at least this share of the allowed error: in the final search, and in the one before refitting."""
+QUICK = 0.1
+"""dB up to which a model is not refitted."""
+REFITS = 200
+"""Pictures that a model is refitted to."""
+REFITTING = 0.7
+"""Share of the time of allotted() that refitting takes."""
+SPARED = 1.5
+"""With refitting, Gaussians are left out up to this many times the usual error."""
+COARSER = 0.2
+"""With refitting, the level rises by this much."""
 THIN = 0.1
-"""Pixels: a Gaussian that is thinner still looks the same, because the rasteriser's blur is wider."""
+"""Pixels.  Thinner Gaussians look the same as this, because the rasteriser's blur is wider."""
 LASTING = 0.002
 """Exponent of temporal opacity within the clip below which a Gaussian lasts for ever."""
 
@@ -78,41 +93,62 @@ def held_out(model: GaussianModel) -> float:
     return NOMINAL
 
 
-def allotted(model: GaussianModel, loss: Loss, segment: int) -> list[tuple[dict[str, np.ndarray], Steps]]:
+def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[[float], None]
+             ) -> list[tuple[dict[str, np.ndarray], Steps]]:
     """The model quantised as coarsely as the loss allows, in parts of at most `segment` Gaussians along a curve through space.
 
-    How coarsely numbers are kept, and which Gaussians at all, follows from one number, the level: the logarithm of the error that each
-    number may add.  It is searched on pictures that the sensitivities have not seen.  Raises FastGSError where none is good enough.
+    One number, the level, decides the step sizes and which Gaussians are left out: log2 of the error that each parameter may add.  It is
+    searched on pictures that were not used to measure sensitivities.  For a loss above QUICK more Gaussians are left out, and the others
+    are refitted (refit.py).  Raises FastGSError where no level is good enough.  progress is called with 0..1; exceptions that it raises
+    pass through.
     """
     if not len(model):
         return []
+    original, refit = model, loss.decibels > QUICK
     series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS)
     truth, allowed = pictures(model, judged), loss.error(model)
     model = plain(canonical(model.take(hilbert_order(model.position))), [camera for camera, _ in series])
-    found = sensitivity(model, series)
+    first, last = (1 - REFITTING, REFITTING) if refit else (1.0, 0.0)
+    found = sensitivity(model, series, lambda share: progress(first * SENSING * share))
     harm = removal(model, found)
 
-    def tried(level: float) -> tuple[list, float]:
+    def chosen(level: float, spared: float) -> Prepared:
+        """The Gaussians that are worth their bits at a level.  spared: factor on the error up to which a Gaussian is left out."""
+        keep = harm > spared * HARM * 4.0**level
+        return prepared(model.take(keep), found.take(keep))
+
+    def tried(ready: Prepared, level: float) -> tuple[list, float]:
         """The parts at a level, and the mean squared error of their pictures."""
-        keep = harm > HARM * 4.0**level
-        ready = prepared(model.take(keep), found.take(keep))
-        parts = [quantised(ready.part(slice(at, at + segment)), level) for at in range(0, len(ready.model), segment)]
-        arrays = [restored(codes, steps, model) for codes, steps in parts]
-        again = {name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]} if arrays else ready.model.arrays
-        return parts, mean_square(truth, pictures(replace(model, **again), judged))
+        parts = in_parts(ready, level, segment)
+        return parts, mean_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
 
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
-    return search(tried, 0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed, NEAR, loss)
+    level, parts = search(lambda level: tried(chosen(level, 1.0), level), 0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed,
+                          ROUGHLY if refit else NEAR, lambda share: progress(first * (SENSING + (1 - SENSING) * share)))
+    if parts is None:
+        raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
+    ready = chosen(level + COARSER, SPARED) if refit else None
+    if ready is None or not len(ready.model):
+        return parts
+    again = refitted(ready, level + COARSER, segment, original, shots(original, REFITS, SHOTS + JUDGED),
+                     lambda share: progress(first + 0.8 * last * share))
+    return search(lambda level: tried(again, level), level + COARSER, allowed, NEAR,
+                  lambda share: progress(first + last * (0.8 + 0.2 * share)))[1] or parts
 
 
-def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, loss: Loss) -> Any:
-    """What tried(level) gives at a level whose error, which rises with the level, is at most `most`, and `near` of it or more if that is
-    found soon.  Raises FastGSError where no level is good enough."""
-    low, high, best = -np.inf, np.inf, None
-    for _ in range(TRIALS):
+def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, progress: Callable[[float], None]
+           ) -> tuple[float, Any]:
+    """Search the level whose error is just below `most`; the error rises with the level.
+
+    tried(level) gives (result, error).  The search ends early at an error from near * most to most, else after TRIALS trials.
+    Returns the estimated level for the error `most`, and the best result with an error of at most `most`: None where there is none.
+    """
+    low, high, share, best = -np.inf, np.inf, 1.0, None
+    for k in range(TRIALS):
         found, error = tried(level)
+        progress(1 - HASTE ** (k + 1))
         if error <= most:
-            best, low = (found,), level
+            best, low, share = found, level, error / most
             if error >= near * most:
                 break
         else:
@@ -120,13 +156,11 @@ def search(tried: Callable[[float], tuple[Any, float]], level: float, most: floa
         level += float(np.clip(0.5 * np.log2(0.5 * (1 + near) * most / max(error, 1e-12)), -2, 2))
         if not low < level < high:
             level = 0.5 * (max(low, high - 4) + min(high, low + 4))
-    if best is None:
-        raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
-    return best[0]
+    return low - 0.5 * float(np.log2(max(share, 1 / 16))), best
 
 
 def plain(model: GaussianModel, cameras: list[Camera]) -> GaussianModel:
-    """The model without differences that no picture shows: how thin what is far thinner than a pixel is, how long what always lasts."""
+    """The model with differences removed that no picture shows: axes far thinner than a pixel, lifetimes far longer than the clip."""
     eyes = np.unique([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera in cameras], axis=0)
     distance = np.min([np.linalg.norm(model.position - eye, axis=1) for eye in eyes], axis=0)
     distance = np.maximum(distance, 0.3 * max(float(np.median(distance)), 1e-9))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much a model's pictures change with each of its numbers, measured on pictures of it.
+"""Measures the sensitivity of a model's pictures to each of its parameters: the mean squared change of the pictures.
 
-A picture C is backpropagated against random signs r: the square of a parameter's gradient is then, on average, the sum over the pixels of
-(dC/dp)^2 (Hutchinson 1990), the diagonal of the Gauss-Newton matrix.  A small error e of p changes the mean squared error of the pictures
-by about that times e^2.  Since blending is linear in each splat's opacity, it is exact for leaving a Gaussian out.
+The gradient of sum(r C) of a picture C with random signs r is computed by the backward pass.  The expected square of a parameter's gradient
+is the sum over the pixels of (dC/dp)^2 (Hutchinson 1990), the diagonal of the Gauss-Newton matrix.  A small error e of p adds about that
+times e^2 to the squared error of the pictures.  Blending is linear in each splat's opacity, so this is exact for leaving a Gaussian out.
 """
 from __future__ import annotations
 
@@ -26,54 +26,55 @@ from ..util.errors import FastGSError
 WIDTH = 400
 """Pixels of the pictures' longer side."""
 GOLDEN = 0.6180339887498949
-"""Multiples of it, modulo 1, are spread evenly."""
+"""Its multiples, modulo 1, are spread evenly over 0..1."""
 PLASTIC = 0.7548776662466927
-"""It and its square spread points evenly in a square (Roberts 2018)."""
+"""Multiples of it and of its square, modulo 1, spread points evenly in a square (Roberts 2018)."""
 SIDEWAYS = 0.15
-"""How far shots are taken from where cameras stand, by the distance of what they look at."""
+"""Largest distance of a shot from the camera's own position, divided by the distance of the scene."""
 WIDE = 0.54
-"""Focal length by the width of every second guessed camera: a wide one sees what stands at the border."""
+"""Focal length divided by the width, for every second guessed camera: a wide lens shows Gaussians at the border."""
 FORWARD = 0.6
-"""Length of the mean direction to the Gaussians from which on they are taken to stand before the cameras."""
+"""If the mean of the unit directions to the Gaussians is longer than this, all are assumed to lie in front of the cameras."""
 RIG = ((0.0, 0.0, 0.0), (-0.12, 0.05, 0.0), (0.12, -0.05, 0.0), (0.05, 0.04, 0.02), (-0.06, -0.05, 0.0), (-0.3, 0.0, 0.05),
        (0.1, 0.03, 0.0), (0.3, -0.03, 0.05), (0.0, 0.0, 0.2), (0.0, 0.05, -0.1))
-"""Where cameras that look forward are guessed to stand: right, down and forward of the origin, by the distance of what they look at."""
+"""Guessed positions of cameras that look forward: right, down and forward of the origin, divided by the distance of the scene."""
 DOWN = dict(zip(AXES, ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)), strict=True))
 BACKGROUND = 0.5
-"""Grey that the pictures lie on, so that dark Gaussians before nothing count."""
+"""The grey background of the pictures, so that dark Gaussians over an empty background count."""
 OPAQUE = 4.5
-"""Logit of the largest opacity at which sensitivities are measured: beyond it alpha is cut and nothing could be measured."""
+"""Logit of the largest opacity at which sensitivities are measured: beyond it alpha is clamped, and gradients are 0."""
 UNSEEN = 0.03
-"""How much of what its size, opacity and lifetime promise a Gaussian counts for beside what pictures show of it."""
+"""Weight of a Gaussian's promise (Sensitivity.promise) beside its measured error."""
 Shot = tuple[Camera, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Change of the mean squared error of pictures (colours 0..1) by a squared error of each number: averages over shots, float64.
+    """The mean squared error of pictures (colours 0..1) for each unit of squared error of a parameter: averages over shots, float64.
 
     rows [N, D] by name of the array: position, scale and rotation summed over their columns (D = 1), features and temporal by column,
     opacity and mu_tau as one column
-    promise [N] what a Gaussian's size before the nearest camera, its opacity and its lifetime let expect, on a scale of its own
+    promise [N] the expected contribution of a Gaussian, from its size as the nearest camera sees it, its opacity and its lifetime; no unit
     """
 
     rows: dict[str, np.ndarray]
     promise: np.ndarray
 
     def take(self, index: np.ndarray) -> Sensitivity:
-        """Of some of the Gaussians."""
+        """The sensitivity of a part of the Gaussians."""
         return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
 
 
 def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
-    """Cameras and times to judge a model by; `first` begins another series.
+    """`count` cameras and times at which a model's pictures are measured; another `first` gives other ones.
 
-    The cameras are those of its capture, else a guess (guessed_cameras()); each is moved sideways at random, since what cannot be seen from
-    one place may be seen from its neighbours.
+    The cameras are those of its capture, else guessed_cameras().  Each is moved sideways by a different amount, because Gaussians that are
+    hidden from one place may be visible from a place beside it.
     """
     known = [(smaller(camera_of(view)), view.distance) for view in model.surroundings.cameras]
     eyes = known or [(camera, 0.0) for camera in guessed_cameras(model)]
-    middle, found = np.median(without_backdrop(model).position if len(model) else np.zeros((1, 3)), axis=0), []
+    part = _seen(model)
+    middle, found = np.median(part.position if len(part) else np.zeros((1, 3)), axis=0), []
     for k in range(first, first + count):
         camera, distance = eyes[int(len(eyes) * ((k * GOLDEN * GOLDEN + 0.37) % 1))]
         pose = np.linalg.inv(camera.world_to_camera)
@@ -86,6 +87,12 @@ def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
     return found
 
 
+def _seen(model: GaussianModel) -> GaussianModel:
+    """The model without its backdrop, unless it has nothing else."""
+    part = without_backdrop(model)
+    return part if len(part) else model
+
+
 def smaller(camera: Camera) -> Camera:
     """The camera with pictures of at most WIDTH pixels."""
     factor = min(1.0, WIDTH / max(camera.width, camera.height))
@@ -95,13 +102,13 @@ def smaller(camera: Camera) -> Camera:
 
 
 def guessed_cameras(model: GaussianModel) -> list[Camera]:
-    """Where the cameras of a capture may have stood that its file does not name.
+    """Guesses the cameras of a capture for a model whose file does not name them.
 
-    Reconstructions put their origin amid the cameras.  Where all Gaussians lie to one side of it, cameras stand around it and look there;
-    among them some farther to the sides, nearer and farther away, for viewers walk; else they stand in a ring around the subject.
+    Reconstructions usually have their origin among the cameras.  Where all Gaussians lie in one direction from the origin, the guessed
+    cameras are around the origin and look in that direction, some farther to the sides, nearer or farther away; else they are in a ring
+    around the subject.
     """
-    part = without_backdrop(model)
-    part = part if len(part) else model
+    part = _seen(model)
     position = part.position[is_subject(part.position)].astype(np.float64)
     down = np.array(DOWN[model.axes])
     away = np.linalg.norm(position, axis=1, keepdims=True)
@@ -162,7 +169,7 @@ def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[fl
 
 
 def pictures(model: GaussianModel, series: list[Shot]) -> list[np.ndarray]:
-    """What the shots show, over grey, colours within 0..1."""
+    """Renders of the shots over grey, [h, w, 3] each, clipped to 0..1."""
     found = []
     for camera, t in series:
         out = render(model, camera, t)
@@ -176,9 +183,9 @@ def mean_square(first: list[np.ndarray], second: list[np.ndarray]) -> float:
 
 
 def removal(model: GaussianModel, found: Sensitivity) -> np.ndarray:
-    """What leaving out each Gaussian alone changes the mean squared error of the pictures by, [N].
+    """The mean squared error of the pictures that leaving out each Gaussian alone adds, [N].
 
-    What no picture shows may be seen from elsewhere: it counts a little, by its promise.
+    A Gaussian that no picture shows may be seen from elsewhere: it counts a little, in proportion to its promise.
     """
     opacity = sigmoid(np.minimum(model.opacity, OPAQUE))
     harm = found.rows["opacity"][:, 0] / (1 - opacity) ** 2

@@ -22,6 +22,9 @@ RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1",
 SAMPLES = 64
 """Records that are looked at to know a file without a header."""
 
+FARTHEST = 1e7
+"""Coordinates and sizes below which records are taken for a .splat, which has no mark of its own."""
+
 
 class Splat(StaticFormat):
     """See the module."""
@@ -38,7 +41,7 @@ class Splat(StaticFormat):
         data = read_whole(path, SAMPLES * RECORD.itemsize)
         records = np.frombuffer(data[:len(data) // RECORD.itemsize * RECORD.itemsize], RECORD)
         with np.errstate(over="ignore", invalid="ignore"):
-            good = (np.abs(records["position"]) < 1e7).all(1) & (records["scale"] >= 0).all(1) & (records["scale"] < 1e7).all(1)
+            good = (np.abs(records["position"]) < FARTHEST).all(1) & (records["scale"] >= 0).all(1) & (records["scale"] < FARTHEST).all(1)
             norm = np.linalg.norm(_rotation(records), axis=1)
         good &= (np.abs(norm - 1) < 0.1) | (named & (norm > 0.1))
         return bool(good.mean() > 0.9 if named else good.all())
@@ -58,6 +61,13 @@ class Splat(StaticFormat):
         if not len(model):
             raise FastGSError("the model has no Gaussians, and a .splat file of none would be empty.")
         model, lost = super().fit(model)
+        near = (np.abs(model.position) < FARTHEST).all(1) & (model.scale < np.log(FARTHEST)).all(1)
+        if not near.any():
+            raise FastGSError(f"its Gaussians lie farther away, or are larger, than {FARTHEST:.0f} units, and nobody takes such a file for "
+                              "a .splat; make the model smaller, or choose another format.")
+        if not near.all():
+            model = model.take(np.flatnonzero(near))
+            lost.append(f"{np.count_nonzero(~near)} Gaussians that lie farther away, or are larger, than {FARTHEST:.0f} units")
         colour = 0.5 + SH_C0 * model.features.astype(np.float64)
         if len(model) and (colour.min() < 0 or colour.max() > 1):
             lost.append("colours below 0 or above 1 are cut")

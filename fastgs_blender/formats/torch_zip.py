@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
-from ..util.zip_files import opened_zip
+from ..util.zip_files import opened_zip, read_member
 
 MAX_PICKLE = 4 << 20
 """Bytes; a table of a thousand tensors has 200 KB."""
@@ -96,7 +96,7 @@ class TorchFile:
             raise FastGSError("its parts are compressed or encrypted, which PyTorch never does.")
         if info.file_size > min(limit, self.length):
             raise FastGSError(f"its part {name!r} is too large; the file is damaged.")
-        return archive.read(info)
+        return read_member(archive, info)
 
     def storage(self, storage: _Storage) -> np.ndarray:
         """The numbers of one storage, flat."""

@@ -2,10 +2,13 @@
 """explain() says why a file cannot be read, and what to do about it: most foreign files are recognisable."""
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import ply
+from ..util.reading import reading
+from ..util.zip_files import opened_zip
+from . import ply, zipped
 
 PICTURE = "it is a picture, not a model; models are trained from several (fastgs train)"
 VIDEO = "it is a video, not a model; models are trained from several (fastgs train)"
@@ -42,6 +45,13 @@ def explain(head: bytes, path: Path, known: Sequence[str]) -> str:
     broken PLY header."""
     if head.startswith(b"ply"):
         return _explain_ply(ply.read_header(path))
+    if head.startswith(zipped.MAGIC):
+        with reading(path, "copy it again"):
+            try:
+                with opened_zip(path):
+                    pass
+            except zipfile.BadZipFile as error:
+                return f"it is a broken zip archive ({error}); copy it again"
     for magic, text in MAGIC.items():
         if head.startswith(magic):
             return text

@@ -211,9 +211,7 @@ def _gaussians(prim, when) -> GaussianModel:
                 raise FastGSError(f"its prim {prim.GetPath()} has no {name}; export it again.")
             return np.broadcast_to(np.float32(default), (len(position), width))
         array = np.array(value, np.float32)
-        if not array.size:
-            array = array.reshape(0, width)
-        if array.ndim != (2 if width > 1 else 1) or (width > 1 and array.shape[1] != width):
+        if array.size and (array.ndim != (2 if width > 1 else 1) or (width > 1 and array.shape[1] != width)):
             raise FastGSError(f"the {name} of its prim {prim.GetPath()} are of another type than they should be; export it again.")
         return array.reshape(-1, width)
 

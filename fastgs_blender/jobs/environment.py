@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The training Python: which one it is, what it lacks, and how to make one.  No bpy here."""
+"""Finds the Python that trains, lists the packages that it lacks, and installs a new environment.  No bpy here."""
 from __future__ import annotations
 
 import contextlib
@@ -13,9 +13,9 @@ from pathlib import Path
 from ..util.errors import FastGSError
 
 NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm": "tqdm", "numpy": "numpy"}
-USEFUL = {"av": "av", "pycolmap": "pycolmap", "OpenEXR": "OpenEXR"}
-"""Modules and the packages that have them: without those training does not run; without these it has no films, no poses or
-points from pictures, no EXR."""
+"""Modules without which training does not run, and the packages that have them."""
+USEFUL = {"av": "films", "pycolmap": "cameras without poses and starting points from pictures", "OpenEXR": "EXR pictures"}
+"""Modules, called as their packages are, and what they are for."""
 SIZE = "about half a gigabyte"
 TIMEOUT = 300
 
@@ -54,9 +54,13 @@ class Report:
                            and "No module named" not in self.missing[name]), "")
             return (f"{head} lacks {', '.join(lacks)}{broken}; install that there, choose another Python, or let one be made in the "
                     "preferences.")
-        lesser = [package for name, package in USEFUL.items() if name in self.missing]
-        text = f"{head} can train"
-        return f"{text}; films, poses or EXR pictures need {', '.join(lesser)} as well." if lesser else f"{text}."
+        return f"{head} can train{f'; {lesser}' if (lesser := wishes(self.missing)) else ''}."
+
+
+def wishes(missing) -> str:
+    """What the modules of USEFUL that are missing are for, as a clause; "" where none is."""
+    needs = [f"{purpose} need {name}" for name, purpose in USEFUL.items() if name in missing]
+    return f"{', '.join(needs)}, which it lacks" if needs else ""
 
 
 def inspect(python: str) -> Report:
@@ -64,7 +68,7 @@ def inspect(python: str) -> Report:
     command = [python, "-c", _ASK, *NEEDED, *USEFUL]
     try:
         done = subprocess.run(command, env=environment(python), stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT, check=False,
-                              **_hidden())
+                              **hidden())
         values = json.loads(done.stdout.decode(errors="replace").strip().splitlines()[-1])
         return Report(python, values["version"], values["found"], values["missing"])
     except subprocess.TimeoutExpired as error:
@@ -109,7 +113,7 @@ class Maker:
         self.folder, self.log = Path(folder), Path(log)
         source = ["--index-url", index] if index else []
         python = self.folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-        packages = [*NEEDED.values(), *USEFUL.values()]
+        packages = [*NEEDED.values(), *USEFUL]
         self._steps = [[sys.executable, "-m", "venv", "--clear", str(self.folder)],
                        [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *source, *packages]]
         self._process: subprocess.Popen | None = None
@@ -132,7 +136,7 @@ class Maker:
             out.flush()
             try:
                 self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT,
-                                                 env={k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}, **_hidden())
+                                                 env={k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}, **hidden())
             except OSError as error:
                 out.write(f"{error}\n".encode())
                 self.failed = True
@@ -162,5 +166,6 @@ class Maker:
             self._process.wait()
 
 
-def _hidden() -> dict:
+def hidden() -> dict:
+    """Arguments for Popen with which a process opens no window of its own."""
     return {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a run goes: what its folder holds already, and what becomes of that.  No bpy here."""
+"""Chooses the folder of a training run, and decides what happens to a run that the folder already holds.  No bpy here."""
 from __future__ import annotations
 
 import contextlib

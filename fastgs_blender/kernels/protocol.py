@@ -3,7 +3,7 @@
 
 Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
 them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a training
-step but a few numbers at its end, with one read().
+step but a few numbers at its end, with one read(), and the pictures of steps that look at how cameras differ (training/core/evening.py).
 
 Rendering and viewports use PictureBackend, which the oracle (rendering/oracle.py) implements too; training uses TrainingBackend.
 Same inputs, same bytes: on one device, for any number of threads, without atomic sums of floats.
@@ -12,7 +12,7 @@ N Gaussians, C channels, h x w pixels of a camera's window, K coefficients of th
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -72,11 +72,15 @@ class PictureBackend(Protocol):
         """Premultiplied colour [h, w, 3] of what draw() gave: the sum over the layout's groups, features through their decoders."""
 
     def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
-               progress: Callable[[float], None], holdout: np.ndarray | None = None) -> tuple[Array | None, Array, Array | None]:
-        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours), alpha [h, w], and the light that the
-        holdout stops [h, w] (None without one).
+               progress: Callable[[float], None], holdout: np.ndarray | None = None,
+               objects: Sequence[tuple[str, int]] = (),
+               by_pixel: bool = False) -> tuple[Array | None, Array, Array | None, Array | None]:
+        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours), alpha [h, w], the light that the
+        holdout stops [h, w] (None without one), and what part of each pixel each of the objects covers [h, w, K] (None without any).
 
-        holdout  triangles at the picture's own time; while the shutter is open they are those of the exposure's moments
+        holdout   triangles at the picture's own time; while the shutter is open they are those of the exposure's moments
+        objects   K of them, by Instance.identity
+        by_pixel  see layout.Layout
         """
 
     def surface(self, triangles: np.ndarray, camera: Camera) -> Array:
@@ -92,12 +96,14 @@ class Splatted:
     """A picture of a model in training, and what its backward pass needs, in `state`.
 
     rgb [h, w, 3] premultiplied, alpha [h, w]; depth [h, w] sum of the splats' depths times their weights, or None
+    features [h, w, 9], what the decoder made rgb of, or None
     """
 
     rgb: Array
     alpha: Array
     depth: Array | None
     state: Any
+    features: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +141,7 @@ class TrainingBackend(PictureBackend, Protocol):
         """An array of zeros."""
 
     def read(self, *arrays: Array) -> list[np.ndarray]:
-        """The values of several small arrays at once: the one time that a step waits for the device."""
+        """The values of several small arrays at once."""
 
     # one view, forward and backward
 
@@ -171,6 +177,13 @@ class TrainingBackend(PictureBackend, Protocol):
         """
 
     # one step
+
+    def begin_step(self) -> None:
+        """From here to end_step() the backend may guess how large the things are that splat() makes, so that it need not wait for them."""
+
+    def end_step(self, *arrays: Array) -> list[np.ndarray] | None:
+        """read(), the one time that a step waits for the device.  None where a guess was wrong: backward() has then left the statistics,
+        and adam() everything, as they were, and the step has to be taken again.  All splat() of a step come before its first backward()."""
 
     def rows(self, seen: Array) -> Rows:
         """The Gaussians whose value in seen [N] is not 0."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finds how a deformation of points turns and stretches what lies at each of them, from where its neighbours go."""
+"""Estimates the rotation and stretch of a deformation at each point, by least squares over the displacements of its neighbours."""
 from __future__ import annotations
 
 import itertools

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Edits: Gaussians of a model at one time, moved, faded, resized, recoloured or deformed by something outside of it.
+"""Edits: changes of position, opacity, size, colour and shape for each Gaussian of a model at one time, for example by Geometry Nodes.
 
-What is edited is a state, the Gaussians at a time; what comes back is a state too.  The edited model holds it as a static one, Gaussian
-by Gaussian in the same rows, so that everything that renders models renders edited ones.
+An edit applies to the slice of a model at one time.  The edited model is a static one with its Gaussians in the same rows, so that
+everything that renders models renders edited ones.
 """
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tells a model's subject from what only surrounds it: the backdrop, and strays far outside."""
+"""Separates a model's subject from its surroundings: the backdrop, and stray Gaussians far outside."""
 from __future__ import annotations
 
 import numpy as np

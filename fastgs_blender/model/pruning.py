@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Leaves out the Gaussians of a model that show least."""
+"""Prunes a model: leaves out the Gaussians that contribute least to pictures."""
 from __future__ import annotations
 
 import numpy as np

@@ -28,6 +28,12 @@ class Backdrop:
 
     centre  (x, y, z)
     radius  positive
+
+    Example:
+        import dataclasses
+
+        backdrop = fg.Backdrop(centre=(0, 0, 1), radius=25)
+        model = dataclasses.replace(model, surroundings=fg.Surroundings(backdrop))
     """
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -52,6 +58,9 @@ class Viewpoint:
     rotation        camera to world, a quaternion w x y z
     distance        how far away that is which is looked at, along z; 0: not known
     name            of the camera in its capture
+
+    Example:
+        view = fg.Viewpoint(width=640, height=360, fx=500, fy=500, cx=320, cy=180, position=(0, 0, -4), distance=4)
     """
 
     width: int = 1
@@ -87,8 +96,14 @@ class Surroundings:
     """What is known besides the Gaussians; nothing of it changes them.
 
     backdrop  None: no Gaussian is known to belong to one
-    cameras   where cameras of the capture stood, at most MOST_CAMERAS
+    cameras   where cameras of the capture stood, at most 64 (MOST_CAMERAS)
     view      where the file's author wants it to be looked at first, or None
+
+    Example:
+        import dataclasses
+
+        view = fg.Viewpoint(width=640, height=360, fx=500, fy=500, cx=320, cy=180, position=(0, 0, -4), distance=4)
+        model = dataclasses.replace(model, surroundings=fg.Surroundings(model.surroundings.backdrop, model.surroundings.cameras, view))
     """
 
     backdrop: Backdrop | None = None

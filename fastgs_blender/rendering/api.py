@@ -59,8 +59,10 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     backend   "cpu" (numba), "reference" (NumPy, slow), "auto" (of these two the first that is there), "gpu" (the best GPU; "gpu:PART": the
               one whose name holds PART), which lets the CPU draw what it fails at
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
-    settings  PassSettings: the mist's distances, the frames before and after for vectors, and the light that casts shadows
-    exposure  Exposure: motion blur and depth of field, of rgb, alpha and holdout.  The other passes show time t through the lens' middle
+    settings  PassSettings: the mist's distances, the frames before and after for vectors, the light that casts shadows, and how splats
+              are sorted
+    exposure  Exposure: motion blur and depth of field, of rgb, alpha, holdout and Cryptomatte.  The other passes show the middle of the
+              exposure's time through the middle of the lens
     holdout   opaque triangles [F, 3, 3] in the world, which hide the splats behind them (rendering/holdout.py)
 
     Returns float32 arrays, the top row first, of the camera's window.  Same inputs, same bytes, for any number of threads.
@@ -89,11 +91,11 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
     if drawn and sharp:
-        blended = _blended(kernels, instances, camera, needs, progress, settings, holdout)
-    if drawn and len(sharp) < len(entries):
-        rgb, alpha, held = kernels.expose(exposure, instances, camera, "rgb" in passes, progress, holdout=holdout)
-        blurred = Blended(camera, None if rgb is None else kernels.numpy(rgb), kernels.numpy(alpha), {}, {}, [], None,
-                          None if held is None else kernels.numpy(held))
+        middle = (instances, camera, holdout) if exposure is None else exposure.middle(instances, camera, holdout)
+        blended = _blended(kernels, *middle[:2], needs, progress, settings, middle[2])
+    if drawn and exposure is not None and len(sharp) < len(entries):
+        needs = {part for entry in entries if entry not in sharp for part in entry.needs}
+        blurred = _exposed(kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel)
     out = {}
     for entry in entries:
         source = blended if entry in sharp else blurred
@@ -110,24 +112,41 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
 def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
              settings: PassSettings, holdout: np.ndarray | None) -> Blended:
     """The instances drawn by a backend: what the passes that were asked for are computed from."""
-    objects = list(dict.fromkeys(instance.identity for instance in instances)) if "shares" in needs else []
+    objects = _objects(instances, needs)
     quantities = settings.quantities(needs, instances)
     if objects:
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))
     planes = holdout is not None
-    layout = Layout(instances, False, quantities, plane=planes or "plane" in needs)
+    layout = Layout(instances, False, quantities, planes or "plane" in needs, settings.by_pixel)
     buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws), holdout=holdout)
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
     sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))
     parts = [sums.pop("shares")] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)] if "shares" in needs else []
     for i in range(1, draws):
-        more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])}, planes)
+        more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])}, planes, settings.by_pixel)
         drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
     shadow = settings.shadow.picture(backend, instances, camera, progress) if settings.shadow and "shadow" in needs else None
     return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None,
                    None if buffers.held is None else backend.numpy(buffers.held), shadow)
+
+
+def _exposed(backend: Any, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
+             holdout: np.ndarray | None, by_pixel: bool) -> Blended:
+    """The average over an exposure, drawn by a backend."""
+    objects = _objects(instances, needs)
+    draws = max(1, -(-len(objects) // AT_ONCE))
+    found = [backend.expose(exposure, instances, camera, "rgb" in needs and i == 0, lambda f, i=i: progress((i + f) / draws),
+                            holdout=holdout, objects=objects[i * AT_ONCE:(i + 1) * AT_ONCE], by_pixel=by_pixel) for i in range(draws)]
+    rgb, held = (None if array is None else backend.numpy(array) for array in found[0][::2])
+    parts = [backend.numpy(each[3]) for each in found] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)]
+    return Blended(camera, rgb, backend.numpy(found[0][1]), {}, {}, objects, np.concatenate(parts, -1), held)
+
+
+def _objects(instances: list[ViewedInstance], needs: set[str]) -> list[tuple[str, int]]:
+    """The objects whose shares of the pixels are needed."""
+    return list(dict.fromkeys(instance.identity for instance in instances)) if "shares" in needs else []
 
 
 def _instances(model: Source | list, camera: Camera, t: ArrayLike) -> list[ViewedInstance]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exposures: pictures that are averages, over the time in which a shutter is open and over the points of a lens.
 
-An exposure is a set of samples.  Each is a picture of its own, at one time and through one point of the lens, as render() makes it;
-their light is added up.  With more samples the average goes to that of all times and all points.
+An exposure is a set of samples.  Each sample is a picture that render() makes, at one time and through one point of the lens; the result is
+their average in linear light.  With more samples it converges to the average over all times and all points.
 """
 from __future__ import annotations
 
@@ -165,6 +165,14 @@ class Exposure:
             camera = self.aperture.through(camera, point)
         return [instance.viewed(camera) for instance in moved], camera
 
+    def middle(self, instances: list[ViewedInstance], camera: Camera,
+               given: np.ndarray | None) -> tuple[list[ViewedInstance], Camera, np.ndarray | None]:
+        """What passes that are no averages show: the instances, the camera and the holdout's triangles in the middle of the time, through
+        the middle of the lens."""
+        if not self.moves:
+            return instances, camera, given
+        return *replace(self, aperture=None).scene(instances, camera, 0.5, (0.0, 0.0)), self.holdout(given, 0.5)
+
     def holdout(self, given: np.ndarray | None, time: float) -> np.ndarray | None:
         """The triangles of a holdout in one sample; given: those at the picture's own time, which stand still where no moment has any."""
         if all(moment.holdout is None for moment in self.moments):
@@ -202,6 +210,8 @@ def replace_time(instance: Instance, t: float, placement=None) -> Instance:
 def _mixed_camera(before: Moment, after: Moment, share: float) -> Camera:
     """The camera between those of two moments that are near each other."""
     a, b = before.camera, after.camera
+    if share == 0:
+        return a
 
     def mixed(name):
         return getattr(a, name) + share * (getattr(b, name) - getattr(a, name))
@@ -217,15 +227,18 @@ class Film:
     """Adds up the light of samples.  Light adds up as light: sRGB colours are decoded first and encoded in the end.
 
     spaces   the colour spaces of the models; of a mixture colours are added as they are
+    objects  how many objects' shares of the pixels are added up
     """
 
-    def __init__(self, height: int, width: int, spaces: set[str]):
-        self.rgb = np.zeros((height, width, 3), np.float32)
+    def __init__(self, height: int, width: int, spaces: set[str], objects: int = 0):
+        self.rgb, self.shares = np.zeros((height, width, 3), np.float32), np.zeros((height, width, objects), np.float32)
         self.alpha, self.held = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
         self.encoded = spaces == {"srgb"}
 
-    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float, held: np.ndarray | None = None):
+    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float, held: np.ndarray | None = None, shares=None):
         """Add a sample's picture."""
+        if shares is not None:
+            self.shares += (weight * shares).astype(np.float32)
         self.alpha += (weight * alpha).astype(np.float32)
         if held is not None:
             self.held += (weight * held).astype(np.float32)

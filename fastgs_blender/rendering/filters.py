@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Filters: which Gaussians of a model are hidden for what they are, at all times alike."""
+"""Filters hide Gaussians of a model by their properties (size, opacity, speed, colour ...), the same ones at all times."""
 from __future__ import annotations
 
 import itertools

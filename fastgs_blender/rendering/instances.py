@@ -15,6 +15,7 @@ from ..model.surroundings import WITHIN
 from ..util.arguments import numbers, real
 from ..util.errors import FastGSError
 from .crops import Crop
+from .distance import MARGIN, camera_ball
 from .filters import Filter, hidden
 from .looks import look_numbers
 
@@ -45,6 +46,8 @@ class ObjectSettings:
               a factor on each Gaussian's size, and limits of its largest standard deviation, in the model's units; max_size 0: none
     density   share of the Gaussians that are shown, the most important ones
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
+    antialias whether splats become fainter where they are seen from farther than the capture's cameras saw them (distance.py)
+    bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
     """
 
     crops: tuple[Crop, ...] = ()
@@ -63,6 +66,8 @@ class ObjectSettings:
     filters: tuple[Filter, ...] = ()
     mask: str = ""
     density: float = 1.0
+    antialias: bool = True
+    bends: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crops", tuple(self.crops))
@@ -87,7 +92,12 @@ class ObjectSettings:
         looks["max_size"] = min((size for size in (self.max_size, above.max_size) if size), default=0.0)
         looks = {name: min(max(value, RANGES[name][0]), RANGES[name][1]) for name, value in looks.items()}
         r, g, b = (min(a * b, RANGES["tint"][1]) for a, b in zip(self.tint, above.tint, strict=True))
-        return replace(self, **looks, tint=(r, g, b), density=self.density * above.density)
+        return replace(self, **looks, tint=(r, g, b), density=self.density * above.density,
+                       antialias=self.antialias and above.antialias)
+
+
+AS_TRAINED = ObjectSettings(antialias=False, bends=False)
+"""The settings with which a model is trained: the same picture from any distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +184,25 @@ class ViewedInstance(Instance):
     @cached_property
     def near(self) -> float:
         """Depth from which on Gaussians are drawn: the larger of the camera's limit and the model's own, which grows with the object."""
-        scale = np.cbrt(abs(np.linalg.det(self.placement[:3, :3])))
-        return max(self.camera.near, self.model.raster.near * scale)
+        return max(self.camera.near, self.model.raster.near * self.scale)
+
+    @property
+    def scale(self) -> float:
+        """Factor by which the placement makes the model larger."""
+        return float(np.cbrt(abs(np.linalg.det(self.placement[:3, :3]))))
+
+    @cached_property
+    def beyond(self) -> tuple[float, float, float, float, float]:
+        """The ball that holds the capture's cameras (centre, radius) in the model's space, and the growth of pixels: at a position p and a
+        depth z a pixel is growth z / (|p - centre| + radius) times as large as any of the capture's was; orthographic: without z.
+
+        A growth of 0: nothing changes with the distance.
+        """
+        cameras, size = self.model.surroundings.cameras, self.scale
+        if not self.settings.antialias or self.model.raster.antialiased or not cameras or not size > 0:
+            return 0.0, 0.0, 0.0, 0.0, 0.0
+        x, y, z, radius, focal = camera_ball(cameras)
+        return x, y, z, radius, focal / (float(np.sqrt(self.camera.fx * self.camera.fy)) * size * MARGIN)
 
     @cached_property
     def ball(self) -> tuple[float, float, float, float]:

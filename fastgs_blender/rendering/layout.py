@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The channels that are blended when several instances are drawn as one list of splats, and the buffers that come of it.
+"""The layout of the blended channels where several instances are drawn as one list of splats, and the buffers that are made from them.
 
 A picture holds two kinds of numbers for each pixel: sums over the splats of a value times the splat's weight (colour, and the
 quantities of quantities.py), and probes, which look at the splats one by one while they are blended.
@@ -45,12 +45,15 @@ class Layout:
     depth       channel of the depth of the splats' centres, or None
     plane       the first of three channels a, b, c with which a splat's depth at a pixel is a + b x + c y, x and y counted from the
                 middle of the image; or None
+    by_pixel    whether the splats of a pixel are sorted by that depth, and not all by that of their centres; planes are
+                blurred then, see oracle.plane()
     quantities  by name, what else is summed (quantities.py)
     places      by name, which channels hold the sum of a quantity: slices
     channels    number of channels
     """
 
-    def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False):
+    def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False,
+                 by_pixel: bool = False):
         decoded = [i for i in instances if isinstance(i.model.appearance, Features)]
         plain = len(decoded) < len(instances) or not instances
         alone = len(decoded) == 1 and not plain
@@ -62,8 +65,9 @@ class Layout:
         self.depth = offset if depth else None
         self.places = {"depth": slice(offset, offset + 1)} if depth else {}
         offset += int(depth)
-        self.plane = offset if plane else None
-        if plane:
+        self.by_pixel = by_pixel
+        self.plane = offset if plane or by_pixel else None
+        if self.plane is not None:
             self.places["plane"] = slice(offset, offset + 3)
             offset += 3
         self.quantities = quantities or {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looks images up between their pixels."""
+"""Samples images between their pixels by interpolation."""
 from __future__ import annotations
 
 import numpy as np

@@ -17,15 +17,19 @@ from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import crop_share
 from .culling import order_in_numpy
+from .distance import share
 from .exposure import Exposure, Film
 from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
 from .layout import DEPTH_FROM, PROBES, Buffers, Layout
 from .looks import Look, graded, size_factor
-from .quantities import Shown
+from .quantities import Shown, shares
 
 T_STOP = 1e-4
 """A pixel is finished when the next splat would leave this transmittance or less; that splat is not blended (INRIA, gsplat)."""
+
+REACH = 4.0
+"""Standard deviations: a Gaussian whose centre lies beside the picture, and so near to the camera's plane, is linearised elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +66,25 @@ def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     return graded(np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3))), instance.look)
 
 
+def nearness(view: np.ndarray, factor: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """1 / the depth at which each Gaussian's projection is linearised [M].
+
+    It is the centre's depth z.  But what lies beside the picture and reaches to the camera's plane would be drawn as if all of it were as
+    near as its centre: over the whole picture, as an explosion.  It is linearised at the depth where it is densest on the ray at the border
+    of the Jacobian's range, or at z / 2 if that is nearer.  Between REACH and REACH - 1 standard deviations of depth before the plane one
+    goes over into the other; Gaussians within the range keep their z.
+
+    view [M, 3] centres in the camera's axes, factor [M, 3, 3] the square root of the covariance there, along [M, 2] x/z and y/z, clamped
+    """
+    z, ray = view[:, 2], np.concatenate([along, np.ones((len(view), 1))], 1)
+    sides = np.cross(factor[:, :, [1, 2, 0]], factor[:, :, [2, 0, 1]], axis=1)  # rows of the inverse, times the determinant
+    across, centre = np.einsum("mik,mi->mk", sides, ray), np.einsum("mik,mi->mk", sides, view)
+    square = (across**2).sum(1)
+    densest = np.maximum(np.divide((across * centre).sum(1), square, out=z.copy(), where=square > 0), z / 2)
+    share = np.clip(REACH - z / np.linalg.norm(factor[:, 2], axis=1), 0, 1)
+    return np.where((along == view[:, :2] / z[:, None]).all(1), 1 / z, (1 - share) / z + share / densest)
+
+
 def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     """One instance at its time, projected (EWA splatting as 3DGS does it; rasterisers.md 3.1)."""
     model, raster = instance.model, instance.model.raster
@@ -89,11 +112,12 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         mean = view[:, :2] * (camera.fx, camera.fy) + centre
     else:
         x_low, x_high, y_low, y_high = camera.tangent_limits()
-        x, y = view[:, 0] / z, view[:, 1] / z
-        mean = np.stack([x, y], 1) * (camera.fx, camera.fy) + centre
-        jacobian[:, 0, 2] = -camera.fx * np.clip(x, x_low, x_high)
-        jacobian[:, 1, 2] = -camera.fy * np.clip(y, y_low, y_high)
-        jacobian /= z[:, None, None]
+        along = np.clip(view[:, :2] / z[:, None], (x_low, y_low), (x_high, y_high))
+        near = nearness(view, factor, along) if instance.settings.bends else 1 / z
+        beside = along + (view[:, :2] - along * z[:, None]) * near[:, None]
+        mean = np.where(near[:, None] == 1 / z[:, None], view[:, :2] / z[:, None], beside) * (camera.fx, camera.fy) + centre
+        jacobian[:, :, 2] = -along * (camera.fx, camera.fy)
+        jacobian *= near[:, None, None]
     # Sigma_2D = (J W R S)(J W R S)^T; its determinant as a sum of squares (Cauchy-Binet), which needles do not cancel
     turned, factor = factor, jacobian @ factor
     covariance = factor @ factor.transpose(0, 2, 1)
@@ -105,6 +129,9 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     if raster.antialiased:
         opacity = opacity * np.sqrt(np.divide(sharp, determinant, out=np.zeros_like(sharp), where=determinant > 0))
 
+    x, y, z_, radius, growth = instance.beyond
+    pixel = growth * (1 if camera.orthographic else z) / np.maximum(np.linalg.norm(s.position - (x, y, z_), axis=1) + radius, 1e-30)
+
     channels = np.zeros((len(z), layout.channels))
     colour = colours(s, instance, camera)
     group = layout.group_of(instance)
@@ -115,13 +142,15 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         channels[:, layout.depth] = z
     if layout.plane is not None:
         box = np.sqrt(2 * np.log(opacity / raster.alpha_cut)[:, None] * np.diagonal(covariance, axis1=1, axis2=2))
-        channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, sharp, box, mean, z, camera)
+        blurred = (raster.blur, determinant) if layout.by_pixel else (0.0, sharp)
+        channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, *blurred, box, mean, z, camera)
     shown = Shown(instance, s.index)
     for name, quantity in layout.quantities.items():
         channels[:, layout.places[name]] = quantity.of(shown)
-    same = np.ones(len(z))
-    splats = Splats(mean, covariance, determinant, opacity, z, channels, raster.alpha_max * same, raster.alpha_cut * same)
+    same, faint = np.ones(len(z)), share(pixel, sharp, trace, raster.blur)
+    splats = Splats(mean, covariance, determinant, opacity * faint, z, channels, raster.alpha_max * same, raster.alpha_cut * faint)
     drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & (np.abs(channels) <= LIMIT).all(1)
+    drawn &= faint > 0
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
 
 
@@ -130,33 +159,37 @@ def _nothing(layout: Layout) -> Splats:
     return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)), np.zeros((0, layout.channels)), *np.zeros((2, 0)))
 
 
-def plane(deep, flat, sharp, box, mean, z, camera: Camera) -> np.ndarray:
+def plane(deep, flat, blur, determinant, box, mean, z, camera: Camera) -> np.ndarray:
     """Depth of each splat at the pixels it covers, a + b x + c y with x and y from the image's middle: [M, 3].
 
     It is the depth of the greatest density on a pixel's ray, for a flat Gaussian that of its plane (RaDe-GS, section 4): its slope is
-    cov(z, xy) cov(xy)^-1, without the blur.  It never changes by more than the depth itself within the splat's box.
+    cov(z, xy) cov(xy)^-1, without the blur.  It never changes by more than the depth itself within the splat's box.  Where pixels sort
+    their splats by it, it has the blur: that of a sheet which turns its edge to the camera then does not change from one side to the other
+    all at once.
 
     deep [M, 3], flat [M, 2, 3]: the rows of the covariance's square root along z, in space, and along x and y, in pixels
-    sharp [M] determinant of cov(xy), box [M, 2] half the size of the box in which the splat is drawn
+    blur, determinant [M]: what is added to cov(xy), and the determinant of the sum
+    box [M, 2] half the size of the box in which the splat is drawn
     """
     (xx, xy), (_, yy) = np.einsum("mik,mjk->ijm", flat, flat)
     x, y = np.einsum("mik,mk->im", flat, deep)
-    slope = np.stack([yy * x - xy * y, xx * y - xy * x], 1) / sharp[:, None]
+    slope = np.stack([(yy + blur) * x - xy * y, (xx + blur) * y - xy * x], 1) / determinant[:, None]
     change = (np.abs(slope) * box).sum(1)
     slope = np.where((change > z)[:, None], slope * (z / change)[:, None], slope)
     slope = np.where(np.isfinite(slope).all(1, keepdims=True), slope, 0)
     return np.concatenate([(z - (slope * (mean - np.array([camera.width, camera.height]) / 2)).sum(1))[:, None], slope], 1)
 
 
-def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None, planes: slice = slice(0)) -> tuple[
-        np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
+def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None, planes: slice = slice(0),
+              by_pixel: bool = False) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
     """Channels [h, w, C], alpha [h, w], the probes [h, w], and of a holdout the light that it stops and the share that it covers [h, w]:
     front-to-back compositing into the camera's window (rasterisers.md 3.2).
 
     band     alpha fades in over this width above the cut, with a continuous derivative.  A picture with a band can be differentiated
              by differences, for checks of gradients; pictures have none
     holdout  triangles, see holdout.py: each of a pixel's points loses its share of the light behind them
-    planes   with a holdout, the channels of the splats' planes
+    planes   with a holdout or by_pixel, the channels of the splats' planes
+    by_pixel each pixel's splats come in the order of these planes' depths, which take the place of the centres'
     """
     x0, y0, width, height = camera.window
     px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
@@ -165,6 +198,32 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     transmittance, live = np.ones(depths.shape), np.ones(depths.shape, bool)  # of each point of a pixel
     probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
     farthest = depths.max(-1)  # infinite unless triangles cover the whole pixel
+    for box, alpha, cut, depth, surface, values in (_by_pixel if by_pixel else _by_centre)(splats, camera, px, py, planes):
+        t = transmittance[box]
+        shows = depths[box] >= np.asarray(depth, np.float32)[..., None]
+        if holdout is not None:
+            shows = shows & (farthest[box] >= surface)[..., None]
+        hit = live[box] & (alpha >= cut)[..., None] & shows
+        if band:
+            rise = np.clip((alpha - cut) / band, 0, 1)
+            alpha = alpha * rise**2 * (3 - 2 * rise)
+        after = t * (1 - alpha[..., None])
+        blended = hit & (after > T_STOP)
+        live[box] &= ~(hit & ~blended)
+        out[box] += np.where(blended, alpha[..., None] * t, 0).mean(-1, keepdims=True) * values
+        drawn, light = blended.any(-1), (t * shows).mean(-1)
+        for name, above in DEPTH_FROM.items():
+            probes[name][box] = np.where(drawn & (light > above), depth, probes[name][box])
+        probes["count"][box] += drawn
+        transmittance[box] = np.where(blended, after, t)
+    hidden = np.isfinite(depths)
+    held = () if holdout is None else ((transmittance * hidden).mean(-1), hidden.mean(-1))
+    return out, (1 - transmittance).mean(-1), probes, held
+
+
+def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
+    """What is blended, front to back: of each splat the box of pixels that it touches, its alpha [h, w] there and the cut, its depth, the
+    depths of its plane (or its own), and its channels [C]."""
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
     for i in order:
@@ -180,29 +239,24 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
         distance = (dx - b / c * dy) ** 2 * c / splats.determinant[i] + dy**2 / c
         alpha = np.minimum(splats.alpha_max[i], splats.opacity[i] * np.exp(-0.5 * distance))
 
-        box = np.s_[top:bottom, left:right]
-        t = transmittance[box]
-        shows = depths[box] >= np.float32(splats.depth[i])
-        if holdout is not None:
+        surface = splats.depth[i]
+        if splats.channels[i, planes].size:
             z, along_x, along_y = splats.channels[i, planes]
             surface = z + along_x * (px[left:right] - camera.width / 2)[None, :] + along_y * (py[top:bottom] - camera.height / 2)[:, None]
-            shows = shows & (farthest[box] >= surface)[..., None]
-        hit = live[box] & (alpha >= splats.alpha_cut[i])[..., None] & shows
-        if band:
-            rise = np.clip((alpha - splats.alpha_cut[i]) / band, 0, 1)
-            alpha = alpha * rise**2 * (3 - 2 * rise)
-        after = t * (1 - alpha[..., None])
-        blended = hit & (after > T_STOP)
-        live[box] &= ~(hit & ~blended)
-        out[box] += np.where(blended, alpha[..., None] * t, 0).mean(-1, keepdims=True) * splats.channels[i]
-        drawn, light = blended.any(-1), (t * shows).mean(-1)
-        for name, above in DEPTH_FROM.items():
-            probes[name][box] = np.where(drawn & (light > above), splats.depth[i], probes[name][box])
-        probes["count"][box] += drawn
-        transmittance[box] = np.where(blended, after, t)
-    hidden = np.isfinite(depths)
-    held = () if holdout is None else ((transmittance * hidden).mean(-1), hidden.mean(-1))
-    return out, (1 - transmittance).mean(-1), probes, held
+        yield np.s_[top:bottom, left:right], alpha, splats.alpha_cut[i], splats.depth[i], surface, splats.channels[i]
+
+
+def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
+    """The same for the whole window at a time: of each pixel the nearest splat, then the next; depths are those of the planes."""
+    layers = list(_by_centre(splats, camera, px, py, planes))
+    alphas, depths = np.zeros((len(layers), len(py), len(px))), np.full((len(layers), len(py), len(px)), np.inf)
+    for i, (box, alpha, cut, _, surface, _) in enumerate(layers):
+        alphas[i][box] = np.where(alpha >= cut, alpha, 0)
+        depths[i][box] = np.where(alpha >= cut, surface, np.inf)
+    channels = np.array([values for *_, values in layers])
+    for which in depths.argsort(0, kind="stable"):
+        alpha, depth = (np.take_along_axis(array, which[None], 0)[0] for array in (alphas, depths))
+        yield np.s_[:, :], alpha, np.finfo(float).tiny, depth, depth, channels[which]
 
 
 def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -236,7 +290,7 @@ class Oracle:
             found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
-        channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)))
+        channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)), layout.by_pixel)
         sums = {name: channels[..., where] for name, where in layout.places.items()}
         return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 
@@ -250,18 +304,20 @@ class Oracle:
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
 
-    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress, holdout=None):
+    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress, holdout=None, objects=(), by_pixel=False):
         """The average of as many samples as the exposure allows."""
         _, _, width, height = camera.window
-        film, samples = Film(height, width, {instance.model.colour_space for instance in instances}), exposure.samples(exposure.levels)
+        film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
+        samples = exposure.samples(exposure.levels)
         for i, sample in enumerate(samples):
             moved, eye = exposure.scene(instances, camera, sample.time, sample.point)
-            layout = Layout(moved, False, plane=holdout is not None)
+            layout = Layout(moved, False, {"shares": shares(moved, objects)} if objects else None, holdout is not None, by_pixel)
             buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)),
                                 holdout=exposure.holdout(holdout, sample.time))
-            film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held)
+            film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held,
+                     buffers.sums.get("shares"))
         rgb, alpha = film.picture()
-        return (rgb if colours else None), alpha, None if holdout is None else film.held
+        return (rgb if colours else None), alpha, None if holdout is None else film.held, film.shares if objects else None
 
     def surface(self, triangles, camera):
         return sample_depths(triangles, camera).min(-1)

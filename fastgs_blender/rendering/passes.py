@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cameras.camera import Camera
-from . import cryptomatte
+from ..util.errors import FastGSError
+from . import cryptomatte, false_colour
 from .instances import Moment, ViewedInstance
 from .quantities import NORMAL, Mist, Quantity, vector
 from .shadow import Shadow
 
 FAR = np.float32(1e10)
 """Depth where there is nothing, in files and in Blender, as Blender's own engines write it: filters turn an infinity into NaN."""
+SORTINGS = ("centre", "pixel")
 LEVELS = 8
 """Levels of Cryptomatte that can be had: as many as Blender's most, 16 objects a pixel, needs."""
 
@@ -29,12 +31,26 @@ class PassSettings:
     mist           the distances of the Mist pass
     before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
     shadow         the light and the meshes of the pass of shadows, see shadow.py; None: there are no shadows
+    sorting        "centre": all splats by the depth of their centres; "pixel": in each pixel by the depth of the greatest density on its
+                   ray, so that none comes suddenly before another while the camera turns (StopThePop, Radl et al. 2024)
+
+    Raises FastGSError for another sorting.
     """
 
     mist: Mist = field(default_factory=Mist)
     before: Moment | None = None
     after: Moment | None = None
     shadow: Shadow | None = None
+    sorting: str = "centre"
+
+    def __post_init__(self) -> None:
+        if self.sorting not in SORTINGS:
+            raise FastGSError(f"how splats are sorted must be one of {', '.join(SORTINGS)}, not {self.sorting!r}.")
+
+    @property
+    def by_pixel(self) -> bool:
+        """Whether each pixel sorts its splats for itself."""
+        return self.sorting == "pixel"
 
     def quantities(self, names, instances: list[ViewedInstance]) -> dict[str, Quantity]:
         """Those quantities, of all that passes may need, whose names are given."""
@@ -95,12 +111,15 @@ class Pass:
     switch    the property of Blender's view layer that switches it on: one of Blender's own, or with the prefix "fastgs." one of
               the extension's, which is made from this table
     description   what that switch of the extension's says to users
-    exposed   whether it is an average over the exposure; the others show the picture's own time through the middle of the lens
+    exposed   whether it is an average over the exposure; the others show the middle of its time, through the middle of the lens: averages
+              of depths or directions would be those of nothing
     mixes     whether values of neighbouring pixels may be mixed
     title     what panels call it, if not as Blender names the pass
     meshes    whether it says something of the meshes of a scene: files of a model alone have none, unless they are asked for
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
               if nothing else is said
+    look      (image) -> [h, w, 3]: what viewports show of a pass that is no colour, see false_colour.py
+    shows     what these colours mean, for users
     """
 
     name: str
@@ -120,6 +139,8 @@ class Pass:
     title: str = ""
     meshes: bool = False
     level: int = 0
+    look: Callable[[np.ndarray], np.ndarray] = false_colour.grey
+    shows: str = ""
 
     @property
     def builtin(self) -> bool:
@@ -175,7 +196,8 @@ def _cryptomatte(level: int) -> Pass:
     name = f"{cryptomatte.LAYER}{level:02d}"
     return Pass(f"cryptomatte_{level:02d}", lambda b: cryptomatte.level(b.shares, [name for name, _ in b.objects], level), ("shares",), 4,
                 exr=tuple(f"{name}.{letter}" for letter in "rgba"), blender=name, letters="rgba", kind="COLOR",
-                switch="use_pass_cryptomatte_object", title="Cryptomatte Object", level=level)
+                switch="use_pass_cryptomatte_object", title="Cryptomatte Object", level=level, exposed=True,
+                look=false_colour.mattes, shows="A colour for each object, as bright as it covers the pixel")
 
 
 PASSES = {entry.name: entry for entry in (
@@ -184,29 +206,39 @@ PASSES = {entry.name: entry for entry in (
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
     Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="A",
          switch="fastgs.use_pass_alpha",
-         description="Deliver the opacity of the splats, which the world does not fill up"),
+         description="Deliver the opacity of the splats, which the world does not fill up",
+         shows="White is opaque, black is empty"),
     Pass("holdout", _held, exposed=True, mixes=True, meshes=True, exr=("Splat Holdout.A",), blender="Splat Holdout", letters="A",
          switch="fastgs.use_pass_holdout",
-         description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill"),
+         description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill",
+         shows="White where meshes stop all light, black where they stop none"),
     Pass("shadow", lambda b: np.ones_like(b.alpha) if b.shadow is None else b.shadow, ("shadow",), empty=1.0, mixes=True, meshes=True,
          exr=("Splat Shadow.X",), blender="Splat Shadow", letters="X", switch="fastgs.use_pass_shadow",
-         description="Deliver how much of a light splats let through to the meshes that the camera sees: a factor on their colour"),
-    Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z"),
+         description="Deliver how much of a light splats let through to the meshes that the camera sees: a factor on their colour",
+         shows="Black where splats keep all of the light from meshes, white where they let all of it through"),
+    Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z",
+         look=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
-         switch="use_pass_z"),
+         switch="use_pass_z", look=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("first_depth", lambda b: b.probes["first"], ("first",), empty=np.inf, exr=("FirstDepth.Z",), blender="Depth", letters="Z",
-         switch="use_pass_z"),
-    Pass("mist", _mist, ("mist",), empty=1.0, mixes=True, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist"),
+         switch="use_pass_z", look=false_colour.near_to_far, shows="Near is bright, far is dark"),
+    Pass("mist", _mist, ("mist",), empty=1.0, mixes=True, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist",
+         shows="Black near, white far"),
     Pass("position", _position, ("plane",), 3, exr=("Position.X", "Position.Y", "Position.Z"),
-         blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position"),
+         blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position", look=false_colour.places,
+         shows="Red, green and blue grow with x, y and z, over what is seen"),
     Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
-         blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal"),
+         blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", look=false_colour.directions,
+         shows="Red, green and blue are x, y and z; -1 is dark, 1 is bright"),
     Pass("vector", lambda b: b.mean("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
-         blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector"),
+         blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", look=false_colour.motion,
+         shows="The hue is the direction of motion to the next frame, the brightness its speed"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",
-         switch="use_pass_object_index"),
+         switch="use_pass_object_index", look=false_colour.numbered, shows="A colour for each Pass Index; 0 is black"),
     *(_cryptomatte(level) for level in range(LEVELS)),
     Pass("count", lambda b: b.probes["count"], ("count",), mixes=True, exr=("Gaussian Count.X",), blender="Gaussian Count", letters="X",
-         switch="fastgs.use_pass_count", description="Deliver how many Gaussians were blended into each pixel, to see what a frame costs"),
+         look=false_colour.heat, switch="fastgs.use_pass_count",
+         description="Deliver how many Gaussians were blended into each pixel, to see what a frame costs",
+         shows="Black is none, nearly white the most of the picture"),
 )}
 """The passes by name."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+from collections.abc import Callable
 
 from .errors import FastGSError
+from .threads import thread_count
 
-MODULES = {"cpu": "kernels.cpu.backend", "reference": "rendering.oracle"}
-"""The module of each backend, whose BACKEND is the backend; relative to this library."""
-GPU = "kernels.gpu.backend"
-"""The module whose named() gives the backend "gpu" ("gpu:PART": on the adapter whose name holds PART)."""
+MODULES = {"cpu": "kernels.cpu.backend", "reference": "rendering.oracle", "gpu": "kernels.gpu.backend"}
+"""The module of each backend, relative to this library: its BACKEND is the backend.  A module that offers several has named(part) instead,
+which gives the backend "NAME:PART" and, of an empty part, the one called "NAME"."""
 
 loaded: dict[str, object] = {}
 """Backends by name, as far as they have been used."""
@@ -27,7 +28,8 @@ def load_backend(name: str = "auto"):
 
     Raises FastGSError for an unknown name, ImportError where the backend's packages are not installed.
     """
-    if name in loaded:
+    kind, _, part = name.partition(":") if isinstance(name, str) else ("", "", "")
+    if isinstance(name, str) and name in loaded:
         return loaded[name]
     if name == "auto":
         try:
@@ -35,18 +37,24 @@ def load_backend(name: str = "auto"):
         except ImportError:
             logging.getLogger(__package__).warning("numba is not installed: rendering with NumPy, which is slow.")
             loaded[name] = load_backend("reference")
-    elif name in MODULES:
-        loaded[name] = _module(MODULES[name]).BACKEND
-    elif isinstance(name, str) and name.partition(":")[0] == "gpu":
-        loaded[name] = _module(GPU).named(name.partition(":")[2])
+        return loaded[name]
+    module = _module(MODULES[kind]) if kind in MODULES else None
+    if hasattr(module, "named"):
+        loaded[name] = module.named(part)
+    elif module is not None and name == kind:
+        loaded[name] = module.BACKEND
     else:
-        raise FastGSError(f"the backend {name!r} is unknown; there are auto, {', '.join(MODULES)}, gpu.")
+        raise FastGSError(f"the backend {name!r} is unknown; there are auto, {', '.join(MODULES)}.")
     return loaded[name]
 
 
-def choose_device(device: str | None = None) -> tuple[str, str]:
-    """(the name of the backend, a remark or "") of a device: auto (a GPU that has passed its self-test, else the CPU; the remark says why),
-    cpu, gpu, or a part of a GPU's name; None: $FASTGS_DEVICE, or auto.  Raises FastGSError where there is no such device."""
+def choose_device(device: str | None = None, examine: Callable[..., str | None] | None = None) -> tuple[str, str]:
+    """(the name of the backend, a remark or "") of a device: auto (a GPU that has passed its self-test, else the CPU), cpu, gpu, or a part
+    of a GPU's name; None: $FASTGS_DEVICE, or auto.  The remark says why the CPU is used.  Raises FastGSError where there is no such device.
+
+    examine  (adapter) -> what is wrong with it, "", or None where it has not been tested.  Without it: a self-test here, where that has
+             not been done (kernels/gpu/choice.py)
+    """
     device = device or os.environ.get("FASTGS_DEVICE") or "auto"
     if device == "cpu":
         return "auto", ""
@@ -54,12 +62,38 @@ def choose_device(device: str | None = None) -> tuple[str, str]:
         choice = _module("kernels.gpu.choice")
     except ImportError:  # without numba
         return "auto", ""
-    return choice.choose(device)
+    return choice.choose(device, examine)
 
 
-def describe_devices() -> dict:
-    """The GPUs of this machine, tested, as JSON values; "auto": the name of the one that `auto` means, or None and the reason."""
-    return _module("kernels.gpu.choice").describe()
+def describe_devices(part: str = "", test: bool = True, again: bool = False, tell: Callable[[str], None] = lambda text: None) -> dict:
+    """The GPUs whose name holds a text, as JSON values; "auto": the name of the one that `auto` means, or None and the "reason".
+
+    test   test those that have not been; else their verdict is None.  again: test the others once more
+    tell   is told which GPU is being tested
+    """
+    return _module("kernels.gpu.choice").describe(part, test, again, tell)
+
+
+def known_verdict(adapter) -> str | None:
+    """What is wrong with an adapter as examine() of choose_device() is given it, or ""; None where it has not been tested."""
+    return _module("kernels.gpu.choice").known(adapter)
+
+
+def describe_backend(name: str) -> str:
+    """Where a backend computes, for people."""
+    gpu = name.partition(":")[2] or name if name.startswith("gpu") else ""
+    return gpu or f"the processor, {thread_count()} threads"
+
+
+def failure_of(name: str) -> str:
+    """Why a GPU's backend has left its work to the CPU, as a part of a sentence; "" where it has not."""
+    return getattr(loaded.get(name), "failed", None) or ""
+
+
+def try_again() -> None:
+    """Let GPUs that have failed be used again."""
+    for name in [name for name in loaded if failure_of(name)]:
+        del loaded[name]
 
 
 def _module(name: str):

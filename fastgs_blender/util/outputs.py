@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files are written beside their target and renamed: whatever goes wrong, what was there before is still there.
+"""Writes files atomically: into a temporary file beside the target, then renamed, so that an error leaves the old file as it was.
 
 Several files that belong together (a PLY and its decoder) are replaced together, even if the process is killed between two renames.
 A journal beside them, written before the first rename, names every rename; whoever reads or writes the files next completes it.

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far a command is: a bar on a terminal, a plain line now and then where the output goes into a file or a log, or nothing."""
+"""Shows a command's progress: as a bar on a terminal, as a plain line now and then in a file or a log, or not at all."""
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
+
+from .screen import tell
 
 SECONDS = 20.0
 """Seconds between two plain lines."""
@@ -33,7 +35,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         """Print a line on standard error without spoiling what is shown."""
-        print(line, file=sys.stderr, flush=True)
+        tell(line, sys.stderr)
 
     def close(self) -> None:
         """Nothing more comes."""

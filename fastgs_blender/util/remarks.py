@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from .errors import printable
+from .screen import tell
 
 _quiet = False
 
@@ -18,4 +18,4 @@ def be_quiet(quiet: bool) -> None:
 def remark(text: str) -> None:
     """Print a line, unless this program is quiet."""
     if not _quiet:
-        print(printable(text), file=sys.stderr, flush=True)
+        tell(text, sys.stderr)

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names and values for people, on one screen of a terminal."""
+"""Prints names and values as a table that fits on one screen of a terminal."""
 from __future__ import annotations
 
+import contextlib
+import os
 import textwrap
 from collections.abc import Sequence
+from typing import TextIO
 
 from .errors import printable
 
@@ -33,6 +36,28 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
         left_out += len(lines[LINES - 2:])
         lines = [*lines[:LINES - 2], f"{'more':<{width}}  {left_out} lines; --all shows them"]
     return "\n".join(lines)
+
+
+def tell(text: str, stream: TextIO) -> None:
+    """Print lines on a terminal, cut between words where they are wider than it; a file or a log gets each of them whole.
+
+    $COLUMNS says how wide, else the terminal; words that are longer, such as paths, stay whole.
+    """
+    width = _width(stream)
+    lines = printable(text).split("\n")
+    if width:
+        lines = [line if len(line) <= width else
+                 textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False) for line in lines]
+    print("\n".join(lines), file=stream, flush=True)
+
+
+def _width(stream: TextIO) -> int:
+    """Columns of what a stream is shown on; 0 where nobody says."""
+    if os.environ.get("COLUMNS", "").isdecimal():
+        return int(os.environ["COLUMNS"])
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        return os.get_terminal_size(stream.fileno()).columns
+    return 0
 
 
 def _wrapped(value: str, width: int) -> list[str]:

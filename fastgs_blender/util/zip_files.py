@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Opening zip files from outside: regular files only, none whose table of contents is a bomb, and none packed in a way that takes as much
-memory as the file says."""
+"""Reads zip files from outside safely.  It refuses files that are not regular, tables of contents that are too large or claim more than the
+file holds, and packing methods whose memory the packed data decides."""
 from __future__ import annotations
 
 import os
@@ -15,8 +15,9 @@ from .reading import open_file
 TAIL = (1 << 16) + 22 + 20
 """Bytes at the end of a file in which the record lies that says how long the table of contents is."""
 END, END_64, LOCATOR = b"PK\5\6", b"PK\6\6", b"PK\6\7"
-PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
-"""LZMA's dictionary, which a damaged file can make 4 GB large, is made before a byte is unpacked."""
+PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""LZMA's dictionary, which a damaged file can make 4 GB large, is made before a byte is unpacked; of bzip2, Python unpacks at once all that
+a piece of the file gives, which can be a million times as much."""
 SMALL = 1 << 18
 SHARE = 8
 """A table of contents of more than SMALL bytes may be at most one part in so many of the file: Python makes 600 bytes of each 46."""
@@ -30,9 +31,24 @@ def opened_zip(path: str | os.PathLike) -> Iterator[zipfile.ZipFile]:
         if listed > max(SMALL, length // SHARE):
             raise FastGSError(f"{path}: its table of contents has {listed} of {length} bytes, which no model's has; unpack it yourself.")
         with zipfile.ZipFile(stream) as archive:
-            if any(member.compress_type not in PLAIN for member in archive.infolist()):
-                raise FastGSError(f"{path}: a part of it is packed by LZMA; unpack it, and pack it anew as usual.")
+            for member in archive.infolist():
+                if member.compress_type not in PLAIN:
+                    raise FastGSError(f"{path}: a part of it is packed by LZMA or bzip2; unpack it, and pack it anew as usual.")
+                if member.compress_size > length:  # Python makes a buffer of that size
+                    raise FastGSError(f"{path}: a part of it would be longer than the file; it is cut short or damaged, so copy it again.")
             yield archive
+
+
+def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """All bytes of a member, which are as many as its entry says, or zipfile.BadZipFile is raised.
+
+    ZipFile.read() unpacks as much as the packed bytes give, up to 2 GB at a time, whatever the entry says.
+    """
+    with archive.open(member) as stream:
+        data = stream.read(member.file_size)
+    if len(data) != member.file_size:
+        raise zipfile.BadZipFile(f"{member.filename!r} has {len(data)} bytes instead of {member.file_size}")
+    return data
 
 
 def _lengths(stream: BinaryIO) -> tuple[int, int]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes what was filmed into a model beside the pictures: training begins with it, because shape and motion of a scene are known."""
+"""Bakes the filmed objects into a model beside the pictures; training starts from it, because the shape and motion of a scene are known."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ def bake_filmed_steps(studio, plan, names: set[str], fps: float, out: Path):
     last = plan.frame_start + plan.frame_step * count - 1
     context = SimpleNamespace(scene=studio.scene, evaluated_depsgraph_get=lambda: studio.depsgraph)
     objects = [obj for obj in studio.scene.objects if obj.name in names]
-    steps = bake_steps(context, objects, Settings(plan.frame_start, last, COUNT), in_background=not bpy.app.background)
+    steps = bake_steps(context, objects, Settings(plan.frame_start, last, COUNT), apart=not bpy.app.background)
     try:
         while True:
             yield next(steps)[0]

@@ -148,7 +148,7 @@ def _describe(out: Path, scene, plan, views):
     try:
         out.mkdir(parents=True, exist_ok=True)
         if old.exists():
-            before = json.loads(old.read_text("utf-8"))
+            before = read_json(old)
             if before.get("made") == json.loads(json.dumps(made)) and len(before["cameras"]) == len(entries):
                 return
             raise FastGSError(f"{out} holds a capture with other settings; choose another folder, or remove that one.")
@@ -158,7 +158,7 @@ def _describe(out: Path, scene, plan, views):
         for name in views:
             for folder in (out / name, out / "masks" / name, out / "depth" / name):
                 folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise FastGSError(f"{out}: the capture cannot be written there ({getattr(error, 'strerror', None) or error}); choose another "
                           "folder.") from error
 

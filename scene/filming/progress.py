@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far the filming is that this Blender does just now, and how long its pictures take."""
+"""The progress of filming the open scene: the share of pictures that are done, and the time for each picture."""
 from __future__ import annotations
 
 import time
@@ -33,7 +33,7 @@ class Filming:
         self._began = self.clock()
 
     def step(self, done: int, whole: int, doing: str = "Filming") -> None:
-        """Take note of how far it is."""
+        """Record the number of pictures that are done."""
         self.made += doing == "Filming" and done > self.done
         self.done, self.whole, self.doing = done, whole, doing
 

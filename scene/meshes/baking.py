@@ -2,19 +2,17 @@
 """Bakes animated objects into a model of 4D Gaussians, step by step: surfaces, colours and light first, then the fit of their motion."""
 from __future__ import annotations
 
-import threading
 import warnings
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...fastgs_blender.surfaces.bake import bake, surface_colours, surface_samples
+from ..background import in_background
 from . import baked_light
 from .material_colour import MaterialColours
 from .surface import Recorder, frame_kept, go_to, whole_frames_only
-
-WAIT = 0.1
-"""Seconds between two looks at the thread that works."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +60,11 @@ RECORD, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
     ("measuring the light", 0.5, 0.6), ("fitting the motion", 0.6, 1.0)))
 
 
-def bake_steps(context, objects, settings: Settings, in_background: bool):
+def bake_steps(context, objects, settings: Settings, apart: bool):
     """A generator that bakes objects: it yields (share that is done, what is being done), and returns (model, report, notes).
 
     While it runs the scene is on other frames; its frame is restored at the end, also when the generator is closed early or an
-    error ends it.  With in_background the long pieces of work that need no Blender run in a thread.
+    error ends it.  With `apart` the long pieces of work that need no Blender run in a thread.
     Raises FastGSError where the objects cannot be baked.
     """
     scene = context.scene
@@ -82,7 +80,7 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
             recorder.record(frame)
             yield RECORD.at((number + 1) / len(times))
         positions, triangles = np.stack(recorder.positions), recorder.triangles()
-        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), in_background, SPREAD)
+        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), apart, SPREAD)
         yield COLOUR.at(0.0)
         materials = MaterialColours(recorder.pieces)
         painted = surface_colours(materials, positions, triangles, samples)
@@ -103,47 +101,23 @@ def bake_steps(context, objects, settings: Settings, in_background: bool):
                 tail_tolerance=settings.tail_tolerance, max_order=settings.max_order,
                 basis=settings.basis, part=part, patch=patch, samples=samples, provenance=provenance, progress=progress)
 
-    model, report = yield from _run(fit, in_background, FIT)
+    model, report = yield from _run(fit, apart, FIT)
     return model, replace(report, worst_place=recorder.place(report.worst_triangle)), materials.notes
 
 
 def _during(stage, steps):
     """Yields the shares 0..1 of a stage as those of the whole; returns its result."""
-    while True:
-        try:
-            yield stage.at(next(steps))
-        except StopIteration as stop:
-            return stop.value
+    with closing(steps):
+        while True:
+            try:
+                yield stage.at(next(steps))
+            except StopIteration as stop:
+                return stop.value
 
 
-def _run(work, in_background, stage):
-    """Yields progress while work(progress) runs, and returns its result; closing the generator cancels the work."""
+def _run(work, apart, stage):
+    """Yields progress while work(progress) runs, apart from Blender where that is wanted, and returns its result."""
     yield stage.at(0.0)
-    if not in_background:
+    if not apart:
         return work(None)
-    state = {"done": 0.0}
-    cancelled = threading.Event()
-
-    def progress(fraction):
-        state["done"] = fraction
-        if cancelled.is_set():
-            raise InterruptedError
-
-    def target():
-        try:
-            state["result"] = work(progress)
-        except BaseException as error:
-            state["error"] = error
-
-    thread = threading.Thread(target=target, name="FAST-GS bake", daemon=True)
-    thread.start()
-    try:
-        while thread.is_alive():
-            thread.join(WAIT)
-            yield stage.at(state["done"])
-    finally:
-        cancelled.set()
-        thread.join()
-    if "error" in state:
-        raise state["error"]
-    return state["result"]
+    return (yield from _during(stage, in_background(work)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gives the points of splat objects with *Points: All* what their Gaussians are on the frame, before modifiers see them.
+"""Writes the Gaussians of the current frame into the points of splat objects with *Points: All*, as the input of modifiers.
 
-Blender evaluates modifiers from the mesh that the file holds, so that is what is written: before a new frame is evaluated, by what the
-object's settings were, and once more after it where keys have changed these.  The same happens on the sub-frames of a render.
+Blender evaluates modifiers from the object's own mesh, so the points are written there: before a new frame is evaluated, with the object's
+previous settings, and again after it if keyframes have changed these.  The same happens on the sub-frames of a render.
 """
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keeps proxies whole: what operators do to single points of them, or make of them, is undone and told in a sentence.
+"""Protects proxies against Blender's operators: restores deleted or moved points, converted and joined meshes, and reports it.
 
-Blender lets nobody forbid an operator.  So after each evaluation the splat objects whose meshes changed are looked at.  Points that
-were deleted or moved come back, converted meshes become proxies again, and what was joined is parted.
+An extension cannot forbid an operator.  So after each evaluation the splat objects whose meshes changed are examined.  Points that were
+deleted or moved are restored, converted meshes become proxies again, and joined objects are separated.
 """
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class _Record:
 
 
 _records: dict[int, _Record] = {}
-_meshes: dict[int, str] = {}
-"""Names of the other mesh objects."""
+_meshes: dict[int, tuple[str, str]] = {}
+"""Of the other mesh objects their names, and those of their meshes."""
 _told: set[tuple[int, str]] = set()
 
 
@@ -87,6 +87,9 @@ def _look_at(obj):
         if points is not None and points.any() and not obj.fastgs.file_hash and _gone():
             _part(obj, points)
             notices.tell(JOINED.format(obj.name))
+        elif (giver := _giver(obj)) is not None:
+            _restore(obj.fastgs, _values(giver.fastgs))
+            give_modifier(obj)
         elif not obj.fastgs.file_hash and GAUSSIAN not in mesh.attributes and modifier_of(obj) is not None:
             obj.modifiers.remove(modifier_of(obj))  # Copy Modifiers gave it to a mesh, which it would hide
         return
@@ -119,6 +122,16 @@ def _of_another(obj) -> bool:
     record = _records.get(obj.session_uid)
     return obj.data.users > 1 and record is not None and record.mesh != obj.data.name and any(
         other.data == obj.data and objects.abspath(other) != objects.abspath(obj) for other in bpy.data.objects if objects.is_splat(other))
+
+
+def _giver(obj):
+    """The splat object whose mesh was given to another (Link Object Data) or new object (Make Instance Face), which shows it from now on.
+
+    None where there is none, or where the object has had that mesh before: then its file was cleared."""
+    uid = obj.session_uid
+    if uid in _records or _meshes.get(uid, ("", ""))[1] == obj.data.name:
+        return None
+    return next((other for other in bpy.data.objects if other.data == obj.data and objects.is_splat(other)), None)
 
 
 def _make_again(obj):
@@ -200,7 +213,7 @@ def _part(obj, points):
 def _split_off(obj, foreign):
     """Make an object of its own of what was joined into a proxy and is none."""
     here = {other.session_uid for other in bpy.data.objects}
-    names = [name for uid, name in _meshes.items() if uid not in here]
+    names = [name for uid, (name, _) in _meshes.items() if uid not in here]
     mesh = obj.data.copy()
     _delete(mesh, ~foreign)
     for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
@@ -275,7 +288,7 @@ def _remember():
                 tuple(collection.name for collection in obj.users_collection), _values(obj.fastgs), action.name if action else "",
                 modifier_of(obj) is not None)
         else:
-            _meshes[obj.session_uid] = obj.name
+            _meshes[obj.session_uid] = obj.name, obj.data.name
 
 
 def _values(group) -> dict:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Moves proxies with time: other engines' final renders, and viewports that do not draw the splats themselves, show the frame's points.
 
-What is written is the mesh that Blender has evaluated for one depsgraph, after the evaluation and before anything is drawn from it: a
-final render's own, so that nothing of the open file is touched while it renders, and sub-frames are those of the render.
+It writes to the evaluated mesh of a depsgraph, after the evaluation and before that mesh is drawn.  A final render has a depsgraph of its
+own, so that rendering changes nothing in the open file, and sub-frames are those of the render.
 """
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 """Copies of splat objects that other engines render: an object beside the splat object holds what it shows on the current frame.
 
 In Blender 5.3 and later it is a point cloud of Blender's own Gaussian splats, which EEVEE and Cycles light and reflect.  In 5.2 it can
-be a point cloud, and in every version a mesh of discs, each with the colours.  It is renewed whenever a frame, or the splat object, has
-been evaluated: a handler writes the datablock, and Blender evaluates what a handler has changed once more, in final renders and on their
-sub-frames too.  Nothing of it is saved: files hold an empty datablock, which opening fills again.
+be a point cloud, and in every version a mesh of discs, each with the colours.  It is updated whenever a frame, or the splat object, has
+been evaluated: a handler writes the datablock, and Blender evaluates a datablock that a handler has changed once more, in final renders and
+on their sub-frames too.  Its data is not saved: files hold an empty datablock, which is filled when the file is opened.
 """
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ EDGE = 1.5
 
 _written: dict[int, tuple] = {}
 """What each copy holds, as a value that can be compared, by its datablock's session_uid."""
+_pairs: dict[int, int] = {}
+"""The copies that were there at the last look, and their splat objects: session_uid of both."""
 
 
 def kinds() -> list[tuple[str, str, str]]:
@@ -76,6 +78,7 @@ def make(context, obj, kind: str) -> bpy.types.Object:
     if modifier is not None:
         modifier.show_render = False
     _written.pop(found.data.session_uid, None)
+    _pairs[found.session_uid] = obj.session_uid
     follow(context.scene, context.evaluated_depsgraph_get())
     return found
 
@@ -92,6 +95,28 @@ def follow(scene, depsgraph=None) -> None:
 
 
 @persistent
+def tidy(scene, depsgraph=None) -> None:
+    """Handler, after each evaluation: a copy goes with its splat object, and without a copy the object's own points are rendered again."""
+    if depsgraph is not None and depsgraph.mode != 'VIEWPORT':  # a render's own evaluation, perhaps in a thread
+        return
+    if _pairs:
+        here = {obj.session_uid: obj for obj in bpy.data.objects}
+        for copy, splat in ((here.get(copy), here.get(splat)) for copy, splat in _pairs.items()):
+            there = splat is not None and splat.users_collection  # a pointer of ours keeps objects that no collection holds
+            if copy is not None and copy.library is None and not there:
+                data = copy.data
+                bpy.data.objects.remove(copy)
+                if not data.users:
+                    (bpy.data.meshes if isinstance(data, bpy.types.Mesh) else bpy.data.pointclouds).remove(data)
+            elif there and splat.is_editable and (copy is None or not copy.users_collection):
+                modifier = proxy_nodes.modifier_of(splat)
+                if modifier is not None and not any(other.fastgs.copy_of == splat and other.users_collection for other in bpy.data.objects):
+                    modifier.show_render = True
+    _pairs.clear()
+    _pairs.update({obj.session_uid: obj.fastgs.copy_of.session_uid for obj in bpy.data.objects if is_copy(obj)})
+
+
+@persistent
 def forget(*_) -> None:
     """Handler, after undo and redo: datablocks are as they were at another time."""
     _written.clear()
@@ -100,6 +125,7 @@ def forget(*_) -> None:
 @persistent
 def empty(*_) -> None:
     """Handler, before the file is saved: it holds nothing of the copies."""
+    tidy(None)
     for copy in copies():
         _resize(copy.data, 0)
     _written.clear()
@@ -109,6 +135,8 @@ def empty(*_) -> None:
 def fill(*_) -> None:
     """Handler, after the file was saved or opened: the copies are there again."""
     _written.clear()
+    _pairs.clear()
+    tidy(None)
     if copies() and bpy.context.view_layer is not None:
         follow(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
 

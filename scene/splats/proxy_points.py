@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chooses the few Gaussians that stand for a model in other render engines, and says how they look at a time.
+"""Chooses the few Gaussians that represent a model in other render engines, and computes their shape and colour at a time.
 
-Plain arrays, no Blender.  Everything is drawn without chance, so that the same file gives the same proxy.
+Plain arrays, no Blender.  The choice is deterministic, so that the same file gives the same proxy.
 """
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.environment import NEEDED, Maker, Report, python_in
+from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Maker, Report, python_in, wishes
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import settings
@@ -64,6 +64,22 @@ def trouble() -> str:
     except FastGSError as error:
         return str(error)
     return "" if report is None or report.ready else report.sentence
+
+
+def wish() -> str:
+    """What some captures need that the training Python lacks, as far as that is known without starting it, in a sentence or ""."""
+    try:
+        chosen = python()
+    except FastGSError:
+        return ""
+    if chosen in tested:
+        missing = tested[chosen].missing
+    elif chosen == sys.executable:
+        missing = {name for name in USEFUL if importlib.util.find_spec(name) is None}
+    else:
+        return ""
+    lacks = wishes(missing)
+    return f"Captures in this Python: {lacks}. The preferences can make an environment that has it." if lacks else ""
 
 
 def is_making() -> bool:

@@ -134,8 +134,9 @@ def _report(job: Job, values: dict) -> Report:
         rows.append(("of the foreground", f"{values['held_out_foreground_psnr']:.2f} dB"))
     if values.get("held_out_psnr") is not None:
         rows += [("Held-out views", ", ".join(values["held_out_views"]))]
+    device = [("Device", values["device"])] if "device" in values else []
     rows += [("Gaussians", f"{values['gaussians']:,}"), ("Size", f"{values['model_bytes'] / 1e6:.2f} MB"),
-             ("Steps", f"{values['iterations']:,}"), ("Time", duration(values["seconds"])), ("Model", values["model"])]
+             ("Steps", f"{values['iterations']:,}"), ("Time", duration(values["seconds"])), *device, ("Model", values["model"])]
     return Report([(name, printable(value)) for name, value in rows],
                   [(name, printable(str(value))) for name, value in sorted(values["settings"].items())], newest_preview(job))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the engine's pictures are compared with: cameras and colours computed here, without the engine's own code."""
+"""References for the engine's pictures: cameras and colours computed without the engine's own code."""
 import numpy as np
 
 

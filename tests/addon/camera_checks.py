@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random cameras, and whether two cameras see the same."""
+"""Makes random cameras, and checks whether two cameras project points to the same pixels."""
 from __future__ import annotations
 
 from dataclasses import replace

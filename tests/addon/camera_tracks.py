@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where an animated camera goes, and whether that is smooth."""
+"""Samples the path of an animated camera, and measures how smooth it is."""
 import numpy as np
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Coming and going twenty times leaves Blender as it was."""
+"""Registering and unregistering the extension twenty times leaves Blender as it was."""
 import bpy
 import pytest
 

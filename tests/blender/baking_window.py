@@ -55,9 +55,9 @@ def from_mesh_to_splats():
 
     stepwise._show = listening
     yield from press('RET', area_of('FILE_BROWSER'))
-    yield from until(lambda: any("fitting" in stage for stage, _ in told), 120)
+    yield from until(lambda: any("fitting" in stage for stage, _ in told))
     shot("baking")
-    yield from until(lambda: any(o.fastgs.filepath for o in scene.objects), 120)
+    yield from until(lambda: any(o.fastgs.filepath for o in scene.objects))
     stepwise._show = show
     scene.frame_set(14)
     area = area_of()

@@ -43,18 +43,18 @@ def from_browser_to_frusta(capture):
 
     undistorted._save = slowly
     yield from press('RET', browser)
-    yield from until(lambda: len(told) > 6, 60)
+    yield from until(lambda: len(told) > 6)
     yield 1.0
     during = kinds()
     area = area_of()
     turn = area.spaces.active.region_3d.view_rotation.copy()
     yield from press('NUMPAD_6', area)
-    turned = yield from until(lambda: turn.rotation_difference(area_of().spaces.active.region_3d.view_rotation).angle > 0.1, 10)
+    turned = yield from until(lambda: turn.rotation_difference(area_of().spaces.active.region_3d.view_rotation).angle > 0.1)
     with within(area):
         bpy.ops.object.empty_add(location=(0, 0, -9))  # the scene may be edited, too
     shot("correcting")
     event.set()
-    yield from until(lambda: any(obj.type == 'CAMERA' for obj in bpy.context.scene.objects), 100)
+    yield from until(lambda: any(obj.type == 'CAMERA' for obj in bpy.context.scene.objects))
     undistorted._save = save
     yield 1.0
     facts = {"before": before, "full": full, "during": during, "turned": turned, "frusta": {}}

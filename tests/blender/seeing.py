@@ -67,7 +67,7 @@ def rendered(model):
     evening()
     sky = part("scene.sky").sky
     yield 0.5
-    began = yield from until(lambda: sky.latest() is not None, 300)
+    began = yield from until(lambda: sky.latest() is not None)
     yield from settled("world")
     return {**facts, "sky": bool(began)}
 
@@ -78,7 +78,7 @@ def world(model):
     evening()
     sky = part("scene.sky").sky
     yield 0.5
-    yield from until(lambda: sky.latest() is not None, 300)
+    yield from until(lambda: sky.latest() is not None)
     yield from settled("world-rendered")
     yield from f12(area)
     bpy.data.images["Render Result"].save_render(os.path.abspath("world-f12.png"))

@@ -122,14 +122,16 @@ def from_scene_to_shot(environment, cache):
     yield 0.5
     shot("train-panel")
     yield from click(area, "fastgs.train")
-    yield from until(lambda: progress.current and progress.current.made > 1, 100)
+    yield from until(lambda: progress.current and progress.current.made > 1)
     filming = [progress.current.done, progress.current.whole]
     view = area.spaces.active.region_3d
     before = view.view_rotation.copy()
     yield from press('NUMPAD_6', area)  # the view turns meanwhile
-    turned = yield from until(lambda: before.rotation_difference(view.view_rotation).angle > 0.1 and progress.current is not None, 10)
+    moved = lambda: before.rotation_difference(view.view_rotation).angle > 0.1  # noqa: E731
+    yield from until(lambda: moved() or progress.current is None)
+    turned = moved() and progress.current is not None
     shot("filming")
-    if not (yield from until(watch.found, 200)):
+    if not (yield from until(watch.found)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
     yield 3.0
@@ -147,21 +149,22 @@ def from_scene_to_shot(environment, cache):
         return kind
 
     area_of('TEXT_EDITOR').spaces.active.text = None
-    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or images.image is not None, 300)
-    area_of('TEXT_EDITOR').spaces.active.text = bpy.data.texts.get(displays.LOG)
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or images.image is not None)
+    log = area_of('TEXT_EDITOR').spaces.active
+    log.text, log.top = bpy.data.texts.get(displays.LOG), 0
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.5
     shot("training")
     with within(area):
         bpy.ops.fastgs.train_import('INVOKE_DEFAULT')
-    so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None), 60)
+    so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None))
     seen = so_far is not None and so_far.fastgs.filepath.endswith("so-far.safetensors")
-    yield from until(lambda: look_at() in ('FINISHED', 'FAILED'), 300)
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED'))
     state = watch.found()[0][1]
     if state.kind == 'FAILED':
         raise AssertionError(state.text)
-    yield from until(lambda: any(obj.fastgs.filepath.endswith("model.safetensors") for obj in scene.objects), 20)
+    yield from until(lambda: any(obj.fastgs.filepath.endswith("model.safetensors") for obj in scene.objects))
     model = next(obj for obj in scene.objects if "fastgs_job" in obj)
     hidden = sorted(obj.name for obj in scene.objects if obj.hide_get() and obj.hide_render)
     yield 0.5
@@ -182,7 +185,7 @@ def from_scene_to_shot(environment, cache):
     yield from settled("trained")
 
     yield from click(area, "fastgs.train_check", 0.3)
-    yield from until(lambda: part("fastgs_blender.jobs.checks").latest, 100)
+    yield from until(lambda: part("fastgs_blender.jobs.checks").latest)
     checked = part("fastgs_blender.jobs.checks").latest.text
 
     for obj in scene.objects:
@@ -228,6 +231,6 @@ def train_again(area, settings, job):
     shot("asked")
     listed = len(watch.look())
     yield from press('RET', area)
-    yield from until(lambda: len(watch.look()) < listed, 10)
+    yield from until(lambda: len(watch.look()) < listed)
     return {"kinds": kinds, "another": new.id != job.id, "steps": state.values.get("iterations"), "text": state.text,
             "listed": [listed, len(watch.look())]}

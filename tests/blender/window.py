@@ -69,8 +69,8 @@ def press(key, area):
     yield 0.3
 
 
-def until(condition, limit=200.0):
-    """Wait for something; False where it does not come to be."""
+def until(condition, limit=600.0):
+    """Wait for something; False where it does not come to be, however long that takes: the limit is a guard against hanging."""
     waited = 0.0
     while not condition() and waited < limit:
         yield 0.25
@@ -84,7 +84,7 @@ def f12(area):
     bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
     bpy.context.preferences.view.render_display_type = 'AREA'
     yield from press('F12', area)
-    finished = yield from until(lambda: done, 400)
+    finished = yield from until(lambda: done)
     yield 1.0
     if not finished:
         raise AssertionError("F12 did not finish")

@@ -16,6 +16,7 @@ settings.register_profile("fastgs", deadline=None, derandomize=True, database=No
 settings.load_profile("fastgs")
 
 os.environ["FASTGS_DEVICE"] = "cpu"  # commands under test use no GPU, whatever this machine has, unless they are told to
+os.environ.pop("COLUMNS", None)  # commands under test tell each sentence in one line, however wide the terminal
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job: programs under test would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)

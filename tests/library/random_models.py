@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random 4D Gaussians of any kind: the material of the library's tests."""
+"""Makes random 4D Gaussian models of any kind for the library's tests."""
 from __future__ import annotations
 
 import numpy as np

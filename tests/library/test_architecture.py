@@ -11,7 +11,7 @@ import pytest
 from imports import PACKAGES, ROOT, called, circles, extension_files, imports, operators, targets
 
 ROOMS = ("util", "model", "cameras", "rendering", "kernels", "formats", "surfaces", "captures", "evaluation",
-         "training/core", "training/initial", "training/run", "jobs", "commands", "")
+         "training/core", "training/initial", "training/run", "jobs", "checks", "commands", "")
 """The library's folders in their order: a room imports itself and those before it.  "": the modules at the library's top."""
 DOORS = {
     "fastgs_blender/util/backends.py": "loads a rendering backend by its name",

@@ -11,6 +11,7 @@ import re
 import tomllib
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -151,6 +152,27 @@ def test_licences_are_told(wheels, wheel, numbas):
     assert "## llvmlite: LICENSE\n\nLLVM's terms" in text
     with pytest.raises(ValueError, match="numba-1-py3-none-any.whl brings no text of its licence"):
         wheels.notices([wheel("numba-1-py3-none-any", licence="")])
+
+
+def test_what_finds_poses_comes_along_where_there_is_room(wheels, tmp_path, monkeypatch, capsys):
+    sizes = {"llvmlite": 90, "pycolmap": 20}
+
+    def run(command, **options):
+        wanted, folder = command[-1], next(Path(part.removeprefix("--dest=")) for part in command if part.startswith("--dest="))
+        package = wanted.partition("==")[0]
+        if package in sizes:
+            with (folder / f"{package}-1-py3-none-any.whl").open("wb") as file:
+                file.truncate(sizes[package] * 1_000_000)
+        return SimpleNamespace(returncode=int(package == "pycolmap" and package not in sizes), stderr="ERROR: no")
+
+    monkeypatch.setattr(wheels.subprocess, "run", run)
+    found = [path.name.partition("-")[0] for path in wheels.download("linux-x64", "3.13", tmp_path / "a")]
+    assert found == ["llvmlite", "pycolmap"] and not capsys.readouterr().out
+    sizes["llvmlite"] = 110
+    assert [path.name.partition("-")[0] for path in wheels.download("linux-x64", "3.13", tmp_path / "b")] == ["llvmlite"]
+    assert "goes without pycolmap: the zip would have 130 MB of wheels" in capsys.readouterr().out
+    del sizes["pycolmap"]
+    assert len(wheels.download("linux-x64", "3.13", tmp_path / "c")) == 1 and "no wheel of it" in capsys.readouterr().out
 
 
 def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, capsys):

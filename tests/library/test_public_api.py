@@ -39,7 +39,7 @@ def test_the_page_is_current(api_docs):
 def test_everything_is_on_the_page_and_has_an_example(api_docs):
     listed = [name for names in api_docs.GROUPS.values() for name in names]
     assert sorted(listed) == sorted(fg.__all__) and len(set(listed)) == len(listed)
-    made = {"BakeReport", "Capture", "View", "Slice", "Sequence"}  # by other members
+    made = {"BakeReport", "Capture", "CheckReport", "View", "Slice", "Sequence"}  # by other members
     assert not [name for name in fg.__all__ if f"fg.{'' if name in made else name}" not in example(name)]
     helped = pydoc.plain(pydoc.render_doc(fg))
     assert all(re.search(rf"\b{name}\b", helped) for name in fg.__all__) and "examples/playground.safetensors" in helped
@@ -49,7 +49,7 @@ def test_the_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
     shutil.copytree(ROOT / "examples", "examples", ignore=shutil.ignore_patterns("*.py"))
-    write_capture(Path("my-capture"))
+    write_capture(Path("my-capture"), frames=16)  # clocks are compared along them
     positions = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]
     names = {"fg": fg, "np": np, "warnings": warnings, "positions": positions, "triangles": np.array([[0, 1, 2], [1, 3, 2]])}
     few = ', start="file", iterations=2, points=50, preview_every=0'

@@ -194,8 +194,83 @@ def colmap_frames(folder: Path) -> None:
         colmap_model(folder / f"colmap_{frame}" / "sparse/0", [f"{view}.png" for view in VIEWS], frame == 0)
 
 
+def rodrigues(i: int) -> list:
+    """The i-th camera's rotation as an axis times an angle."""
+    return (2 * rotations.log(rotations.from_matrices(pose(i)[:3, :3]))).tolist()
+
+
+def toml_camera(i: int, rotation) -> str:
+    matrix = [[FOCAL, 0.0, 15.5], [0.0, FOCAL, 11.5], [0.0, 0.0, 1.0]]
+    return (f"size = [{WIDTH}, {HEIGHT}]\nmatrix = {matrix}\ndistortions = [0.05, -0.01, 0.001, 0.0, 0.0]\nrotation = {rotation}\n"
+            f"translation = {pose(i)[:3, 3].tolist()}\n")
+
+
+def aniposelib(folder: Path) -> None:
+    pictures(folder)
+    text = "".join(f'[cam_{i}]\nname = "{view}"\n{toml_camera(i, rodrigues(i))}fisheye = false\n\n' for i, view in enumerate(VIEWS))
+    (folder / "calibration.toml").write_text(f'{text}[metadata]\nadjusted = false\nerror = 0.3\nunits = "mm"\n')
+
+
+def caliscope(folder: Path) -> None:
+    """Films of numbered cameras, with the time of each frame."""
+    pictures(folder, "recordings/{view}/{frame:04}.png")
+    text = "".join(f"[cameras.{i}]\ncam_id = {i}\nignore = false\n{toml_camera(i, pose(i)[:3, :3].tolist())}\n" for i in range(2))
+    (folder / "camera_array.toml").write_text(text)
+    rows = [f"{frame + 5},{i},{10 + frame / 6 + 0.01 * i}" for frame in range(FRAMES) for i in range(2)]
+    (folder / "recordings" / "timestamps.csv").write_text("\n".join(["sync_index,cam_id,frame_time", *rows]) + "\n")
+
+
+def storage_matrix(values) -> str:
+    """A matrix as FileStorage writes it, in lines of YAML."""
+    values = np.atleast_2d(np.asarray(values, float))
+    data = ", ".join(f"{v:.17g}" for v in values.ravel())
+    return f" !!opencv-matrix\n   rows: {values.shape[0]}\n   cols: {values.shape[1]}\n   dt: d\n   data: [ {data} ]\n"
+
+
+def calibrated(i: int) -> dict:
+    """What OpenCV's calibration gives for the i-th camera."""
+    return {"K": np.array([[FOCAL, 0, 15.5], [0, FOCAL, 11.5], [0, 0, 1]]), "dist": [[0.05, -0.01, 0.001, 0, 0]],
+            "R": pose(i)[:3, :3], "T": pose(i)[:3, 3:]}
+
+
+def opencv_files(folder: Path) -> None:
+    """A YAML file for each camera."""
+    pictures(folder)
+    for i, view in enumerate(VIEWS):
+        values = calibrated(i)
+        (folder / f"{view}.yml").write_text(
+            f"%YAML:1.0\n---\n# made by hand\nimage_width: {WIDTH}\nimage_height: {HEIGHT}\ncamera_matrix:{storage_matrix(values['K'])}"
+            f"distortion_coefficients:{storage_matrix(values['dist'])}rvec: {rodrigues(i)}\ntvec:{storage_matrix(values['T'])}")
+
+
+def opencv_names(folder: Path) -> None:
+    """As EasyMocap writes it: two files for all cameras."""
+    pictures(folder)
+    names = "names:\n" + "".join(f'   - "{view}"\n' for view in VIEWS)
+    for file, keys in (("intri.yml", ("K", "dist")), ("extri.yml", ("R", "Rot", "T"))):
+        text = "".join(f"{key}_{view}:{storage_matrix(rodrigues(i) if key == 'R' else calibrated(i)[key.replace('ot', '')])}"
+                       for i, view in enumerate(VIEWS) for key in keys)
+        (folder / file).write_text(f"%YAML:1.0\n---\n{names}{text}")
+
+
+def opencv_pair(folder: Path) -> None:
+    """As stereo_calib writes it, in XML: the first camera is the world."""
+    for i, view in enumerate(("left", "right")):
+        for frame in range(FRAMES):
+            picture(folder / view / f"{frame + 1:04}.png", i, frame)
+    between = pose(1) @ np.linalg.inv(pose(0))
+    values = {f"{key}_{side}": calibrated(i)[own] for i, side in enumerate(("left", "right"))
+              for key, own in (("camera_matrix", "K"), ("dist_coeffs", "dist"))}
+    values |= {"R": between[:3, :3], "T": between[:3, 3:]}
+    text = "".join(f'<{key} type_id="opencv-matrix"><rows>{len(value)}</rows><cols>{np.shape(value)[1]}</cols><dt>d</dt><data>'
+                   f'{" ".join(f"{v:.17g}" for v in np.ravel(value))}</data></{key}>\n' for key, value in values.items())
+    (folder / "stereo.xml").write_text(f'<?xml version="1.0"?>\n<opencv_storage>\n<image_size>\n  {WIDTH} {HEIGHT}</image_size>\n{text}'
+                                       "</opencv_storage>\n")
+
+
 LAYOUTS = {"fastgs": [fastgs], "panoptic": [panoptic], "transforms": [transforms, splits], "immersive": [immersive], "n3v": [n3v],
-           "technicolor": [technicolor], "qualisys": [qualisys], "colmap": [colmap_text, colmap_binary, colmap_frames]}
+           "technicolor": [technicolor], "qualisys": [qualisys], "colmap": [colmap_text, colmap_binary, colmap_frames],
+           "toml": [aniposelib, caliscope], "opencv": [opencv_files, opencv_names, opencv_pair]}
 """What makes captures of each layout that has a description."""
 
 

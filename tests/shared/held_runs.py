@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-GUARD = 900.0
+GUARD = 1800.0
 """Seconds after which a test that waits gives up.  Only a guard against hanging: no test is right or wrong by it."""
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shader that takes overlays away where splats lie before them: Blender draws them over the picture, whatever its depth.
+"""The shader that removes overlays where splats lie in front of them: Blender draws overlays over the picture without regard to its depth.
 
-It multiplies what has been drawn by what the splats let through.  The depth test, against what overlays have written, leaves those
-in peace that lie before the splats; the floor's grid writes no depth, so where it lies is computed here.
+It multiplies the overlays' colours by the transmittance of the splats.  The depth test, against the depth that overlays have written, keeps
+the overlays in front of the splats; the floor's grid writes no depth, so its depth is computed here.
 """
 from __future__ import annotations
 

@@ -162,7 +162,35 @@ vec3 colour_now(int o, int at, int texels, int degree, bool harmonic_colours, ve
 }
 """
 
-VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + grade.GRADE + FETCH + SLICE + HARMONICS + """
+FAR = """
+/* distance.share(): what an opacity is multiplied by where it is seen from farther than from the capture's cameras */
+float far_share(vec4 ball, float growth, vec3 p, float z, float sharp, float trace, float blur, float det) {
+  float limit = length(p - ball.xyz) + ball.w;
+  float k = growth * z;
+  if (!(k > limit)) { return 1.0; }
+  float little = blur * (limit / k) * (limit / k);
+  return sqrt((sharp + little * trace + little * little) / det);
+}
+"""
+
+NEARNESS = """
+/* oracle.nearness of a Gaussian beside the picture: along is the clamped tangent, f0 to f2 the columns of its factor in the camera */
+float nearness(vec3 p, vec2 along, vec3 f0, vec3 f1, vec3 f2) {
+  float deep = length(vec3(f0.z, f1.z, f2.z));
+  if (!(p.z < REACH * deep)) { return 1.0 / p.z; }
+  float share = min(REACH - p.z / deep, 1.0);
+  f0 /= deep; /* so that products of small sizes stay numbers */
+  f1 /= deep;
+  f2 /= deep;
+  vec3 s0 = cross(f1, f2), s1 = cross(f2, f0), s2 = cross(f0, f1), ray = vec3(along, 1.0);
+  vec3 across = vec3(dot(s0, ray), dot(s1, ray), dot(s2, ray));
+  float square = dot(across, across), densest = p.z;
+  if (square > 0.0) { densest = max(dot(across, vec3(dot(s0, p), dot(s1, p), dot(s2, p))) / square, 0.5 * p.z); }
+  return (1.0 - share) / p.z + share / densest;
+}
+"""
+
+VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + grade.GRADE + FETCH + SLICE + HARMONICS + FAR + NEARNESS + """
 void main()
 {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0); /* not drawn */
@@ -219,22 +247,12 @@ void main()
   /* oracle.project from here on */
   vec4 p1 = vec4(p, 1.0);
   float x = dot(row0, p1), y = dot(row1, p1), z = dot(row2, p1);
-  if (!(z > raster.x && z <= instance_texel(o, INSTANCE_FIRST).y)) { return; }
+  vec4 first = instance_texel(o, INSTANCE_FIRST);
+  if (!(z > raster.x && z <= first.y)) { return; }
   float norm = length(q);
   q = norm > 1e-12 ? q / norm : vec4(1.0, 0.0, 0.0, 0.0);
 
   float fx = size.z, fy = size.w;
-  float per_depth = 1.0, shear_x = 0.0, shear_y = 0.0;
-  if (!orthographic) {
-    per_depth = 1.0 / z;
-    shear_x = -clamp(x * per_depth, limits.x, limits.y);
-    shear_y = -clamp(y * per_depth, limits.z, limits.w);
-  }
-  vec2 mean = vec2(fx * x * per_depth + centre.x, fy * y * per_depth + centre.y);
-
-  /* the two rows u and v of J W, then of the 2 x 3 factor J W R S; Sigma_2D = (J W R S)(J W R S)^T = [[a, b], [b, c]] */
-  vec3 u_row = fx * per_depth * (row0.xyz + shear_x * row2.xyz);
-  vec3 v_row = fy * per_depth * (row1.xyz + shear_y * row2.xyz);
   vec3 sd = exp(scale_time.xyz);
   float largest = max(sd.x, max(sd.y, sd.z));
   if (grading.y > 0.5 && largest > 0.0) { sd *= clamp(largest * look.z, look.w, grading.x) / largest; }
@@ -242,6 +260,31 @@ void main()
   vec3 axis0 = sd.x * vec3(1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + w2 * qz), 2.0 * (qx * qz - w2 * qy));
   vec3 axis1 = sd.y * vec3(2.0 * (qx * qy - w2 * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz + w2 * qx));
   vec3 axis2 = sd.z * vec3(2.0 * (qx * qz + w2 * qy), 2.0 * (qy * qz - w2 * qx), 1.0 - 2.0 * (qx * qx + qy * qy));
+
+  /* the projection's Jacobian, clamped beside the picture, and the depth at which it is taken */
+  float per_depth = 1.0, shear_x = 0.0, shear_y = 0.0;
+  vec2 mean = vec2(x, y);
+  if (!orthographic) {
+    per_depth = 1.0 / z;
+    mean *= per_depth;
+    vec2 along = clamp(mean, limits.xz, limits.yw);
+    shear_x = -along.x;
+    shear_y = -along.y;
+    if (any(notEqual(along, mean))) {
+      float near_by = nearness(vec3(x, y, z), along, vec3(dot(row0.xyz, axis0), dot(row1.xyz, axis0), dot(row2.xyz, axis0)),
+                               vec3(dot(row0.xyz, axis1), dot(row1.xyz, axis1), dot(row2.xyz, axis1)),
+                               vec3(dot(row0.xyz, axis2), dot(row1.xyz, axis2), dot(row2.xyz, axis2)));
+      if (near_by != per_depth) {
+        per_depth = near_by;
+        mean = along + (vec2(x, y) - along * z) * per_depth;
+      }
+    }
+  }
+  mean = vec2(fx, fy) * mean + centre.xy;
+
+  /* the two rows u and v of J W, then of the 2 x 3 factor J W R S; Sigma_2D = (J W R S)(J W R S)^T = [[a, b], [b, c]] */
+  vec3 u_row = fx * per_depth * (row0.xyz + shear_x * row2.xyz);
+  vec3 v_row = fy * per_depth * (row1.xyz + shear_y * row2.xyz);
   vec3 u = vec3(dot(u_row, axis0), dot(u_row, axis1), dot(u_row, axis2));
   vec3 v = vec3(dot(v_row, axis0), dot(v_row, axis1), dot(v_row, axis2));
   float a = dot(u, u), b = dot(u, v), c = dot(v, v);
@@ -249,6 +292,7 @@ void main()
   float sharp = dot(area, area);
   float blur = raster.w;
   float det = sharp + blur * (a + c) + blur * blur;
+  float trace = a + c;
   a += blur;
   c += blur;
   if (!(det > 0.0) || !(a + c < 1e30)) { return; }
@@ -268,7 +312,12 @@ void main()
   v_uv = corner * (sqrt(2.0 * log(sigma / raster.z)) * 1.0005 + 1e-4);
   mean += v_uv.x * sqrt(large) * axis + v_uv.y * sqrt(small) * vec2(-axis.y, axis.x);
   float depth = depths.x + (orthographic ? depths.y * z : depths.y / z);
-  v_alpha = vec4(sigma, raster.y, raster.z, depth);
+  float faint = 1.0;
+  if (first.z > 0.0) {
+    faint = far_share(instance_texel(o, INSTANCE_BEYOND), first.z, p, orthographic ? 1.0 : z, sharp, trace, blur, det);
+    if (!(faint > 0.0)) { return; }
+  }
+  v_alpha = vec4(sigma * faint, raster.y, raster.z * faint, depth);
   v_own.y = min(z, FARTHEST);
   gl_Position = vec4(2.0 * mean.x / size.x - 1.0, 1.0 - 2.0 * mean.y / size.y, 0.0, 1.0);
 

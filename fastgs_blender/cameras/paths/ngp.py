@@ -85,7 +85,7 @@ def _key(entry, where) -> np.ndarray:
     length = np.linalg.norm(turn)
     if length < 1e-6:
         raise FastGSError(f"{where}: its rotation R must not be 0.")
-    return np.array([*turn / length, *poses.numbers(entry.get("T"), (3,), f"{where}: its T"),
+    return np.array([*turn / length, *poses.near(poses.numbers(entry.get("T"), (3,), f"{where}: its T"), where),
                      poses.number(entry.get("fov"), f"{where}: its fov", 0.01, 179.9)])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...util.errors import FastGSError, LossWarning
 from ...util.reading import reading
-from ...util.zip_files import opened_zip
+from ...util.zip_files import opened_zip, read_member
 from .. import poses
 from ..camera import Camera
 from .base import (
@@ -42,6 +42,8 @@ UP = np.array([0.0, 1.0, 0.0])
 LEAST_RATE = 8
 """Tracks with a lower frame rate count in seconds; their frames are taken at the scene's rate."""
 LARGEST_DOCUMENT = 64 * 2**20
+STEEPEST = 1e15
+"""Slopes beyond it, per frame, are none."""
 
 
 def recognises(values) -> bool:
@@ -52,9 +54,10 @@ def read_project(file) -> dict:
     """document.json of a project."""
     advice = "this is no SuperSplat project, or it is damaged; save it again in SuperSplat"
     with reading(file, advice), opened_zip(file) as archive:
-        if archive.getinfo("document.json").file_size > LARGEST_DOCUMENT:
+        document = archive.getinfo("document.json")
+        if document.file_size > LARGEST_DOCUMENT:
             raise FastGSError(f"{file}: its document.json is larger than {LARGEST_DOCUMENT} bytes, so it is no project's.")
-        return json.loads(archive.read("document.json").decode("utf-8-sig"))
+        return json.loads(read_member(archive, document).decode("utf-8-sig"))
 
 
 def load(file, values, picture) -> CameraPath:
@@ -107,7 +110,8 @@ def _settings(file, values):
     count = len(times)
     times = np.clip(poses.numbers(times, (count,), f"{where}: its times"), -1e9, 1e9) * (1 if track.get("frameRate") else rate)
     found = poses.table(track["keyframes"].get("values"), f"{where}: its values")
-    position, target = (poses.numbers(found.get(key), (3 * count,), f"{where}: its {key}").reshape(-1, 3) for key in ("position", "target"))
+    position, target = (poses.near(poses.numbers(found.get(key), (3 * count,), f"{where}: its {key}"), where).reshape(-1, 3)
+                        for key in ("position", "target"))
     camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
     fov = found.get("fov", [camera.get("fov") or 60] * count)
     points = np.concatenate([position, target, poses.numbers(fov, (count,), f"{where}: its fov")[:, None]], 1)
@@ -129,8 +133,8 @@ def _project(file, values):
         where = f"{file}: pose {i}"
         entry = poses.table(entry, where)
         rows.append([poses.number(entry.get("frame", i * rate), f"{where}: its frame", 0, 1e7),
-                     *poses.numbers(entry.get("position"), (3,), f"{where}: its position"),
-                     *poses.numbers(entry.get("target"), (3,), f"{where}: its target"),
+                     *poses.near(poses.numbers(entry.get("position"), (3,), f"{where}: its position"), where),
+                     *poses.near(poses.numbers(entry.get("target"), (3,), f"{where}: its target"), where),
                      poses.number(entry.get("fov", camera.get("fov", 60)), f"{where}: its fov")])
     rows = np.array(sorted(rows, key=lambda row: row[0]))
     length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, MOST_INTERPOLATED)
@@ -152,8 +156,10 @@ def _spline(times, points, period, smoothness, step):
         times = np.concatenate([times[-2:] - period, times, times[:2] + period])
         points = np.concatenate([points[-2:], points, points[:2]])
     slopes = np.empty_like(points)
-    slopes[1:-1] = (points[2:] - points[:-2]) / (times[2:] - times[:-2])[:, None]
-    slopes[0], slopes[-1] = ((points[b] - points[a]) / (times[b] - times[a]) for a, b in ((0, 1), (-2, -1)))
+    with np.errstate(all="ignore"):
+        slopes[1:-1] = (points[2:] - points[:-2]) / (times[2:] - times[:-2])[:, None]
+        slopes[0], slopes[-1] = ((points[b] - points[a]) / (times[b] - times[a]) for a, b in ((0, 1), (-2, -1)))
+    slopes[~(np.abs(slopes) < STEEPEST)] = 0  # of keyframes that stand at one time, or all but
 
     def at_frame(at):
         if at <= times[0] or at >= times[-1]:

@@ -16,19 +16,19 @@ import re
 from pathlib import Path
 from reprlib import repr as shortened
 from xml.etree import ElementTree as ET
-from xml.parsers import expat
 
 import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
-from ...util.reading import open_file, read_bytes, reading
+from ...util.reading import open_file
+from ...util.xml_files import plain_xml
+from ..beside import first_source, is_film
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
 from ..rigs import RigCamera, from_rig
-from ..sources import VIDEOS, Source
 
 name = "Qualisys"
 SUBPIXELS = 64
@@ -86,10 +86,7 @@ def _calibrations(folder: Path) -> list[Path]:
 
 
 def _cameras(file: Path) -> list[ET.Element]:
-    text = read_bytes(file, LARGEST_FILE)
-    with reading(file, "it is not XML, or is cut short; export the calibration again"):
-        _check_plain(file, text)
-        cameras = ET.fromstring(text).findall("cameras/camera")  # noqa: S314 -- nothing is declared in it
+    cameras = plain_xml(file, LARGEST_FILE).findall("cameras/camera")
     serials = [camera.get("serial", "") for camera in cameras]
     if not cameras or not all(serials):
         raise FastGSError(f"{file}: there are no cameras with a serial in it; export the calibration again.")
@@ -101,17 +98,6 @@ def _cameras(file: Path) -> list[ET.Element]:
     return cameras
 
 
-def _check_plain(file: Path, text: bytes) -> None:
-    """Raises FastGSError for declarations: entities could make a small file a huge one, and no calibration has any."""
-
-    def refuse(*_):
-        raise FastGSError(f"{file}: it declares types or entities, which no Qualisys calibration does.")
-
-    parser = expat.ParserCreate()  # the encoding is known to it alone
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    parser.Parse(text, True)
-
-
 def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
     """The video or folder of pictures of each camera, in the first of the folders that has one."""
     found: dict[str, Path] = {}
@@ -119,17 +105,13 @@ def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
         inside = sorted(folder.iterdir())
         for serial in serials - set(found):
             word = re.compile(rf"(?<![0-9a-z]){re.escape(serial)}(?![0-9a-z])", re.IGNORECASE)
-            fits = [p for p in inside if word.search(p.stem) and ((p.suffix.lower() in VIDEOS and p.is_file()) or _holds_pictures(p))]
+            fits = [p for p in inside if word.search(p.stem) and is_film(p)]
             fits = [p for p in fits if p.stem == serial] or fits
             if len(fits) > 1:
                 raise FastGSError(f"{folder}: {fits[0].name} and {fits[1].name} are both called like camera {serial}; leave one of them.")
             if fits:
                 found[serial] = fits[0]
     return found
-
-
-def _holds_pictures(place: Path) -> bool:
-    return place.is_dir() and bool(numbered_pictures(place))
 
 
 def _pictures(place: Path, faults, **settings):
@@ -182,7 +164,7 @@ def _intrinsics(camera, place: Path, where) -> Intrinsics:
                                 for side in ("left", "top", "right", "bottom"))
     width, height = right - left + 1, bottom - top + 1
     try:
-        w, h = picture_size(Source(place, 0) if place.is_file() else Source(next(iter(numbered_pictures(place).values()))))
+        w, h = picture_size(first_source(place))
     except FastGSError:  # said with all other faults
         w, h = width, height
     if width < 2 or height < 2 or abs(w / width - h / height) > 0.01 * w / width:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which pictures of a transforms.json come from one camera, and when each was taken: the file only lists pictures."""
+"""Groups the pictures of a transforms.json, which is only a list of pictures, into cameras, and finds the time of each."""
 from __future__ import annotations
 
 import re

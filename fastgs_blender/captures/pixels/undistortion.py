@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures resampled as a pinhole would have taken them; cameras/lens.py has the geometry."""
+"""Undistorts pictures: resamples them as a pinhole camera would have taken them; cameras/lens.py has the geometry."""
 from __future__ import annotations
 
 from functools import lru_cache

@@ -34,16 +34,22 @@ class CPU:
     def read(self, *arrays):
         return list(arrays)
 
+    def begin_step(self):
+        pass
+
+    def end_step(self, *arrays):
+        return list(arrays)
+
     def draw(self, instances, camera, layout, probes, progress, holdout=None) -> Buffers:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
-                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout, plane=layout.plane)
+                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout, plane=layout.plane, by_pixel=layout.by_pixel)
         return picture.buffers(layout)
 
-    def expose(self, exposure, instances, camera, colours, progress, holdout=None):
+    def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):
         announce()
-        return expose(exposure, instances, camera, colours, self.colour, progress, holdout)
+        return expose(exposure, instances, camera, colours, self.colour, progress, holdout, objects, by_pixel)
 
     def colour(self, buffers, layout, camera):
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))

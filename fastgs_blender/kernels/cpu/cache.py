@@ -23,10 +23,13 @@ def use_folder(path) -> None:
 
 def base_folder() -> Path:
     """$FASTGS_CACHE_DIR, else what use_folder() said, else the system's place for caches."""
+    return _chosen if _chosen and not os.environ.get("FASTGS_CACHE_DIR") else user_folder()
+
+
+def user_folder() -> Path:
+    """$FASTGS_CACHE_DIR, else the system's place for caches: what all of a user's programs share, Blender among them."""
     if os.environ.get("FASTGS_CACHE_DIR"):
         return Path(os.environ["FASTGS_CACHE_DIR"])
-    if _chosen:
-        return _chosen
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "fastgs-blender"
     if sys.platform == "darwin":

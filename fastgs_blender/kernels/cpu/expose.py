@@ -19,6 +19,7 @@ from ...model.slicing import slice_model, still
 from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
 from ...rendering.layout import Layout
+from ...rendering.quantities import shares
 from ...util.threads import run
 from . import raster
 from .jit import inline, kernel
@@ -61,11 +62,10 @@ class Paths:
     needed: np.ndarray
 
 
-def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, progress, holdout=None):
-    """rgb [h, w, 3] (None without colours), alpha [h, w] and what the holdout stops [h, w] (None without one); colour_of: the backend's
-    colour()."""
+def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, progress, holdout=None, objects=(), by_pixel=False):
+    """What protocol.PictureBackend.expose() returns; colour_of: the backend's colour()."""
     x0, y0, width, height = camera.window
-    film = Film(height, width, {instance.model.colour_space for instance in instances})
+    film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
     if not exposure.moves:
         instances = [_frozen(instance) for instance in instances]
     paths = _paths(exposure, instances, camera)
@@ -83,7 +83,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
             picked[sample.level] = _picked(instances, touching)
         shown, keep = picked[sample.level]
         moved, eye = exposure.scene(shown, camera, sample.time, sample.point)
-        layout = Layout(moved, False, plane=holdout is not None)
+        layout = Layout(moved, False, {"shares": shares(moved, objects)} if objects else None, holdout is not None, by_pixel)
         splats = project_instances(moved, eye, layout)
         if len(samples) > 1:
             _draw_out(splats, keep, paths, len(samples) - 1)
@@ -91,12 +91,15 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         runs = _runs(weights > 0)
         hidden_by = exposure.holdout(holdout, sample.time)
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs, holdout=hidden_by,
-                            plane=layout.plane)
-        rgb = colour_of(picture.buffers(layout), layout, eye) if colours and moved else None
+                            plane=layout.plane, by_pixel=by_pixel)
+        buffers = picture.buffers(layout)
+        rgb = colour_of(buffers, layout, eye) if colours and moved else None
+        if objects:
+            film.shares += _of_pixels(weights, grid, camera.window)[..., None] * buffers.sums["shares"]
         _collect(film, rgb, picture.alpha, picture.held, weights, runs, grid, camera.window)
         progress((i + 1) / len(samples))
     rgb, alpha = film.picture()
-    return (rgb if colours else None), alpha, None if holdout is None else film.held
+    return (rgb if colours else None), alpha, None if holdout is None else film.held, film.shares if objects else None
 
 
 def _looks(exposure: Exposure) -> tuple[list, list]:
@@ -245,6 +248,13 @@ def _runs(active: np.ndarray) -> list[tuple[int, int]]:
     """(first, last) of the runs of tiles that are marked."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _of_pixels(tiles: np.ndarray, grid, window) -> np.ndarray:
+    """The numbers of the tiles [tiles] as those of the window's pixels [h, w]."""
+    (left, top, columns, _), (x0, y0, width, height) = grid, window
+    row, column = np.arange(y0, y0 + height) // TILE - top, np.arange(x0, x0 + width) // TILE - left
+    return tiles.reshape(-1, columns)[row[:, None], column]
 
 
 def _collect(film: Film, rgb, alpha, held, weights, runs, grid, window):

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import float32
 
+from ...rendering import oracle
 from ...rendering.instances import LIMIT
 from . import raster
 from .crop import crop_share, in_ball
@@ -20,6 +21,7 @@ from .spherical import sh_colour
 
 RGB, SH, FEATURES = range(3)
 ALWAYS, RADIAL, WINDOW, WINDOWED_RADIAL = range(4)
+REACH = oracle.REACH
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -109,6 +111,37 @@ def _shear(x, y, z, lens, orthographic):
 
 
 @inline
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inline
+def _turned(axis, row0, row1, row2, size):
+    """An axis in model space, of a size, in the camera."""
+    x, y, z = axis
+    return ((row0[0] * x + row0[1] * y + row0[2] * z) * size, (row1[0] * x + row1[1] * y + row1[2] * z) * size,
+            (row2[0] * x + row2[1] * y + row2[2] * z) * size)
+
+
+@inline
+def _nearness(x, y, z, along_x, along_y, f0, f1, f2):
+    """oracle.nearness of a Gaussian beside the picture, from the columns of its factor in the camera."""
+    deep = math.sqrt(f0[2] * f0[2] + f1[2] * f1[2] + f2[2] * f2[2])
+    if not z < REACH * deep:
+        return 1.0 / z
+    share = min(REACH - z / deep, 1.0)
+    s0, s1, s2 = _cross(f1, f2), _cross(f2, f0), _cross(f0, f1)
+    a0, a1, a2 = (s0[0] * along_x + s0[1] * along_y + s0[2], s1[0] * along_x + s1[1] * along_y + s1[2],
+                  s2[0] * along_x + s2[1] * along_y + s2[2])
+    square = a0 * a0 + a1 * a1 + a2 * a2
+    densest = z
+    if square > 0.0:
+        densest = max((a0 * (s0[0] * x + s0[1] * y + s0[2] * z) + a1 * (s1[0] * x + s1[1] * y + s1[2] * z)
+                       + a2 * (s2[0] * x + s2[1] * y + s2[2] * z)) / square, 0.5 * z)
+    return (1.0 - share) / z + share / densest
+
+
+@inline
 def _covariance(u, v, blur):
     """Of the rows u, v of the factor J W R S: blurred covariance s00, s01, s11; determinants before and after the blur."""
     u0, u1, u2 = u
@@ -158,6 +191,18 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
     return x, y
 
 
+@inline
+def log2_share(px, py, pz, z, beyond, sharp, trace, det, blur, orthographic):
+    """log2 of what distance.share() gives: 0 where the Gaussian is not seen from farther than from the capture's cameras."""
+    cx, cy, cz, radius, growth = beyond
+    k = growth if orthographic else growth * z
+    limit = radius + math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2)
+    if not k > limit:
+        return 0.0
+    small = blur * (limit / k) ** 2
+    return 0.5 * math.log2((sharp + small * trace + small * small) / det)
+
+
 @kernel
 def project(first, last, boxes, look, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
     """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
@@ -169,9 +214,9 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
                its direction) in model space
     lens       [14] float64: fx, fy, cx, cy, near, far, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
-    constants  (blur, alpha max, alpha cut, antialiased, orthographic)
+    constants  (blur, alpha max, alpha cut, antialiased, orthographic, ViewedInstance.beyond, ObjectSettings.bends)
     channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1, (first of the plane's channels
-                       or -1, the middle of the image in x and in y))
+                       or -1, the middle of the image in x and in y, whether planes are blurred))
     geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
@@ -179,8 +224,8 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
-    blur, alpha_max, alpha_cut, antialiased, orthographic = constants
-    appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y) = channel_plan
+    blur, alpha_max, alpha_cut, antialiased, orthographic, beyond, bends = constants
+    appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
     hides, filtered = len(crops[1]) > 0, len(hidden) > 0
@@ -211,12 +256,20 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
         axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
+        resized = size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look) if sized else 1.0
+        if bends and not orthographic and (a02 != -(x / z) or a12 != -(y / z)):
+            near_by = _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, _exp(scale[n, 0]) * resized),
+                                _turned(axis1, row0, row1, row2, _exp(scale[n, 1]) * resized),
+                                _turned(axis2, row0, row1, row2, _exp(scale[n, 2]) * resized))
+            if near_by != per_depth:
+                per_depth = near_by
+                mx, my = fx * ((x + a02 * z) * per_depth - a02) + lens[2], fy * ((y + a12 * z) * per_depth - a12) + lens[3]
         u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
         u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
         u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
         unit = per_depth
         if sized:
-            unit *= size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look)
+            unit *= resized
         size0, size1, size2 = _exp(scale[n, 0]) * unit, _exp(scale[n, 1]) * unit, _exp(scale[n, 2]) * unit
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
         s00, s01, s11, sharp, det = _covariance(u, v, blur)
@@ -257,20 +310,26 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             attributes[out, raster.CHANNEL + depth_channel] = z
         if plane_channel >= 0:
             d0, d1, d2 = _depths(axis0, axis1, axis2, row2, size0 / per_depth, size1 / per_depth, size2 / per_depth)
-            slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - blur, s01, s11 - blur, sharp, z, radius_x, radius_y)
+            less, area = (0.0, det) if blurred else (blur, sharp)
+            slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
             plane = raster.CHANNEL + plane_channel
             attributes[out, plane] = z - slope_x * (mx - middle_x) - slope_y * (my - middle_y)
             attributes[out, plane + 1] = slope_x
             attributes[out, plane + 2] = slope_y
+        faint = 0.0
+        if beyond[4] > 0.0:
+            faint = log2_share(px, py, pz, z, beyond, sharp, s00 + s11 - 2.0 * blur, det, blur, orthographic)
+            if not faint > -np.inf:
+                continue
         root = math.sqrt(s11)
         geometry[out, raster.MEAN_X] = mx
         geometry[out, raster.MEAN_Y] = my
         geometry[out, raster.L11] = SCALE * root / math.sqrt(det)
         geometry[out, raster.L21] = -SCALE * s01 / (root * math.sqrt(det))
         geometry[out, raster.L22] = SCALE / root
-        attributes[out, raster.LOG2_OPACITY] = log2_sigma
+        attributes[out, raster.LOG2_OPACITY] = log2_sigma + faint
         attributes[out, raster.ALPHA_MAX] = alpha_max
-        attributes[out, raster.LOG2_CUT] = log2_cut
+        attributes[out, raster.LOG2_CUT] = log2_cut + faint
         attributes[out, raster.DEPTH] = z
         attributes[out, raster.RADIUS_X] = radius_x + 1e-3
         attributes[out, raster.RADIUS_Y] = radius_y + 1e-3

@@ -21,6 +21,7 @@ from .project import (
     WINDOWED_RADIAL,
     _axes,
     _covariance,
+    _cross,
     _direction,
     _exp,
     _moved3,
@@ -131,11 +132,6 @@ def _spread4(c, n, index, weights, centred, delta, gw, gx, gy, gz, out):
 
 
 @inline
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inline
 def _quaternion_slope(q, g0, g1, g2):
     """Gradient of a quaternion before it was normalised, from those of the columns of its rotation matrix."""
     w, x, y, z, norm = q
@@ -163,7 +159,7 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
     g_geometry, g_log2, g_channels = slopes
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, _, _, low_x, high_x, low_y, high_y, _, _, _, _ = lens
-    blur, _, _, antialiased, orthographic = constants
+    blur, _, _, antialiased, orthographic, _, _ = constants
     appearance, degree, channel, _, depth_channel, _ = channel_plan
     row0, row1, row2, shift, eye = rows_of(view)
     terms, colour = np.empty(25), np.empty(3)

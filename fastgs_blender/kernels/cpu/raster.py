@@ -18,7 +18,7 @@ from ...rendering.holdout import SAMPLES
 from ...rendering.layout import DEPTH_FROM, PROBES
 from ...rendering.oracle import T_STOP
 from . import simd
-from .jit import kernel
+from .jit import inline, kernel
 from .occlusion import farthest, lose, losses
 
 TILE = 16
@@ -49,6 +49,13 @@ def fade(alpha, log2_cut, band):
     return s * s * (s * -2.0 + 3.0), (s - s * s) * 6.0 / band
 
 
+def covering(builder, column, u, du, row) -> simd.Floats:
+    """Alpha of a splat in eight pixels, 0 below the cut: log2(alpha) = row - (u + i du)^2; column: of its attributes, in every lane."""
+    u = simd.ramp(builder) * simd.broadcast(builder, du) + simd.broadcast(builder, u)
+    exponent = simd.broadcast(builder, row) - u * u
+    return exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
+
+
 @intrinsic(prefer_literal=True)
 def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z, dz, channels, probes, trace, smooth, hides):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
@@ -67,15 +74,13 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z,
 
     def build(context, b, signature, args):
         state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
-        pixel, row = args[1], simd.broadcast(b, args[4])
+        pixel = args[1]
         first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + count))
 
         def column(i):
             return simd.broadcast(b, attributes.scalar(first, i))
 
-        u = simd.ramp(b) * simd.broadcast(b, args[3]) + simd.broadcast(b, args[2])
-        exponent = row - u * u
-        alpha = exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
+        alpha = covering(b, column, args[2], args[3], args[4])
         if smooth.literal_value:
             alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[8]))[0]
         if hides.literal_value:
@@ -113,6 +118,32 @@ def chosen(bits: int) -> list[str]:
     return [name for i, name in enumerate(PROBES) if bits >> i & 1]
 
 
+@inline
+def begin(state, left, top, x0, y0, right, bottom):
+    """Empty the state of the tile at (left, top): pixels outside of the window are finished."""
+    for i in range(PIXELS):
+        x, y = left + i % TILE, top + i // TILE
+        inside = x >= x0 and x < right and y >= y0 and y < bottom
+        state[i] = float32(1.0) if inside else float32(-1.0)
+    state[PIXELS:] = float32(0.0)
+
+
+@inline
+def deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, channels, number, out, alpha, extra, held):
+    """Write what a tile's state holds, with so many channels and probes, into the window's pictures."""
+    for y in range(max(top, y0), min(top + TILE, bottom)):
+        for x in range(max(left, x0), min(left + TILE, right)):
+            p = (y - top) * TILE + x - left
+            alpha[y - y0, x - x0] = float32(1.0) - abs(state[p]) - stopped[p]
+            if hides:
+                held[y - y0, x - x0] = stopped[p]
+                held[y - y0, x - 2 * x0 + right] = float32(SAMPLES - left_over[p]) / float32(SAMPLES)
+            for c in range(channels):
+                out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
+            for k in range(number):
+                extra[y - y0, x - x0 + k * (right - x0)] = state[PIXELS * (1 + channels + k) + p]
+
+
 @cache
 def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0, plane: int | None = None):
     """The kernel for a number of channels, and the probes (layout.PROBES, in their order).
@@ -143,11 +174,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
         when, where = np.empty(0, np.int64), np.empty(0, np.int64)
         for tile in range(first, last):
             left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
-            for i in range(PIXELS):
-                x, y = left + i % TILE, top + i // TILE
-                inside = x >= x0 and x < right and y >= y0 and y < bottom
-                state[i] = float32(1.0) if inside else float32(-1.0)
-            state[PIXELS:] = float32(0.0)
+            begin(state, left, top, x0, y0, right, bottom)
             if depths:
                 state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
@@ -203,18 +230,11 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
             if hides:
                 for k in range(event, len(when)):
                     lose(state, left_over, stopped, where[k])
-            for y in range(max(top, y0), min(top + TILE, bottom)):
-                for x in range(max(left, x0), min(left + TILE, right)):
-                    p = (y - top) * TILE + x - left
-                    alpha[y - y0, x - x0] = float32(1.0) - abs(state[p]) - stopped[p]
-                    if hides:
-                        held[y - y0, x - x0] = stopped[p]
-                        held[y - y0, x - 2 * x0 + right] = float32(SAMPLES - left_over[p]) / float32(SAMPLES)
-                    for c in range(channels):
-                        out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
-                    for k in range(number):
-                        extra[y - y0, x - x0 + k * (right - x0)] = state[PIXELS * (1 + channels + k) + p]
-                    if trace:
+            deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, channels, number, out, alpha, extra, held)
+            if trace:
+                for y in range(max(top, y0), min(top + TILE, bottom)):
+                    for x in range(max(left, x0), min(left + TILE, right)):
+                        p = (y - top) * TILE + x - left
                         extra[y - y0, x - x0] = abs(state[p])
                         extra[y - y0, x - 2 * x0 + right] = state[PIXELS * (1 + channels) + p]
 

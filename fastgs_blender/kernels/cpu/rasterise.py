@@ -9,7 +9,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...rendering.layout import PROBES, Buffers, Layout
 from ...util.threads import ranges, run
-from . import raster, raster_backward
+from . import raster, raster_backward, raster_by_pixel
 from .holdout import Occluder
 from .tile_lists import TileLists, list_tiles, tile_cursors
 
@@ -42,13 +42,14 @@ class Picture:
 
 
 def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None,
-              holdout: np.ndarray | None = None, plane: int | None = None) -> Picture:
+              holdout: np.ndarray | None = None, plane: int | None = None, by_pixel: bool = False) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
     probes   which of layout.PROBES to compute
     tiles    (first, last) of the runs of tiles to draw; None: all.  The others stay empty
     holdout  triangles [F, 3, 3] float32 that hide splats
-    plane    with a holdout, the first of the channels of the splats' planes (layout.Layout.plane)
+    plane    with a holdout or by_pixel, the first of the channels of the splats' planes (layout.Layout.plane)
+    by_pixel each pixel sorts its splats by the depths of these planes
     """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
@@ -56,7 +57,10 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     listing = TileLists.of(order, geometry, attributes, camera)
     occluder = None if holdout is None else Occluder.of(holdout, camera)
     held = np.zeros((height, 2 * width), np.float32) if occluder else NONE
-    kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None)
+    if by_pixel:
+        kernel = raster_by_pixel.rasteriser(channels, probes, plane)
+    else:
+        kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None)
     middle = camera.width / 2, camera.height / 2
     out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held, middle)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},

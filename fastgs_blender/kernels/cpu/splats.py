@@ -130,10 +130,11 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
         tuple(plain(a) for a in own.values()),
         (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t), weights_at(model.rotation_basis, instance.t)),
         np.ascontiguousarray(view), tuple(float(v) for v in lens),
-        (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic)),
+        (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic), instance.beyond,
+         bool(instance.settings.bends)),
         (CODES[type(look)], getattr(look, "degree", 0), group.offset,
          -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth,
-         (-1 if layout.plane is None else layout.plane, camera.width / 2, camera.height / 2)),
+         (-1 if layout.plane is None else layout.plane, camera.width / 2, camera.height / 2, layout.by_pixel)),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
-from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
 from ...util.threads import run
 from ..parameters import DECODER, model_of
@@ -36,17 +36,19 @@ class View:
 def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
           band: float = 0.0) -> Splatted:
     """TrainingBackend.splat()."""
-    instance = Instance(model_of(template, parameters), np.eye(4), t).viewed(camera)
+    instance = Instance(model_of(template, parameters), np.eye(4), t, AS_TRAINED).viewed(camera)
     layout = Layout([instance], depth)
     splats = project_instances([instance], camera, layout)
     picture, state = rasterise_forward(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, band)
     channels, alpha = picture.channels, picture.alpha
+    features = None
     if isinstance(instance.model.appearance, Features):
+        features = channels[..., :9]
         rgb = decode_features(channels, alpha, instance, camera)
     else:
         rgb = channels if channels.shape[2] == 3 else channels[..., :3]
     deep = None if layout.depth is None else channels[..., layout.depth]
-    return Splatted(rgb, alpha, deep, View(instance, layout, splats, channels, state))
+    return Splatted(rgb, alpha, deep, View(instance, layout, splats, channels, state), features)
 
 
 def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The GPUs of this machine, and which of them is used."""
+"""Lists the GPUs of this machine (WebGPU adapters) and chooses the one to use."""
 from __future__ import annotations
 
 import os

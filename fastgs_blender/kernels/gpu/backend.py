@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The backend for GPUs: what is drawn goes through WebGPU, everything else is the CPU's; so is what a GPU fails at."""
+"""The GPU backend: renders and trains through WebGPU, and calls the CPU backend for all other operations and where the GPU fails."""
 from __future__ import annotations
 
 import logging
+import statistics
+import time
 from functools import cache, cached_property
 
 import numpy as np
 
-from ...rendering.layout import PROBES
+from ...rendering.layout import PROBES, Layout
 from ..cpu.backend import CPU
 from . import steps, training
 from .adapters import find
 from .device import Array, Device, Failure
 from .lists import front_to_back
-from .picture import Bands, Drawn, Models, blend_all, colour, project
+from .picture import NOWHERE, Bands, Drawn, Models, blend_all, colour, project
 
 
 class GPU(CPU):
@@ -25,7 +27,7 @@ class GPU(CPU):
     """
 
     def __init__(self, open):  # noqa: A002
-        self.open, self.failed = open, None
+        self.open, self.failed, self.told = open, None, False
 
     @cached_property
     def models(self) -> Models:
@@ -55,9 +57,16 @@ class GPU(CPU):
     def draw(self, instances, camera, layout, probes, progress, holdout=None):
         wanted = [name for name in PROBES if name in probes]
         again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
-        if holdout is not None:  # only the CPU's rasteriser knows triangles
+        if holdout is not None or layout.by_pixel:  # only the CPU's rasterisers know triangles, and lists of their own for pixels
+            self._tell(layout)
             return again()
         return self._or_else(lambda: self._draw(instances, camera, layout, wanted, progress, again), again)
+
+    def _tell(self, layout):
+        """Say on one line, once, that the GPU does not sort by pixel."""
+        if layout.by_pixel and not self.told:
+            self.told = True
+            logging.getLogger(__name__).warning("the GPU sorts splats by their centres alone, so the CPU draws what is sorted by pixel.")
 
     def _draw(self, instances, camera, layout, probes, progress, again):
         splats = project(self.device, instances, camera, layout, [self.models.packs(instance.model) for instance in instances])
@@ -71,6 +80,29 @@ class GPU(CPU):
             return super().colour(buffers, layout, camera)
         again = cache(lambda: super(GPU, self).colour(buffers.again(), layout, camera))
         return self._or_else(lambda: colour(self.device, buffers, layout, camera, again), again)
+
+    def measure_stages(self, instance, camera, repeat):
+        return self._or_else(lambda: self._measure_stages(instance, camera, repeat),
+                             lambda: super(GPU, self).measure_stages(instance, camera, repeat))
+
+    def _measure_stages(self, instance, camera, repeat):
+        layout, found = Layout([instance], depth=False), [self.models.packs(instance.model)]
+        times, splats = {"slice and project": [], "sort": [], "tiles and rasterise": []}, None
+        for _ in range(repeat):
+            clock = [time.perf_counter()]
+
+            def done(made, clock=clock):
+                self.device.wait()
+                clock.append(time.perf_counter())
+                return made
+
+            splats = done(project(self.device, [instance], camera, layout, found))
+            order = done(front_to_back(self.device, splats.depths, splats.rows))
+            done(blend_all(self.device, order, splats, camera, [], lambda share: None))
+            for values, begin, end in zip(times.values(), clock, clock[1:]):
+                values.append(1000 * (end - begin))
+        drawn = 0 if splats is None else int((self.device.read(splats.depths, np.uint32, splats.rows) != NOWHERE).sum())
+        return {name: statistics.median(values) for name, values in times.items()}, drawn
 
     # training: its arrays stay on the device, so what fails there ends the step
 
@@ -91,6 +123,12 @@ class GPU(CPU):
 
     def backward(self, picture, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
         return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)
+
+    def begin_step(self):
+        steps.begin(self.device)
+
+    def end_step(self, *arrays):
+        return steps.end(self.device, arrays)
 
     def rows(self, seen):
         return seen

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which backend a device's name means, and whether a GPU computes what it should: the self-test, whose verdict is kept.
+"""Chooses the backend for a device's name, and tests whether a GPU computes correctly (the self-test, whose result is stored).
 
-A verdict holds for an adapter, its driver and the shaders.  It lies in gpus.json in the folder for caches; before a test it says that the
-test did not come to its end, in case the driver takes the program with it.
+A result is valid for one adapter, its driver and the shaders.  It is stored in gpus.json in the user's folder for caches.  Before a test
+starts, "not finished" is stored: where a faulty driver ends the whole program, the next start does not test that GPU again.
 """
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 
@@ -25,13 +26,14 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json
 from ..cpu.backend import CPU
-from ..cpu.cache import base_folder
+from ..cpu.cache import user_folder
 from ..parameters import DECODER
 from . import shaders
 from .adapters import Adapter, adapters, find
 from .backend import GPU
 from .device import Failure
 
+VERDICTS = "gpus.json"
 UNFINISHED = "the self-test did not come to its end"
 CLOSE, MEAN, MANY = 2e-3, 1e-4, 0.01
 """A picture has passed if at most MANY of its pixels differ by more than CLOSE (those at the alpha cut), and the mean by less than MEAN."""
@@ -39,49 +41,65 @@ STRAY = 0.01
 """The relative error of gradients that passes."""
 
 
-def choose(device: str) -> tuple[str, str]:
+def choose(device: str, examine: Callable[[Adapter], str | None] | None = None) -> tuple[str, str]:
     """(the backend's name, a remark or "") of a device: auto, gpu, or a part of an adapter's name; raises FastGSError.
 
-    auto is the first GPU, no software, that has passed the self-test, else the CPU; the remark says why.
+    auto is the first GPU, no software, that has passed the self-test.  Where none has, and where one that was named has not, it is the
+    CPU, and the remark says why.
+    examine  gives an adapter's verdict in place of verdict(), None where it has not been tested
     """
-    if device != "auto":
-        adapter = find("" if device == "gpu" else device)
-        wrong = verdict(adapter)
-        return f"gpu:{adapter.name}", f"{adapter.name} has failed the self-test: {wrong}." if wrong else ""
+    examine = examine or verdict
     try:
-        first = find("")
+        wanted = [find("" if device in ("auto", "gpu") else device)]
     except FastGSError as error:
+        if device != "auto":
+            raise
         return "auto", str(error).removesuffix("; use the device cpu.") + ": the CPU is used."
+    if device == "auto":
+        wanted += [each for each in adapters() if not each.software]
     failed = []
-    for adapter in dict.fromkeys([first, *(each for each in adapters() if not each.software)]):
-        wrong = verdict(adapter)
-        if not wrong:
+    for adapter in dict.fromkeys(wanted):
+        wrong = examine(adapter)
+        if wrong == "":
             return f"gpu:{adapter.name}", ""
-        failed.append(f"{adapter.name} has failed the self-test ({wrong})")
+        failed.append(f"{adapter.name} " + ("has not been tested yet" if wrong is None else f"has failed the self-test ({wrong})"))
     return "auto", f"{'; '.join(failed)}: the CPU is used."
 
 
-def describe() -> dict:
-    """All adapters, and what `auto` means, as JSON values."""
+def describe(part: str = "", test: bool = True, again: bool = False, tell: Callable[[str], None] = lambda text: None) -> dict:
+    """The adapters whose name holds a text, and what `auto` means, as JSON values.
+
+    test   test those that have not been; else their verdict is None.  again: test the others once more
+    tell   is told which adapter is being tested
+    """
     try:
-        found = adapters()
+        found = [each for each in adapters() if part.lower() in each.name.lower()]
     except Failure:
-        found = ()
-    name, reason = choose("auto")
-    known = [{"name": each.name, "kind": each.kind, "interface": each.interface, "driver": each.driver, "software": each.software,
-              "largest_bytes": each.largest, "self_test": verdict(each)} for each in found]
-    return {"devices": known, "auto": name.partition(":")[2] or None, "reason": reason}
+        found = []
+    verdicts = {}
+    for number, each in enumerate(found, 1):
+        if test and (again or known(each) is None):
+            tell(f"testing {each.name} ({number} of {len(found)})")
+        verdicts[each] = verdict(each, again) if test else known(each)
+    name, reason = choose("auto", lambda each: verdicts[each] if each in verdicts else known(each))
+    listed = [{"name": each.name, "kind": each.kind, "interface": each.interface, "driver": each.driver, "software": each.software,
+               "largest_bytes": each.largest, "self_test": wrong} for each, wrong in verdicts.items()]
+    return {"devices": listed, "auto": name.partition(":")[2] or None, "reason": reason}
 
 
-def verdict(adapter: Adapter) -> str:
-    """What is wrong with an adapter, as a part of a sentence; "": nothing.  Tests it where that has not been done."""
-    path, key = base_folder() / "gpus.json", _key(adapter)
-    known = _known(path)
-    if key not in known:
-        _keep(path, known | {key: UNFINISHED})
-        known = _known(path) | {key: test(adapter)}
-        _keep(path, known)
-    return known[key]
+def verdict(adapter: Adapter, again: bool = False) -> str:
+    """What is wrong with an adapter, as a part of a sentence; "": nothing.  Tests it where that has not been done, or once more."""
+    if not again and (found := known(adapter)) is not None:
+        return found
+    _keep(adapter, UNFINISHED)
+    found = test(adapter)
+    _keep(adapter, found)
+    return found
+
+
+def known(adapter: Adapter) -> str | None:
+    """The stored result of an adapter's self-test; None where it has not been tested."""
+    return _kept().get(_key(adapter))
 
 
 def _key(adapter: Adapter) -> str:
@@ -94,23 +112,24 @@ def _digest() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
-def _known(path) -> dict[str, str]:
-    """The verdicts in a file; those of a damaged one are forgotten."""
-    if not path.is_file():
-        return {}
-    with suppress(FastGSError):
-        values = read_json(path)
-        if isinstance(values, dict):
-            return {key: value for key, value in values.items() if isinstance(value, str)}
+def _kept() -> dict[str, str]:
+    """The stored results; none where the file is damaged."""
+    path = user_folder() / VERDICTS
+    if path.is_file():
+        with suppress(FastGSError):
+            values = read_json(path)
+            if isinstance(values, dict):
+                return {key: value for key, value in values.items() if isinstance(value, str)}
     return {}
 
 
-def _keep(path, verdicts: dict[str, str]) -> None:
-    """Write the verdicts, where the folder can be written to."""
+def _keep(adapter: Adapter, wrong: str) -> None:
+    """Store a result, if the folder is writable."""
+    path = user_folder() / VERDICTS
     with suppress(OSError, FastGSError):
         os.makedirs(path.parent, exist_ok=True)
         with replacing([path]) as (aside,):
-            aside.write_text(json.dumps(verdicts, indent=1), "utf-8")
+            aside.write_text(json.dumps(_kept() | {_key(adapter): wrong}, indent=1), "utf-8")
 
 
 def test(adapter: Adapter) -> str:
@@ -138,7 +157,7 @@ def test(adapter: Adapter) -> str:
 
 
 def _scene(look) -> tuple[GaussianModel, Camera]:
-    """A small model of some look, and what sees it."""
+    """A small random model with a given appearance, and a camera."""
     rng, n = np.random.default_rng(2), 300
     model = GaussianModel(
         position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-2.3, 0.6, (n, 3)),

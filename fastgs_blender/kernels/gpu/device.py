@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A GPU: its buffers, its shaders, and the queue of work that it is given.
+"""Device, one GPU: its buffers, its compiled shaders, and its queue of commands.
 
-Work is recorded by run(), zeros() and copy(), and handed over when something is read or written, or by submit().  Buffers that nothing
-refers to any more are used again.  Whatever fails raises Failure, with a sentence; nothing is to be done with the device after it.
+run(), zeros() and copy() record commands; reading, writing or submit() sends them to the GPU.  Buffers without references are used again.
+Every error raises Failure with a sentence; the device cannot be used after that.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Failure(DeviceError):
 
 
 class TooLarge(Failure):
-    """It could do less of it: a part of the picture."""
+    """The work is too large for the device, which can draw a part of the picture instead."""
 
 
 @dataclass(eq=False)
@@ -84,14 +84,18 @@ def stored(dtype) -> np.dtype:
 class Device:
     """An adapter that has been opened.
 
-    adapter  wgpu's GPUAdapter; opened with all the room that it has
-    broken   whether it has failed
+    adapter   wgpu's GPUAdapter; opened with all the room that it has
+    broken    whether it has failed
+    guessing  whether tile lists of training take their lengths for what these have been (lists.py), and
+    rooms     lists.Room by the number of tiles
 
     Several threads may use it: each piece of work is recorded whole.
     """
 
     adapter: Any
     broken: bool = False
+    guessing: bool = False
+    rooms: dict = field(default_factory=dict)
     _pipelines: dict = field(default_factory=dict)
     _spare: dict[int, list] = field(default_factory=dict)
     _spare_bytes: int = 0
@@ -112,6 +116,11 @@ class Device:
         return min(self.native.limits["max-storage-buffer-binding-size"], self.native.limits["max-buffer-size"])
 
     @cached_property
+    def spilled(self) -> Array:
+        """[1]: 1 where a guessed list was too short; what a training step leaves behind then stays as it was (wgsl/tiles_pad.wgsl)."""
+        return self.zeros((1,), np.uint32)
+
+    @cached_property
     def _arena(self):
         import wgpu
 
@@ -120,7 +129,7 @@ class Device:
     # memory
 
     def buffer(self, numbers: int) -> Buffer:
-        """A buffer for so many numbers of 4 bytes; what is in it is not known."""
+        """A buffer for so many numbers of 4 bytes, not initialised."""
         size = 4 * max(int(numbers), 4)
         if size > self.binding:
             raise TooLarge(f"{size / 2**20:.0f} MiB in one piece are more than it can use at once ({self.binding / 2**20:.0f} MiB)")
@@ -141,10 +150,11 @@ class Device:
         usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
         return self._try(lambda: self.native.create_buffer(size=size, usage=usage))
 
-    def take_back(self, buffer: Buffer) -> None:
-        """Keep what a buffer was made of, or let it go."""
+    def take_back(self, buffer: Buffer, most: int = SPARE) -> None:
+        """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (An argument, because buffers may outlive this module's
+        names when Python ends.)"""
         with self._lock:
-            if not self.broken and self._spare_bytes + buffer.size <= SPARE:
+            if not self.broken and self._spare_bytes + buffer.size <= most:
                 self._spare.setdefault(buffer.size, []).append(buffer.native)
                 self._spare_bytes += buffer.size
 
@@ -155,7 +165,7 @@ class Device:
             self._spare_bytes = 0
 
     def empty(self, shape, dtype=np.float32) -> Array:
-        """An array whose values are not known."""
+        """An array that is not initialised."""
         return Array(self.buffer(math.prod(shape)), tuple(shape), np.dtype(dtype))
 
     def zeros(self, shape, dtype=np.float32) -> Array:
@@ -206,6 +216,10 @@ class Device:
 
     # work
 
+    def wait(self) -> None:
+        """Wait until all work is done, for measurements."""
+        self.read(self.buffer(1), np.uint32, 1)
+
     def run(self, stage: str, threads: int, parameters, *buffers, groups: bool = False, **constants) -> None:
         """Give the GPU a stage to do (wgsl/<stage>.wgsl).
 
@@ -254,7 +268,7 @@ class Device:
         return self._encoder
 
     def submit(self) -> None:
-        """Hand over all that was recorded."""
+        """Send all recorded commands to the GPU."""
         self._try(self._submit)
 
     def _submit(self) -> None:
@@ -302,7 +316,7 @@ def _rounded(size: int) -> int:
 
 
 def _first_line(error: Exception) -> str:
-    """What an error says, in a line: that after the stage in which it happened."""
+    """An error's message on one line, after the name of the stage in which it happened."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Validation Error", "Caused by", "In wgpu"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".")[:200]

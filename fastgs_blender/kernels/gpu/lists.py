@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums of what comes before, radix sort, and the lists of splats that touch each tile, front to back."""
+"""Prefix sums, radix sort, and the tile lists on a GPU: the splats that touch each tile, front to back."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -14,12 +14,16 @@ BLOCK = 2048
 DIGIT = 4
 ENTRIES = 1 << 25
 """Entries of tile lists held at once; a picture with more is drawn in bands."""
+HEADROOM = 1.25
+"""Room of guessed tile lists, as a multiple of the longest that they have had."""
+LEAST = 4096
+"""Entries of the least room."""
 TILES = 1 << 18
 """Tiles drawn at once, so that a workgroup's counts stay below 2^32."""
 
 
 def scan(device: Device, values: Buffer, count: int) -> None:
-    """Turn `count` whole numbers into the sums of those before them."""
+    """Exclusive prefix sums of `count` integers, in place."""
     blocks = -(-count // BLOCK)
     sums = device.buffer(blocks)
     device.run("scan_block", blocks, [[count, 0, 0, 0]], values, sums, groups=True)
@@ -57,7 +61,7 @@ class TileLists:
     grid     first tile in x and y of the image, columns, rows
     starts   [tiles + 1] where each tile's list begins in ids, which holds rows of splats
     values   of each entry: which it is among the entries of its splat and of those before it; runs [splats + 1] says where these begin
-    entries  their number
+    entries  their number; the room for them, where it was guessed
     """
 
     grid: tuple[int, int, int, int]
@@ -68,23 +72,49 @@ class TileLists:
     entries: int
 
 
-def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int) -> TileLists:
-    """The lists of a grid of tiles for splats (picture.Splats) in their order; raises TooLarge where they have over `most` entries."""
+@dataclass(eq=False)
+class Room:
+    """How many entries the tile lists of pictures of one size may have in training, and, on the device, how many they have had: [1]."""
+
+    entries: int
+    longest: Array
+
+
+def room_for(entries: int) -> int:
+    """Room for lists that have had so many entries."""
+    return max(int(HEADROOM * entries), LEAST)
+
+
+def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False) -> TileLists:
+    """The lists of a grid of tiles for splats (picture.Splats) in their order; raises TooLarge where they have over `most` entries.
+
+    guess  take their length for what it has been for pictures of this size (device.rooms) and read nothing back; where they are longer,
+           device.spilled becomes 1
+    """
     count, tiles = splats.rows, grid[2] * grid[3]
     if tiles > TILES:
         raise TooLarge(f"a picture of {tiles} tiles is more than it draws at once")
-    job, runs = [list(grid), [count, 0, 0, 0]], device.buffer(count + 1)
+    runs = device.buffer(count + 1)
     device.clear(runs)
-    device.run("tiles_count", count, job, order, splats.depths, splats.a, splats.b, runs)
+    device.run("tiles_count", count, [list(grid), [count, 0, 0, 0]], order, splats.depths, splats.a, splats.b, runs)
     scan(device, runs, count + 1)
-    entries = int(device.read(runs, np.uint32, 1, count)[0])
-    if entries > most:
-        raise TooLarge(f"{entries} tile entries are more than it holds at once")
+    room = device.rooms.get(tiles) if guess else None
+    if room is not None and room.entries <= most:
+        entries = room.entries
+    else:
+        room, entries = None, int(device.read(runs, np.uint32, 1, count)[0])
+        if entries > most:
+            raise TooLarge(f"{entries} tile entries are more than it holds at once")
+        if guess:
+            device.rooms[tiles] = Room(room_for(entries), device.zeros((1,), np.uint32))
     starts, ids = device.zeros((tiles + 1,), np.uint32), device.empty((entries,), np.uint32)
     keys, owner, values = (device.buffer(entries) for _ in range(3))
     if entries:
+        job = [list(grid), [count, entries, 0, 0]]
         device.run("tiles_emit", count, job, order, runs, splats.a, splats.b, keys, owner, values)
-        keys, values = sort(device, keys, values, entries, max((tiles - 1).bit_length(), 1))
+        if room is not None:
+            device.run("tiles_pad", entries, [[entries, tiles, count, 0]], runs, keys, values, room.longest, device.spilled)
+        keys, values = sort(device, keys, values, entries, tiles.bit_length())
         device.run("tiles_ranges", entries + 1, [[entries, tiles, 0, 0]], keys, values, owner, starts, ids)
     return TileLists(grid, starts, ids, values, runs, entries)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws instances on a GPU: projects them, sorts and lists the splats, blends them, and decodes features.
 
-A picture that does not fit is drawn in bands of rows of tiles; what is made of it then consists of several Arrays (Bands).
+A picture that does not fit into the GPU's memory is drawn in bands of rows of tiles; its buffers are then several Arrays (Bands).
 """
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def project(device: Device, instances: list[ViewedInstance], camera: Camera, lay
         splats.firsts.append(done)
         for pack in parts:
             device.run("project", pack.count, view.parameters(pack, done, 4 * quads), pack.buffer, view.extra, view.hidden,
-                       splats.a, splats.b, splats.channels, splats.depths)
+                       splats.a, splats.b, splats.channels, splats.depths, BENDS=bool(instance.settings.bends))
             done += pack.count
     if layout.quantities:
         _fill(device, splats, instances, layout)
@@ -131,7 +131,7 @@ def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: t
     first, last = max(y0, (top + rows[0]) * TILE), min(y0 + height, (top + rows[1]) * TILE)
     entry = 16 * (splats.quads + 2) if trace else 4  # bytes: the backward pass has a row of sums for each
     most = min(ENTRIES, device.binding // entry)
-    lists = list_tiles(device, order, splats, (left, top + rows[0], columns, rows[1] - rows[0]), most)
+    lists = list_tiles(device, order, splats, (left, top + rows[0], columns, rows[1] - rows[0]), most, trace and device.guessing)
     shape, numbers = (last - first, width), 3 if trace else 1 + len(probes)
     channels, flat = device.empty((*shape, 4 * splats.quads)), device.empty((*shape, numbers))
     places = {name.upper(): 1 + probes.index(name) if name in probes else 0 for name in PROBES}

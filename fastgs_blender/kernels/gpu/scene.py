@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the stages read of a model before a camera: its arrays in one buffer (wgsl/slice.wgsl), and the numbers of wgsl/view.wgsl."""
+"""Packs a model and a camera for the shaders: the model's arrays in one buffer (wgsl/slice.wgsl), and the uniforms of wgsl/view.wgsl."""
 from __future__ import annotations
 
 import math
@@ -97,7 +97,8 @@ class View:
             [float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)], [*camera.tangent_limits()],
             [x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5],
             [float(instance.near), instance.far, camera.width / 2, camera.height / 2],
-            [raster.blur, raster.alpha_max, raster.alpha_cut, math.log2(raster.alpha_cut)], ball, [instance.t, 0.0], look,
+            [raster.blur, raster.alpha_max, raster.alpha_cut, math.log2(raster.alpha_cut)], ball,
+            [instance.t, instance.beyond[4]], instance.beyond[:4], look,
             [pack.count, row, channels, pack.first],
             [model.basis.terms, model.rotation_basis.terms, model.temporal.shape[1], model.features.shape[1]],
             [model.temporal_kind.code, CODES[type(momentarily)], getattr(momentarily, "degree", 0), momentarily.width],

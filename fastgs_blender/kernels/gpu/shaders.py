@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The text of shaders: wgsl/<stage>.wgsl, the files that it includes, and constants filled in.
+"""Assembles the text of a shader: wgsl/<stage>.wgsl with the files that it includes, and with its constants filled in.
 
-A line `//include NAME` stands for wgsl/NAME.wgsl.  {NAME} stands for a constant: those that a stage is asked for with, those of CONSTANTS,
-and no others, so that no number is written down twice.
+A line `//include NAME` is replaced by wgsl/NAME.wgsl.  {NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each
+number is written in one place only.
 """
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ...rendering.crops import SPHERE, VOLUME
 from ...rendering.instances import LIMIT
 from ...rendering.layout import DEPTH_FROM
 from ...rendering.looks import Look
-from ...rendering.oracle import T_STOP
+from ...rendering.oracle import REACH, T_STOP
 
 FOLDER = Path(__file__).parent / "wgsl"
 TILE = 16
 
 CONSTANTS = {
-    "TILE": TILE, "LIMIT": LIMIT, "T_STOP": T_STOP, "SPHERE": SPHERE, "VOLUME": VOLUME,
+    "TILE": TILE, "LIMIT": LIMIT, "T_STOP": T_STOP, "REACH": REACH, "SPHERE": SPHERE, "VOLUME": VOLUME,
     "MEDIAN_FROM": DEPTH_FROM["median"], "FIRST_FROM": DEPTH_FROM["first"],
     "SH_C0": SH_C0, "SH_C1": SH_C1, **{f"SH_C{degree}_{i}": value for degree, values in ((2, SH_C2), (3, SH_C3), (4, SH_C4))
                                        for i, value in enumerate(values)},

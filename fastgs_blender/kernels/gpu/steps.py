@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The parts of a training step that update all parameters, on a GPU: penalties, random moves, Adam."""
+"""The parts of a training step that work on all Gaussians, on a GPU: the penalty of motion, MCMC's random moves, Adam."""
 from __future__ import annotations
 
 import math
@@ -11,6 +11,7 @@ from ..cpu.adam import corrections
 from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
 from ..protocol import MotionNorm
 from .device import Array, Device
+from .lists import room_for
 from .training import total
 
 
@@ -75,9 +76,27 @@ def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved
         rates = np.zeros(-(-columns // 4) * 4, np.float32)
         rates[:columns] = np.asarray(rate, np.float32).reshape(-1)
         job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
-        device.run("adam", numbers, job, seen, steps, table, gradient, value, mean, square, RATES=len(rates) // 4)
-        device.run("adam_count", n, [[n, shared, 0, 0]], seen, steps)
-    device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved)
+        device.run("adam", numbers, job, seen, steps, table, gradient, value, mean, square, device.spilled, RATES=len(rates) // 4)
+        device.run("adam_count", n, [[n, shared, 0, 0]], seen, steps, device.spilled)
+    device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, device.spilled)
+
+
+def begin(device: Device) -> None:
+    """TrainingBackend.begin_step()."""
+    device.guessing = True
+
+
+def end(device: Device, arrays) -> list[np.ndarray] | None:
+    """TrainingBackend.end_step()."""
+    device.guessing = False
+    rooms = list(device.rooms.values())
+    *found, spilled = device.read_all([*arrays, *(room.longest for room in rooms), device.spilled])
+    for room, longest in zip(rooms, found[len(arrays):]):
+        room.entries = max(room.entries, room_for(int(longest[0])))
+    if not spilled[0]:
+        return found[:len(arrays)]
+    device.clear(device.spilled.buffer)
+    return None
 
 
 @cache

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A view in training on a GPU: its picture, its loss, and the backward pass to the model's parameters.
 
-Nothing is brought back but the length of the tile lists, from which the size of their buffers follows.
+A step reads nothing back to the CPU: the length of the tile lists is guessed from earlier steps (lists.py).
 """
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
-from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
 from ..parameters import DECODER
 from ..protocol import Comparison, Splatted
-from .device import Array, Buffer, Device
+from .device import Array, Buffer, Device, Failure
 from .lists import front_to_back
 from .picture import Band, Bands, Splats, blend_all, decoder, project, smooth
 from .scene import DETACHED, ORDER, Pack, View, packs
@@ -48,7 +48,7 @@ class Seen:
 def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool,
           band: float) -> Splatted:
     """TrainingBackend.splat()."""
-    instance = Instance(template, np.eye(4), t).viewed(camera)
+    instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
     layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
     splats = project(device, [instance], camera, layout, [found])
     order = front_to_back(device, splats.depths, splats.rows)
@@ -59,15 +59,21 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
         device.copy(parameters["w1"].buffer, matrices.buffer, 72)
         device.copy(parameters["w2"].buffer, matrices.buffer, 18, 0, 72)
         rgb = _bands([_decoded(device, band, layout, camera, matrices) for band in bands])
+        features = _bands([_columns(band.channels, 0, 9) for band in bands])
     else:
-        matrices, rgb = None, _bands([_columns(band.channels, 0, 3) for band in bands])
+        matrices, rgb, features = None, _bands([_columns(band.channels, 0, 3) for band in bands]), None
     deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
     shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
-    return Splatted(rgb, alpha, deep, Seen(instance, camera, layout, found, matrices, splats, order, bands, smooth(band), shapes))
+    seen = Seen(instance, camera, layout, found, matrices, splats, order, bands, smooth(band), shapes)
+    return Splatted(rgb, alpha, deep, seen, features)
 
 
 def _bands(parts: list[Array]) -> Bands:
-    return Bands(parts, lambda: None)
+    return Bands(parts, _nothing_instead)
+
+
+def _nothing_instead():
+    raise Failure("it has failed before")
 
 
 def _columns(array: Array, first: int, last: int | None = None) -> Array:
@@ -180,13 +186,13 @@ def _observe(device: Device, view: Seen, sums: Array, statistics) -> None:
     """Add the view to the statistics of density control."""
     splats, camera = view.splats, view.camera
     device.run("observe", splats.rows, [[splats.rows, 0, 0, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]], splats.depths, splats.a,
-               splats.b, sums, statistics.gradient, statistics.absolute, QUADS=splats.quads)
+               splats.b, sums, statistics.gradient, statistics.absolute, device.spilled, QUADS=splats.quads)
     device.run("notice", splats.rows, [[splats.rows, 0, 0, 0], [float(max(camera.width, camera.height)), 0.0, 0.0, 0.0]], splats.depths,
-               splats.a, splats.b, statistics.seen, statistics.radius)
+               splats.a, splats.b, statistics.seen, statistics.radius, device.spilled)
 
 
 def _to_parameters(device: Device, view: Seen, sums: Array, found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
-    """From the sums of the splats to the gradients of the parameters, added to those in `into`, if there are any."""
+    """Compute the gradients of the parameters from those of the splats; they are added to `into`, if given."""
     out = {name: device.empty(view.shapes[name]) for name in ORDER} if into is None else into
     project_view = View(device, view.instance, view.camera, view.layout)
     project_view.flags |= DETACHED * detach_time

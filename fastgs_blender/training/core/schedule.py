@@ -58,10 +58,10 @@ class Views:
 
     def __init__(self, shots, seed: int):
         self.seed = seed
-        moments: dict[float, list[int]] = {}
+        moments: dict[int, list[int]] = {}
         for i, shot in enumerate(shots):
-            moments.setdefault(shot.t, []).append(i)
-        self.moments = [moments[t] for t in sorted(moments)]
+            moments.setdefault(shot.frame, []).append(i)
+        self.moments = [moments[frame] for frame in sorted(moments)]
 
     def at(self, iteration: int, count: int) -> list[int]:
         """Indices of `count` shots for a step.  If a moment has fewer shots, the rest come from the next moments."""

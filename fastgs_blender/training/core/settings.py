@@ -20,6 +20,8 @@ CHOICES = {
     "copied_time": ("keep", "random"),
     "start": ("auto", "triangulate", "file", "model", "random"),
     "gradient": ("plain", "absolute"),
+    "exposures": ("auto", "on", "off"),
+    "clocks": ("auto", "on", "off"),
 }
 
 
@@ -53,6 +55,10 @@ class Settings:
                       the foreground, only for those that say which pixels are valid
       foreground_weight  see masks
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
+
+    Cameras that differ (evening.py)
+      exposures       a gain and an offset for each camera and channel, taken out of its pictures; auto: where they are seen to differ
+      clocks          a shift in time for each camera, of a frame or less; auto: where it is found to differ
 
     Learning rates (position and motion in extents)
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
@@ -122,6 +128,9 @@ class Settings:
     masks: str = "auto"
     foreground_weight: float = 2.0
     background: str = "auto"
+
+    exposures: str = "auto"
+    clocks: str = "auto"
 
     position_rate: float = 1.6e-3
     position_rate_end: float = 1.6e-6

@@ -7,6 +7,7 @@ import numpy as np
 from ...model.appearance import Features
 from ...model.gaussians import Clip, GaussianModel
 from ...util.errors import FastGSError
+from .evening import shapes as evening_shapes
 from .hold import HELD
 
 DECODER = ("w1", "w2")
@@ -78,6 +79,9 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
     for name, shape in shapes.items():
         expected |= {f"optimiser.{part}.{name}": (np.float32, shape) for part in ("value", "mean", "square")}
         expected[f"optimiser.count.{name}"] = np.int32, shape[:1]
+    late = arrays.get("evening.late")
+    if late is not None and late.ndim == 1:  # earlier versions had none
+        expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()}
     expected |= {f"statistics.{name}": (np.float32, (count,)) for name in STATISTICS}
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 
@@ -87,6 +91,8 @@ def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
     part = name.split(".")[1]
     if part in ("count", "moved"):
         return array.size == 0 or bool(array.min() >= 0 and array.max() <= iteration)
+    if name == "evening.gains":
+        return bool(((array > 0.01) & (array < 100)).all())
     if part == "steps":
         return int(array[0]) == iteration
     if part == "betas":

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...captures.viewpoints import viewpoints
+from ...evaluation.training_record import evened_entry
 from ...kernels.parameters import DECODER
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
@@ -18,6 +19,7 @@ from ...util.errors import FastGSError
 from . import schedule
 from .density import STRATEGIES
 from .distributed import Group
+from .evening import APART, Evened, Evening
 from .hold import HELD, backdrop_of, held_features, hold
 from .losses import motion_norm
 from .model import empty_model, lasting, with_arrays
@@ -45,7 +47,7 @@ class Trainer:
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
-        self.iteration = 0
+        self.iteration, self._ahead = 0, (-1, [])
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
@@ -56,6 +58,7 @@ class Trainer:
         self.views = schedule.Views(self.shots, settings.seed)
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
+        self.evening = Evening.begun(tuple(dict.fromkeys(shot.view for shot in self.shots)), capture.clip.frame_count, settings)
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
@@ -72,37 +75,87 @@ class Trainer:
 
     def step(self) -> dict:
         """One step; returns its values for the log."""
-        s, i, group, backend, n = self.settings, self.iteration, self.group, self.backend, len(self)
-        count = s.batch * group.size
-        chosen = self.views.at(i, count)
-        reduction = schedule.reduction(s, i)
-        statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
-        seen, gradients, values = backend.zeros((n,)), None, []
-        for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
-            goal = target(self.capture, self.store, self.shots[chosen[place]], s, reduction, i, place)
-            weight = None if goal.weight is None else backend.array(goal.weight)
-            picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
-            difference = backend.compare(picture, backend.array(goal.rgb), weight, goal.background, s.dssim,
-                                         s.opaque_weight if goal.opaque else 0.0, 1 / count)
-            gradients = backend.backward(picture, difference.rgb, difference.alpha, into=gradients, statistics=statistics, seen=seen,
-                                         detach_time=not s.free_centre)
-            values.append(difference.values)
-        if group.size > 1:
-            gradients, seen, values = self._join(gradients, seen, values, statistics)
-        rows = backend.rows(seen)
-        penalty = self._penalise(gradients, rows)
+        s, i = self.settings, self.iteration
         rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis)
         rates |= dict.fromkeys(self.fixed, 0.0)
-        self.optimiser.step(gradients, rows, rates)
+        found = None
+        while found is None:
+            found = self._attempt(rates)
+        drawn, penalty, *values = found
         self.iteration += 1
-        self._control_density(rates)
-        drawn, penalty, *values = backend.read(backend.count(rows), penalty, *values)
-        loss, l1, ssim, error = (float(value) for value in np.sum(values, 0) / count)
+        loss, l1, ssim, error = (float(value) for value in np.sum(values, 0) / (s.batch * self.group.size))
         if not np.isfinite(loss):
             raise FastGSError(f"training diverged at step {self.iteration}: the loss is no number; use lower learning rates.")
+        self._control_density(rates)
         penalty = s.motion_weight * float(penalty[0])
         return {"iteration": self.iteration, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
-                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(drawn[0]), "reduction": reduction}
+                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(drawn[0]),
+                "reduction": schedule.reduction(s, i)}
+
+    def _attempt(self, rates):
+        """The views of a step, forward and backward, and Adam's; returns (number of the Gaussians seen, motion penalty, values of each
+        view), None where the backend wants it taken again."""
+        s, i, group, backend, n = self.settings, self.iteration, self.group, self.backend, len(self)
+        statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
+        seen, gradients, views = backend.zeros((n,)), None, []
+        learnt = self.evening.nothing() if self.evening.looks(i, s.iterations) else None
+        if group.size == 1 and learnt is None:  # what others are sent, or is learnt, has to be right at once
+            backend.begin_step()
+        for shot, goal, rgb, weight in self._targets(i):
+            picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
+            difference = backend.compare(picture, rgb, weight, goal.background, s.dssim, s.opaque_weight if goal.opaque else 0.0,
+                                         1 / (s.batch * group.size))
+            views.append((shot, goal, picture, difference))
+        for shot, goal, picture, difference in views:
+            gradients = backend.backward(picture, difference.rgb, difference.alpha, into=gradients, statistics=statistics, seen=seen,
+                                         detach_time=not s.free_centre)
+            if learnt is not None:
+                self._compare(shot, goal, picture, learnt)
+        values = [difference.values for *_, difference in views]
+        if group.size > 1:
+            gradients, seen, values = self._join(gradients, seen, values, statistics)
+        if learnt is not None:
+            group.total(list(learnt))
+            self.evening.learn(*learnt)
+        rows = backend.rows(seen)
+        penalty = self._penalise(gradients, rows)
+        self.optimiser.step(gradients, rows, rates)
+        last = backend.count(rows), penalty, *values
+        if i + 1 < s.iterations:
+            self._targets(i + 1)  # while the device works
+        found = backend.end_step(*last)
+        if found is None:
+            self.optimiser.steps -= 1
+        return found
+
+    def _targets(self, i: int) -> list[tuple]:
+        """This process' (shot, Target, its colours, its weight or None) of a step, the arrays on the backend; one step's are kept."""
+        if self._ahead[0] != i:
+            s, group, array, store = self.settings, self.group, self.backend.array, Evened(self.store, self.evening)
+            chosen, reduction, found = self.views.at(i, s.batch * group.size), schedule.reduction(s, i), []
+            for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
+                shot = self.shots[chosen[place]]
+                goal = replace(target(self.capture, store, shot, s, reduction, i, place), t=self.evening.moment(shot))
+                found.append((shot, goal, array(goal.rgb), None if goal.weight is None else array(goal.weight)))
+            self._ahead = i, found
+        return self._ahead[1]
+
+    def _compare(self, shot, goal, picture, learnt) -> None:
+        """Add to `learnt` what a view's picture says of its camera's exposure and clock."""
+        shown = self._shown(picture, goal)
+        change = None
+        if self.evening.times(self.iteration, self.settings.iterations):
+            apart = APART * self.evening.frame
+            late, early = (self._shown(self.backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t + side), goal)[0]
+                           for side in (apart, -apart))
+            change = (late - early) / np.float32(2 * APART)
+        for total, part in zip(learnt, self.evening.seen(shot, goal, *shown, change)):
+            total += part
+
+    def _shown(self, picture, goal) -> tuple[np.ndarray, np.ndarray]:
+        """A picture over the goal's background [h, w, 3], and its alpha [h, w], as NumPy arrays."""
+        rgb, alpha = self.backend.numpy(picture.rgb), self.backend.numpy(picture.alpha)
+        return (rgb if goal.background is None else rgb + (1 - alpha)[..., None] * goal.background), alpha
 
     def _join(self, gradients, seen, values, statistics):
         """Sum over all processes: gradients by name, seen [N], values [4], and the statistics; returns the first three."""
@@ -146,16 +199,17 @@ class Trainer:
         """The model without the Gaussians that can never be seen, and what the capture says of its surroundings."""
         host = {name: self.backend.numpy(self.optimiser.arrays[name]) for name in ("position", HELD) if name in self.optimiser.arrays}
         around = Surroundings(backdrop_of(host, self.around), viewpoints(self.capture))
-        return replace(lasting(self.model(provenance)), surroundings=around)
+        return replace(lasting(self.model(provenance | evened_entry(self.evening.facts()))), surroundings=around)
 
     def measure(self, shots):
         """measure() of the model as it is now."""
-        return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name)
+        return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name, self.evening.colours_differ)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict]:
         """All state on which the rest of the run depends: arrays, and JSON values."""
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
+        arrays |= {f"evening.{name}": array for name, array in self.evening.state().items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
@@ -174,10 +228,16 @@ class Trainer:
         self.iteration, self.reach = about["iteration"], float(about.get("reach", self.extent))
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
+        self.evening.restore(part("evening"))
+        self._ahead = -1, []
 
 
-def measure(model, capture, store, settings, shots, backend: str = "cpu"):
-    """(mean PSNR of shots, that of their foreground where masks show it or None, [(picture, truth)] of each, over black)."""
+def measure(model, capture, store, settings, shots, backend: str = "cpu", fit_colours: bool = False):
+    """(mean PSNR of shots, that of their foreground where masks show it or None, [(picture, truth)] of each, over black).
+
+    fit_colours  PSNR is that of the right halves, colours fitted on the left ones (evaluation/halves.py)
+    """
+    from ...evaluation import halves
     from ...evaluation.metrics import psnr
 
     whole, part, pictures = [], [], []
@@ -186,9 +246,11 @@ def measure(model, capture, store, settings, shots, backend: str = "cpu"):
         picture = render(model, shot.camera, shot.t, ("rgb",), backend)["rgb"]
         cover = cover_of(use_of_mask(settings, capture, shot, pixels.mask), pixels)
         truth = pixels.rgb if cover is None else pixels.rgb * cover[..., None]
-        whole.append(psnr(picture, truth))
+        picture = halves.fitted(picture, truth, pixels.valid) if fit_colours else picture
+        measured = halves.right(picture, truth, pixels.mask) if fit_colours else (picture, truth, pixels.mask)
+        whole.append(psnr(*measured[:2]))
         if pixels.mask is not None:
-            part.append(psnr(picture, truth, pixels.mask))
+            part.append(psnr(*measured))
         pictures.append((picture, truth))
     part = [value for value in part if np.isfinite(value)]
     return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures

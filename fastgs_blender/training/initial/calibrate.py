@@ -18,7 +18,7 @@ from ...cameras.lens import Lens
 from ...captures.posing import with_cameras
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
-from ...util.reading import parse_json
+from ...util.reading import read_json, reading
 from .features import MOST_FEATURES, PEAK, pycolmap_module
 
 TRIES = 3
@@ -128,12 +128,11 @@ def keep(path, capture, cameras, lenses):
 
 def _read(path, capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
     """The cameras and lenses in a file, None if they are another capture's; raises FastGSError."""
-    try:
-        values = parse_json(path.read_text("utf-8"))
+    again = "delete it to find the poses again"
+    with reading(path, again):
+        values = read_json(path, advice=again)
         if values["capture"] != str(Path(capture.path).resolve()):
             return None
         lenses = {view: Lens(**{name: tuple(v) if isinstance(v, list) else v for name, v in entry.pop("lens").items()})
                   for view, entry in values["cameras"].items()}
         return {view: Camera(**entry) for view, entry in values["cameras"].items()}, lenses
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise FastGSError(f"{path}: the poses found earlier cannot be read ({error}); delete it to find them again.") from error

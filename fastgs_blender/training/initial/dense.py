@@ -5,10 +5,13 @@ Points that look the same at other moments belong to all times; all others carry
 """
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from ...captures.capture import Points, Shot
 from ...util.errors import FastGSError
+from ..core.evening import Evened, Evening
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, sweep
@@ -21,6 +24,10 @@ FEW = 30
 """Features at a moment, on average, with fewer than which triangulation has failed."""
 MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
+DARK, BRIGHT = 0.04, 0.97
+"""Colours beyond which nothing is told of a camera's exposure."""
+UNEVEN = 0.06
+"""Difference of gains from 1 below which they are left to the training: a few colours of a few points tell no less."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
 COMPANY, LONELY = 16, 4.0
@@ -33,7 +40,7 @@ agree on it for what belongs to all times."""
 def triangulated(capture, store, settings) -> tuple[Points, str]:
     """At most settings.points points and a clause about them; raises FastGSError where the pictures give too few features."""
     moments = chosen_moments(capture)
-    found = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
+    found, store = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
     how = f"{len(found)} features triangulated"
     if not np.isfinite(found.t).all():
         return evenly(found, settings.points), how
@@ -60,10 +67,13 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
     return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how
 
 
-def _features(capture, store, settings, moments) -> Points:
-    """Points triangulated from features at these moments."""
+def _features(capture, store, settings, moments):
+    """Points triangulated from features at these moments, and the store with colours in which cameras agree on these points.
+
+    Features are found whatever the exposures are; the plane sweep compares colours.
+    """
     extract = features.extractor()
-    clouds = []
+    clouds, looks = [], []
     for shots in moments:
         pictures = [picture(capture, store, settings, shot, features.LARGEST_SIDE) for shot in shots]
         found = []
@@ -72,14 +82,40 @@ def _features(capture, store, settings, moments) -> Points:
             good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
             found.append(features.Features(places[good], descriptors[good], camera))
         xyz, seen_by = features.triangulated(found, min(len(shots), 3))
-        rgb = np.array([np.mean([sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views], 0)
-                        for point, views in zip(xyz, seen_by)]).reshape(-1, 3)
+        for point, views in zip(xyz, seen_by):
+            looks.append({shots[k].view: sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views})
         moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
-        clouds.append(Points(xyz, rgb, np.full(len(xyz), moment)))
+        clouds.append(Points(xyz, np.zeros((len(xyz), 3)), np.full(len(xyz), moment)))
     points = joined(clouds)
     if len(points) < FEW * len(moments):
         raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
-    return points
+    even = evening_of(capture, settings, looks)
+    rgb = np.array([np.mean([even.seen_as(view, colour) for view, colour in each.items()], 0) for each in looks]).reshape(-1, 3)
+    return Points(points.xyz, rgb, points.t), Evened(store, even)
+
+
+def evening_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> Evening:
+    """How cameras differ, from the colours [3] of points in the views that see them: gains are medians of ratios, to which the points' own
+    colours are medians in turn."""
+    even = Evening.begun(tuple(dict.fromkeys(shot.view for shot in capture.training)), capture.clip.frame_count, settings)
+    place = {view: k for k, view in enumerate(even.views)}
+    table = np.full((len(looks), len(even.views), 3), np.nan)
+    for row, each in zip(table, looks):
+        for view, colour in each.items():
+            row[place[view]] = colour
+    table[(table < DARK) | (table > BRIGHT)] = np.nan
+    known = (np.isfinite(table).sum(0) >= FEW).all(1)
+    if known.sum() < 2:
+        return even
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # medians of nothing: points that are too dark
+        for _ in range(8):
+            own = np.nanmedian(table / even.gains, 1, keepdims=True)
+            gains = np.nanmedian(table / own, 0)
+            even.gains = np.where(known[:, None], np.clip(gains / np.median(gains[known], 0), 0.3, 3), 1.0)
+    if np.abs(even.gains - 1).max() < UNEVEN:
+        even.gains = np.ones_like(even.gains)
+    return even
 
 
 def votes(cloud: Points, pictures, depths) -> np.ndarray:

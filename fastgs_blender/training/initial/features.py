@@ -82,14 +82,19 @@ def matrix(camera) -> np.ndarray:
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
 
 
-def matches(a: Features, b: Features) -> np.ndarray:
-    """Pairs [M, 2] of features that are each other's best along the epipolar lines, and better than the next."""
+def matches(a: Features, b: Features, anywhere: bool = False) -> np.ndarray:
+    """Pairs [M, 2] of features that are each other's best along the epipolar lines, and better than the next.
+
+    anywhere  in the whole pictures instead: what a calibration is compared with; some of these are wrong
+    """
     if not len(a.places) or not len(b.places):
         return np.zeros((0, 2), np.int64)
-    lines = np.c_[a.places, np.ones(len(a.places))] @ fundamental(a.camera, b.camera).T
-    lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
-    away = np.abs(lines @ np.c_[b.places, np.ones(len(b.places))].T)
-    likeness = np.where(away < ON_LINE, a.descriptors @ b.descriptors.T, -1)
+    likeness = a.descriptors @ b.descriptors.T
+    if not anywhere:
+        lines = np.c_[a.places, np.ones(len(a.places))] @ fundamental(a.camera, b.camera).T
+        lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
+        away = np.abs(lines @ np.c_[b.places, np.ones(len(b.places))].T)
+        likeness = np.where(away < ON_LINE, likeness, -1)
     best = likeness.argmax(1)
     rows = np.arange(len(best))
     top = likeness[rows, best]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Begins with a model that is known before training, as a bake makes one: its Gaussians move, turn and lie as they do there.
+"""Initialises training from an existing model, such as a bake: positions, rotations and motions of its Gaussians are taken over.
 
-Which of them are taken, and their colours, the pictures tell: those that cover pixels, and more of them where they cover more.
+The pictures decide which Gaussians are taken, and their colours: those that cover pixels, and more of them where they cover more pixels.
 """
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What training begins with: the Gaussians of a known model or of starting points, and the backdrop behind them."""
+"""Makes the initial Gaussians of training, from an existing model or from starting points, with a backdrop behind them."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace

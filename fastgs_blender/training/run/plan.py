@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run is: the capture that it is trained on and its settings.  run.json in the run's folder records both.
+"""The plan of a training run: its capture and its settings, which run.json in the run's folder records.
 
 begin() makes the plan of a new run, or brings back that of a run which is resumed.  It changes nothing in the folder: a run that
 cannot start leaves everything as it was.

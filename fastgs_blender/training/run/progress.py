@@ -14,15 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ...util.errors import FastGSError, printable
+from ...util.errors import FastGSError
 from ...util.progress import progress
-from ...util.reading import parse_json
+from ...util.reading import parse_json, read_bytes
 from . import barrier, checkpoint
 from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
 from .plot import write_plot
 
 SMOOTHING = 0.98
 STATUS_SECONDS = 1.0
+LARGEST_LOG = 2**30
+"""Bytes of the log of an earlier part of the run."""
 UNTIMED_STEPS = 2
 """A process' first steps compile kernels, which takes many times as long as a step does: the time left is not estimated from them."""
 
@@ -31,6 +33,8 @@ class Silent:
     """Reports nothing: for the processes that are not the first, and for programs that only want the result."""
 
     iterations = 0
+    device = ""
+    """What trains, for people."""
 
     def say(self, text):
         """A remark; not shown where the run is quiet."""
@@ -96,7 +100,7 @@ class Reporter(Silent):
             self.warn(text)
 
     def warn(self, text):
-        self.bar.say(f"fastgs: {printable(text)}")
+        self.bar.say(f"fastgs: {text}")
 
     def fill(self, store, shots):
         """Decode the pictures that are not in the cache yet, with a bar of their own."""
@@ -130,7 +134,7 @@ class Reporter(Silent):
         done = values.get("iteration", self.begin)
         speed = self.speed
         left = (self.iterations - done) / speed if speed > 0 else None
-        about = {"state": state, "process": os.getpid(), "iterations": self.iterations, **values, **self.smooth,
+        about = {"state": state, "process": os.getpid(), "device": self.device, "iterations": self.iterations, **values, **self.smooth,
                  "elapsed_seconds": round(self.elapsed, 2), "seconds_left": None if left is None else round(left, 1)}
         self._safely("the status file", lambda: checkpoint.write_json(self.folder / STATUS, finite(about)))
 
@@ -176,8 +180,12 @@ class Reporter(Silent):
         path = self.folder / LOG
         if not path.exists():
             return
-        kept = "".join(f"{line}\n" for line in path.read_text("utf-8", "replace").splitlines() if 0 < _iteration(line) <= iteration)
-        self._safely("the log", lambda: checkpoint.write_aside(path, lambda part: part.write_text(kept, "utf-8")))
+
+        def write(part):
+            lines = read_bytes(path, LARGEST_LOG).decode("utf-8", "replace").splitlines()
+            part.write_text("".join(f"{line}\n" for line in lines if 0 < _iteration(line) <= iteration), "utf-8")
+
+        self._safely("the log", lambda: checkpoint.write_aside(path, write))
 
     def _board(self):
         if os.environ.get("FASTGS_NO_TENSORBOARD"):

@@ -22,6 +22,7 @@ from ...evaluation import training_record
 from ...formats.base import generator
 from ...kernels.protocol import DeviceError
 from ...util import locks
+from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..core.settings import Settings
@@ -93,6 +94,7 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
         plans.write(out, plan)
         done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
+    reporter.device = describe_backend(backend)
     try:
         with StopFlag() as stop:
             return _train(capture, store, settings, out, group, reporter, stop, cuts, backend)
@@ -118,6 +120,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
              "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
     if len(cuts) == 1:
         model = _segment(capture, store, settings, out, group, reporter, stop, None, 0, backend)
+        evened = training_record.evened(model)
     else:
         models = []
         for number, cut in enumerate(cuts):
@@ -127,7 +130,9 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
             decoder = models[0] if models else None
             models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number,
                                    backend))
+        evened = training_record.evened(models[0])  # exposures stay, and clocks run on
         model = joined_model(models, cuts, capture.clip, {})
+    about |= training_record.evened_entry(evened)
     return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
 
 
@@ -144,6 +149,7 @@ def _segment(capture, store, settings, folder, group, reporter, stop, decoder, n
         if group.size > 1:
             raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
         reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
+        reporter.device = f"{reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
         return _segment_on("cpu", *rest)
 
 
@@ -207,9 +213,13 @@ def _finish(model, capture, store, settings, out, group, reporter) -> dict:
     formats.save(model, out / MODEL)
     report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
               "model_bytes": (out / MODEL).stat().st_size, "seconds": round(getattr(reporter, "elapsed", 0.0), 1),
-              "peak_memory_bytes": peak_memory(), "processes": group.size, "settings": settings.to_dict()}
+              "peak_memory_bytes": peak_memory(), "processes": group.size, "device": reporter.device, "settings": settings.to_dict()}
+    found = training_record.evened(model)
+    if found:
+        report["evened"] = found
+        reporter.say(training_record.sentence(found))
     if capture.held_out:
-        whole, foreground, _ = measure(model, capture, store, settings, capture.held_out)
+        whole, foreground, _ = measure(model, capture, store, settings, capture.held_out, fit_colours="exposures" in found)
         report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
     checkpoint.write_json(out / REPORT, report)
     reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})

@@ -11,6 +11,7 @@ import bpy
 import image_files
 import numpy as np
 import pytest
+from held_runs import GUARD
 
 FRAMES = 6
 WORKER = """
@@ -66,7 +67,7 @@ def begin(addon, shot):
 
 def done(process) -> tuple[str, int]:
     """(what it printed, its exit status)."""
-    text, _ = process.communicate(timeout=600)
+    text, _ = process.communicate(timeout=GUARD)
     return text, process.returncode
 
 

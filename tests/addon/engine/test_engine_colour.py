@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colours that come back as the capture had them, and what lies behind them."""
+"""Final renders have the capture's colours under the view transform Standard, and the right background behind the splats."""
 from dataclasses import replace
 
 import bpy

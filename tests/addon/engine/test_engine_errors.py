@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What goes wrong ends in one sentence; what can be rendered is rendered; a stopped render stops."""
+"""Errors of a render are reported in one sentence, the other objects are rendered, and a stopped render stops."""
 import os
 import threading
 from concurrent.futures import CancelledError
@@ -8,6 +8,7 @@ import bpy
 import by_hand
 import numpy as np
 import pytest
+from held_runs import GUARD
 
 
 @pytest.fixture
@@ -130,10 +131,6 @@ def test_too_little_memory_is_said(scene, module, fg, make_model, model_file, sp
     monkeypatch.setattr(fg, "render", starve)
     with pytest.raises(RuntimeError, match="not enough memory"):
         render()
-
-
-GUARD = 120
-"""Seconds after which a test gives up waiting for what never comes; nothing else depends on it."""
 
 
 class Observer:

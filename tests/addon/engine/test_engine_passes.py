@@ -31,6 +31,24 @@ def twins(scene, bake, add, add_camera):
     return splats
 
 
+def test_sorting_by_pixel(scene, make_model, model_file, splat_object, add_camera, render):
+    """Two sheets that cross: each is in front on its side, and what the setting leaves alone is the picture of before."""
+    turns = [[np.cos(a), 0, 0, np.sin(a)] for a in (0.35, -0.35)]
+    model = make_model(2, position=np.zeros((2, 3)), rotation=np.array(turns), scale=np.log(np.tile([1.0, 0.01, 0.6], (2, 1))),
+                       opacity=np.full(2, 5.0), features=np.array([[1.0, 0, 0], [0, 0, 1.0]]))
+    splat_object(model_file(model))
+    add_camera()
+    scene.render.film_transparent = True
+    first = render()["ViewLayer.Combined"]
+    scene.fastgs.sorting = 'PIXEL'
+    found = render()["ViewLayer.Combined"]
+    row = found[24, :, 0] > found[24, :, 2]
+    left, right = row[26:31], row[33:38]
+    assert left.all() != right.all() and left.any() != right.any()
+    scene.fastgs.sorting = 'CENTRE'
+    assert np.array_equal(render()["ViewLayer.Combined"], first) and np.abs(first - found).max() > 0.3
+
+
 def test_passes_are_those_of_cycles(scene, twins, render):
     """On an opaque mesh: depth to 0.5 %, normals to 5 degrees (median), vectors to 0.05 px (mean), place, mist and index."""
     splats = twins

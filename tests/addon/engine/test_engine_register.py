@@ -5,6 +5,7 @@ import sys
 
 import bpy
 import pytest
+from held_runs import GUARD
 
 
 def test_the_engine_can_be_chosen_and_is_what_it_says(scene):
@@ -46,4 +47,4 @@ def test_blenders_panels(scene, panel, shown):
 def test_a_script_with_the_engine_ends_in_peace(addon):
     """Nothing is unregistered by hand: in some versions of the bpy module a registered engine crashes or hangs the exit."""
     code = f"import bpy, addon_utils; assert addon_utils.enable({addon.__name__!r}); bpy.context.scene.render.engine = 'FASTGS'"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=600, capture_output=True)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=GUARD, capture_output=True)

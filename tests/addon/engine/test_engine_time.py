@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From scene frames to capture frames."""
+"""The conversion from scene frames to capture frames."""
 import numpy as np
 import pytest
 from hypothesis import given

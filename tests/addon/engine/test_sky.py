@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from gpu_context import draw_offscreen, open_gpu
+from held_runs import GUARD
 
 
 @pytest.fixture(autouse=True)
@@ -150,7 +151,7 @@ def test_large_images_keep_their_detail(scene, world, module, monkeypatch):
         monkeypatch.setattr(sky, "STRIP", strip)
         sky.sky.stop()
         sky.sky.ask(wish())
-        sky.sky.wait(300)
+        sky.sky.wait(GUARD)
         found.append(sky.sky.latest())
     np.testing.assert_array_equal(*(panorama.values for panorama in found))
     assert found[0].values.shape == (64, 128, 3) and np.ptp(found[0].values) > 0.5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What FAST-GS does not render is told, and meshes come in through the compositor."""
+"""Objects and settings that FAST-GS does not render are reported, and *Set Up Composite* adds meshes through the compositor."""
 from __future__ import annotations
 
 import bpy

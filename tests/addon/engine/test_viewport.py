@@ -2,12 +2,12 @@
 """A viewport's state: what it draws while it waits, when it asks again, what it does where the GPU fails, and what it leaves."""
 from __future__ import annotations
 
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gpu_context import draw_offscreen, open_gpu
+from held_runs import GUARD, until
 
 
 @pytest.fixture
@@ -74,16 +74,9 @@ def psnr(a, b):
     return -10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20)
 
 
-GUARD = 120
-"""Seconds after which a test gives up waiting for what never comes; nothing else depends on it."""
-
-
 def settle(view):
     """Wait until the thread has answered."""
-    end = time.monotonic() + GUARD
-    while view.waiting:
-        assert time.monotonic() < end, "the thread never answered"
-        time.sleep(0.005)
+    until(lambda: not view.waiting)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
@@ -222,6 +215,67 @@ def test_the_cpu_draws_both_colour_spaces_as_the_final_render_does(module, make_
     np.testing.assert_array_equal(got[::-1], want)
 
 
+@pytest.fixture
+def data(module):
+    """data(name): a pass to show, with its defaults."""
+    settings = module("fastgs_blender.rendering.passes").DEFAULTS
+    return lambda name, state=(): module("engine.viewport.fallback").DataPass(name, settings, None, state)
+
+
+@pytest.fixture
+def at_rest(module, monkeypatch):
+    """No view counts as moving."""
+    monkeypatch.setattr(module("engine.viewport.view"), "RESTING", -1.0)
+
+
+def test_passes_are_shown_in_their_false_colours(module, fg, make_model, model_file, snapshot, eye, draw, view, expected, data, at_rest):
+    """Each pass is the final one; the picture comes back as the GPU draws it."""
+    table, linear = module("fastgs_blender.rendering.passes").PASSES, module("scene.colour").srgb_to_linear
+    path = model_file(make_model(200, motion=np.random.default_rng(1).normal(0, 0.1, (200, 10, 3)), basis=fg.Fourier(5), clip=fg.Clip(30)))
+    for name in ("depth", "normal", "cryptomatte_00", "count", "vector", "depth"):
+        got = draw(snapshot(path), eye(), wait=True, data=data(name))
+        image = fg.render(snapshot(path).load()[0], eye(), passes=[name])[name]
+        assert got[..., :3] == pytest.approx(linear(table[name].look(image)), abs=2e-3) and (got[..., 3] == 1).all()
+        assert got[..., :3].std() > 0.01 and view.as_final and view.shows
+    assert psnr(draw(snapshot(path), eye(), wait=True), expected(snapshot(path), eye())) > 45
+    assert not view.as_final and view.shows and not view.stale
+
+
+def test_passes_are_coarse_while_the_view_moves(module, make_model, model_file, snapshot, eye, draw, view, data, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(module("engine.viewport.view"), "time", SimpleNamespace(monotonic=lambda: now[0]))
+    path, coarse = model_file(make_model(100)), module("engine.viewport.fallback").COARSE
+    draw(snapshot(path), eye(), wait=True, data=data("mist"))
+    assert not view.coarse and view.fallback._values.shape == (64, 96, 4)
+    for turned in (0.2, 0.3):
+        draw(snapshot(path), eye(turned), data=data("mist"))
+        settle(view)
+        assert view.stale and view.coarse and view.fallback._values.shape == (64 // coarse, 96 // coarse, 4)
+    now[0] += 2 * module("engine.viewport.view").RESTING
+    draw(snapshot(path), eye(0.3), data=data("mist"))
+    settle(view)
+    assert draw(snapshot(path), eye(0.3), data=data("mist"))[..., :3].std() > 0.01
+    assert not view.coarse and not view.stale and view.fallback._values.shape == (64, 96, 4)
+    asked = view._asked
+    draw(snapshot(path), eye(0.3), data=data("mist"))
+    assert view._asked is asked, "a still pass is rendered once"
+
+
+def test_the_menu_of_passes_has_each_of_blenders_once(module, scene):
+    table, passes = module("fastgs_blender.rendering.passes").PASSES, module("engine.passes")
+    items = module("scene.properties").FASTGS_PG_shading.bl_rna.properties["render_pass"].enum_items
+    assert items[0].identifier == 'COMBINED' and len({item.name for item in items}) == len(items) and all(i.description for i in items)
+    assert {p.blender for p in table.values() if not p.level and not p.colour} == {table[i.identifier.lower()].blender for i in items[1:]}
+
+    def of(chosen):
+        return passes.in_viewport(SimpleNamespace(fastgs=SimpleNamespace(render_pass=chosen)), scene)
+
+    shown = {item.identifier: of(item.identifier) for item in items}
+    assert shown['COMBINED'] is None and shown['DEPTH'] == "depth" and shown['CRYPTOMATTE_00'] == "cryptomatte_00"
+    scene.fastgs.depth = 'MEDIAN'
+    assert of('DEPTH') == "median_depth"
+
+
 def test_a_broken_transform_keeps_no_other_object_from_the_gpu(module, make_model, model_file, snapshot, eye, draw, view, expected):
     path, other = model_file(make_model(50)), model_file(make_model(50, seed=1), "other.safetensors")
     shown = snapshot(path, other)
@@ -252,17 +306,13 @@ def test_the_latest_wish_wins(worker):
     worker.ask(other, lambda: 1 / 0)
     assert worker.busy(owner) and worker.busy(other)
     gate.set()
-    end = time.monotonic() + GUARD
-    while not (other.errors and len(owner.answers) == 2) and time.monotonic() < end:
-        time.sleep(0.005)
-    while worker.busy(other) and time.monotonic() < end:
-        time.sleep(0.005)
+    until(lambda: other.errors and len(owner.answers) == 2)
+    until(lambda: not worker.busy(other))
     assert not worker.busy(owner) and not worker.busy(other)
     assert owner.answers == ["first", "third"] and isinstance(other.errors[0], ZeroDivisionError)
     worker.stop()
     worker.ask(owner, lambda: "after a stop")
-    while len(owner.answers) < 3 and time.monotonic() < end:
-        time.sleep(0.005)
+    until(lambda: len(owner.answers) == 3)
     assert owner.answers[2] == "after a stop"
 
 

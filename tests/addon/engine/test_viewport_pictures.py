@@ -2,6 +2,8 @@
 """What the GPU draws is what the library renders."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gpu_context import draw_offscreen, open_gpu
@@ -162,8 +164,24 @@ def test_antialiased_models_with_constants_of_their_own(module, fg, moving, came
     agree(module, [(moving(fg.RGB(), raster=raster), np.eye(4), 0.5)], camera(distance=1.0), drawn)
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_far_views(module, fg, moving, camera, drawn, orthographic):
+    """Splats are as faint as in the final render where the capture's cameras were nearer, or their pictures sharper."""
+    eye = camera(orthographic)
+    film = module("fastgs_blender.cameras.viewpoints").viewpoint_of(replace(camera(), fx=8 * camera().fx, fy=8 * camera().fy))
+    model = replace(moving(fg.RGB()), surroundings=module("fastgs_blender.model.surroundings").Surroundings(cameras=(film,)))
+    model.scale[:] -= 2.5
+    model.opacity[:] = 4.0
+    plain = module("fastgs_blender.rendering.instances").ObjectSettings(antialias=False)
+    want = expected(module, [(model, np.eye(4), 0.4)], eye)
+    assert psnr(drawn([(model, np.eye(4), 0.4)], eye), want) >= 45
+    assert psnr(drawn([(model, np.eye(4), 0.4, plain)], eye), want) < 35
+
+
 def test_a_camera_among_the_splats(module, fg, moving, camera, drawn):
     agree(module, [(moving(fg.SH(2), "paper"), np.eye(4), 0.5)], camera(distance=0.3), drawn)
+    large = moving(fg.RGB(), n=40, scale=np.random.default_rng(3).uniform(-3, -0.3, (40, 3)), raster=fg.Raster(near=0.05))
+    agree(module, [(large, np.eye(4), 0.5)], camera(distance=0.3), drawn)
 
 
 PAIRS = {"both plain": ("rgb", "sh", "srgb", "srgb"), "a decoder": ("rgb", "features", "srgb", "srgb"),

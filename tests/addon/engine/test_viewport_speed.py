@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gpu_context import draw_offscreen, open_gpu
+from held_runs import until
 
 SIZE = 96, 64
 
@@ -192,9 +192,7 @@ def test_a_still_picture_fades_in(parts, window, two, still, view, drawn, surfac
     assert np.abs(coarse - whole).mean() > 0.01
     still()
     window(two, wait=False, **options)  # asks for the rest
-    deadline = time.monotonic() + 60
-    while not view.stale and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: view.stale)
     shown = [coarse, window(two, wait=False, **options)]
     np.testing.assert_allclose(shown[1], coarse, atol=2e-3)
     count = len(drawn)
@@ -213,9 +211,7 @@ def test_what_was_deleted_goes_at_once(window, two, view):
     window(two, over=False)
     assert np.abs(both - alone).max() > 0.5
     np.testing.assert_allclose(window(two[1:], over=False, wait=False), alone, atol=1e-3)
-    end = time.monotonic() + 120
-    while view.waiting and time.monotonic() < end:
-        time.sleep(0.005)
+    until(lambda: not view.waiting)
     assert not window([], over=False, wait=False).any()
 
 

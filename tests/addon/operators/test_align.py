@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ground and scale: objects move, files do not, and what belongs together stays together."""
+"""Ground and scale: objects move, model files do not change, and the objects of one capture keep their relative places."""
 from __future__ import annotations
 
 import bpy

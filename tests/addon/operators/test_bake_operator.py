@@ -265,8 +265,8 @@ def test_in_steps_beside_the_user(module, add, scene, fg):
     scene.frame_set(5, subframe=0.5)
     settings = baking.Settings(1, FRAMES, count=300)
 
-    def finish(in_background):
-        steps, shares = baking.bake_steps(bpy.context, [cube], settings, in_background), []
+    def finish(apart):
+        steps, shares = baking.bake_steps(bpy.context, [cube], settings, apart), []
         while True:
             try:
                 shares.append(next(steps))
@@ -285,4 +285,4 @@ def test_in_steps_beside_the_user(module, add, scene, fg):
             next(steps)
         steps.close()
         assert (scene.frame_current, scene.frame_subframe) == (5, 0.5)
-        assert not any(t.name == "FAST-GS bake" for t in threading.enumerate())
+        assert not any(t.name == "FAST-GS work" for t in threading.enumerate())

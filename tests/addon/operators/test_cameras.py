@@ -11,6 +11,7 @@ import image_files
 import numpy as np
 import pytest
 from camera_checks import assert_same, in_world, make_camera, project, seen
+from held_runs import GUARD
 from mathutils import Matrix
 
 FRAMES = 6
@@ -252,18 +253,23 @@ def test_writing_undistorted_pictures_can_be_interrupted_and_goes_on(scene, capt
 
     save, saved, held = undistorted._save, [], threading.Event()
 
+    class Stop(threading.Event):
+        def set(self):
+            super().set()
+            held.set()
+
     def saving(file, pixels):
         if len(saved) >= 4:
-            held.wait()  # until the interruption
+            held.wait(GUARD)  # until the interruption
         saved.append(file)
         save(file, pixels)
 
     monkeypatch.setattr(undistorted.decoding, "decode", counted)
     monkeypatch.setattr(undistorted, "_save", saving)
+    monkeypatch.setattr(undistorted, "Event", Stop)
     steps = undistorted.steps(opened, opened.shots)
     while (now := next(steps))[0] < 4:
         assert now[1] == 3 * FRAMES
-    threading.Timer(0.2, held.set).start()
     steps.close()
     assert 4 <= len(saved) < 3 * FRAMES
     first, calls[:] = set(saved), []

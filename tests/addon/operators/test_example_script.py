@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from held_runs import GUARD
 from image_files import read_png
 from test_capture_scene import moving_scene  # noqa: F401 (fixtures)
 from test_training_jobs import compiled, toy  # noqa: F401
@@ -55,7 +56,7 @@ def test_from_a_scene_to_a_rendered_picture(moving_scene, compiled, tmp_path):  
         text = text.replace(there, smaller)
     (tmp_path / "script.py").write_text(text, "utf-8")
     command = [sys.executable, "-c", START, ROOT / "tools", tmp_path / "script.py", tmp_path / "scene.blend", tmp_path / "out"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, timeout=600)
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, timeout=GUARD)
     assert done.returncode == 0, done.stdout[-3000:]
     picture = read_png(tmp_path / "out" / "shot.png")[..., :3].astype(int)
     h, w, _ = picture.shape

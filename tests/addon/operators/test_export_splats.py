@@ -2,6 +2,7 @@
 """File > Export > 4D Gaussians: what is written looks as the scene does, says what it loses, and touches nothing."""
 import importlib.util
 import sys
+import threading
 from pathlib import Path
 
 import bpy
@@ -76,6 +77,29 @@ def test_the_whole_model(fg, make_model, model_file, tmp_path):
         again = fg.load(tmp_path / name)
         assert len(again) == 30 and again.basis.terms == 3
     assert np.array_equal(fg.load(tmp_path / "a.safetensors").position, model.position)
+
+
+def test_compressing_shows_how_far_it_is_and_can_be_broken_off(module, exporter, make_model, model_file, monkeypatch, tmp_path):
+    background = module("scene.background")
+    monkeypatch.setattr(background, "WAIT", 0.002)
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(60)))
+    asked, target = exporter(), tmp_path / "out" / "small.safetensors"
+    target.parent.mkdir()
+    asked.content, asked.moving_format, asked._remarks = 'MODEL', 'COMPRESSED', []
+    steps = asked._write(bpy.context, target)
+    while next(steps)[0] == 0:
+        pass
+    steps.close()
+    assert not any(target.parent.iterdir()) and not any(thread.name == background.NAME for thread in threading.enumerate())
+    steps, shares = asked._write(bpy.context, target), []
+    written = None
+    while written is None:
+        try:
+            shares.append(next(steps)[0])
+        except StopIteration as end:
+            written = end.value
+    assert written == "60 Gaussians" and target.is_file() and any("quantised" in text for text in asked._remarks)
+    assert shares == sorted(shares) and len(set(shares)) > 10 and shares[-1] > 0.9
 
 
 def test_what_is_lost_is_said_before_writing(fg, exporter, make_model, model_file):

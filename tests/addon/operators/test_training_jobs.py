@@ -14,10 +14,8 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from held_runs import Barrier, until
+from held_runs import GUARD, Barrier, until
 
-GUARD = 1800
-"""Seconds that a program may take: only a guard against hanging."""
 FEW = ("--set", "points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "start=random")
 
 

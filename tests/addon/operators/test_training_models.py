@@ -8,10 +8,7 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
-from held_runs import until
-
-GUARD = 1800
-"""Seconds that a thread may wait: only a guard against hanging."""
+from held_runs import GUARD, until
 
 
 def test_a_finished_runs_model_is_read_beside_blender(module, fg, make_model, scene, tmp_path, monkeypatch):

@@ -35,18 +35,17 @@ def separate_some():
     bpy.ops.object.mode_set(mode='OBJECT')
 
 
-def clear_modifiers():
-    bpy.context.object.modifiers.clear()
-
-
 REFUSED = {
     "Edit Mode > Delete Vertices": delete_some,
     "Edit Mode > Delete All": delete_all,
     "Edit Mode > Move Some": move_some,
     "Edit Mode > Separate": separate_some,
-    "Convert > Mesh, Apply > Visual Geometry to Mesh": lambda: ops.object.convert(target='MESH'),
+    "Convert > Mesh": lambda: ops.object.convert(target='MESH'),
+    "Apply > Visual Geometry to Mesh": lambda: ops.object.convert(target='MESH'),
     "Convert > Curve": lambda: ops.object.convert(target='CURVE'),
-    "Modifiers > Clear": clear_modifiers,
+    "Convert > Point Cloud": lambda: ops.object.convert(target='POINTCLOUD'),
+    "Convert > Grease Pencil": lambda: ops.object.convert(target='GREASEPENCIL'),
+    "Modifiers > Clear Object Modifiers": ops.object.modifiers_clear,
     "Modifiers > Apply": lambda: ops.object.modifier_apply(modifier="FAST-GS Proxy"),
 }
 

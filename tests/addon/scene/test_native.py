@@ -156,6 +156,37 @@ def test_a_copy_is_one_step_of_undo(scene, splat, module):
     assert module("scene.splats.proxy_nodes").modifier_of(bpy.data.objects[name]).show_render
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("by", ["operator", "script"])
+def test_a_copy_goes_with_its_splat_object(scene, splat, kind, by):
+    bpy.ops.fastgs.native_copy(kind=kind)
+    copy = next(obj for obj in scene.objects if obj.fastgs.copy_of == splat)
+    name, data, plain = copy.name, copy.data.name, bpy.data.meshes.new("Plain")
+    other = bpy.data.objects.new("Other", plain)
+    scene.collection.objects.link(other)
+    bpy.context.view_layer.update()
+    if by == "operator":
+        with bpy.context.temp_override(selected_objects=[splat], active_object=splat, object=splat):
+            bpy.ops.object.delete()
+    else:
+        bpy.data.objects.remove(splat)
+    bpy.context.view_layer.update()
+    assert name not in bpy.data.objects and data not in {d.name for d in [*bpy.data.meshes, *bpy.data.pointclouds]}
+    assert other.name in scene.objects and plain.name in bpy.data.meshes
+
+
+def test_without_its_copy_an_objects_own_points_are_rendered_again(scene, splat, module):
+    modifier_of = module("scene.splats.proxy_nodes").modifier_of
+    bpy.ops.fastgs.native_copy(kind='DISCS')
+    copy = next(obj for obj in scene.objects if obj.fastgs.copy_of == splat)
+    bpy.context.view_layer.update()
+    assert not modifier_of(splat).show_render
+    with bpy.context.temp_override(selected_objects=[copy], active_object=copy, object=copy):
+        bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+    assert splat.name in scene.objects and modifier_of(splat).show_render
+
+
 def test_discs_have_the_gaussians_colours_and_shapes(scene, fg, splat, moving):
     bpy.ops.fastgs.native_copy(kind='DISCS')
     mesh = next(obj.data for obj in scene.objects if obj.fastgs.copy_of == splat)

@@ -10,7 +10,8 @@ from panel_recorder import Layout
 
 def drawn(cls, **context):
     """What a panel or an operator's options draw in a context."""
-    defaults = dict(object=bpy.context.object, scene=bpy.context.scene, view_layer=bpy.context.view_layer,
+    space = next(area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D')
+    defaults = dict(space_data=space, object=bpy.context.object, scene=bpy.context.scene, view_layer=bpy.context.view_layer,
                     region=SimpleNamespace(width=300), preferences=bpy.context.preferences, engine=bpy.context.scene.render.engine)
     layout = Layout()
     cls.draw(SimpleNamespace(layout=layout), SimpleNamespace(**(defaults | context)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Putting captures upright: motions are rigid, and the ground ends where it should."""
+"""Setting captures upright: the transform is rigid, and and the ground becomes level at height 0."""
 from __future__ import annotations
 
 import numpy as np

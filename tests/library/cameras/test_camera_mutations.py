@@ -16,6 +16,7 @@ from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.cameras.cameras_json import load_cameras
 from fastgs_blender.cameras.paths import FORMATS, CameraPath, load_path, save_path
 from fastgs_blender.cameras.paths.base import MOST_FRAMES
+from fastgs_blender.util.errors import FastGSError
 
 
 def finite(camera: Camera):
@@ -57,6 +58,16 @@ def test_damaged_paths(name, tmp_path):
         assert np.isfinite([frame for frame, _ in found.keys]).all()
 
     mutations.campaign(f"paths-{name}", read, seeds, tmp_path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("path", "key"), [(NGP["path"], "T"), (SUPERSPLAT["poseSets"][0]["poses"], "position"),
+                                           (SUPERSPLAT["poseSets"][0]["poses"], "target")])
+def test_places_beyond_reason_are_refused(tmp_path, monkeypatch, path, key):
+    monkeypatch.setitem(path[1], key, [0, 1e308, 0])
+    (tmp_path / "path.json").write_text(json.dumps(NGP if path is NGP["path"] else SUPERSPLAT))
+    with pytest.raises(FastGSError, match="farther than"):
+        load_path(tmp_path / "path.json")
 
 
 def test_damaged_cameras_json(tmp_path):

@@ -157,6 +157,25 @@ def test_help_has_80_columns_and_a_bare_command_shows_it(command, capsys, monkey
     assert command or "Exit codes" in out
 
 
+WRONG = ["trian"], ["completion", "powershell"], ["render", "a", "--format", "jpg"], ["info"], ["info", "no such file " * 9]
+
+
+@pytest.mark.parametrize("arguments", WRONG, ids=" ".join)
+def test_what_goes_wrong_is_told_within_the_terminal(arguments, capsys, monkeypatch):
+    """Between words where $COLUMNS, or a terminal, says how wide it is; a log gets each sentence whole."""
+    found = {}
+    for columns in ("80", "5000"):
+        monkeypatch.setenv("COLUMNS", columns)
+        try:
+            code = cli.main(arguments)
+        except SystemExit as end:
+            code = end.code
+        out, found[columns] = capsys.readouterr()
+        assert (code, out) == (2, "")
+    assert max(map(len, found["80"].splitlines())) <= 80 and "fastgs: " in found["80"] and found["80"].endswith(".\n")
+    assert found["80"].split() == found["5000"].split() and found["5000"].splitlines()[-1].startswith("fastgs: ")
+
+
 def test_quiet_is_quiet(run, model, tmp_path, monkeypatch):
     """Losses, remarks, summaries and the first compilation too; errors are told."""
     model.position[3] = np.nan
@@ -257,6 +276,17 @@ def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
     assert "1 of 30" in err
     assert len(err.strip().splitlines()) == 1
     assert "1 of 30" in json.loads(run("convert", "--json", path, tmp_path / "b.safetensors")[1])["losses"][0]
+
+
+def test_convert_shows_how_far_it_is(run, file, tmp_path):
+    code, out, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1")
+    assert code == 0 and "small.safetensors: " in out and "compressing: 100/100 steps (100 %)" in told
+    code, _, told = run("convert", file, tmp_path / "f_##.ply", "--at", "0:2")
+    assert code == 0 and "writing: 300/300 steps (100 %)" in told
+    code, _, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1", "--overwrite", "--quiet")
+    assert code == 0 and "steps" not in told
+    code, _, told = run("convert", file, tmp_path / "one.ply")
+    assert code == 0 and "steps" not in told
 
 
 def test_convert_overwrites_only_when_told(run, file, tmp_path):

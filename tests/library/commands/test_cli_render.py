@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender import cli
+from fastgs_blender.cameras.viewpoints import viewpoint_of
+from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering import api as rendering
 from fastgs_blender.rendering import colour, passes
 from fastgs_blender.rendering.cryptomatte import bits_of
@@ -190,6 +193,31 @@ def test_motion_blur_and_depth_of_field(run, work, model):
     assert run(*options)[0] == 2, "sharp frames are other work"
     for wrong in (["--aperture", "0.1"], ["--shutter", "-1"], ["--shutter", "1", "--steps", "0"]):
         assert run(*options, "--overwrite", *wrong)[0] == 2
+
+
+def test_far_views_as_they_come(run, work, model):
+    """--no-antialias is for models that know their cameras, and other work."""
+    known = replace(model, surroundings=Surroundings(cameras=(viewpoint_of(replace(camera(), fx=400, fy=400)),)))
+    fg.save(known, work / "m.safetensors")
+    run("--frames", "0")
+    soft = pixels(work, "0000.png")
+    assert run("--frames", "0", "--no-antialias")[0] == 2
+    run("--frames", "0", "--no-antialias", "--overwrite")
+    np.testing.assert_array_equal(pixels(work, "0000.png"), png_of(model, camera(), 0))
+    assert np.abs(soft.astype(int) - pixels(work, "0000.png")).max() > 20
+
+
+def test_sorting_by_pixel(run, work, model):
+    """As the library does it; other sorting is other work."""
+    near = replace(model, scale=model.scale + 1.5)
+    fg.save(near, work / "m.safetensors")
+    run("--frames", "0", "--format", "exr", "--passes", "alpha,median_depth", "--sorting", "pixel")
+    wanted, other = (fg.render(near, camera(), 0, ("alpha", "median_depth"), "reference", settings=passes.PassSettings(sorting=sorting))
+                     for sorting in ("pixel", "centre"))
+    seen = np.isfinite(wanted["median_depth"])
+    np.testing.assert_array_equal(read_exr(work / "out" / "0000.exr")["MedianDepth.Z"][seen], wanted["median_depth"][seen])
+    assert np.abs(wanted["median_depth"][seen] - other["median_depth"][seen]).max() > 0.1
+    assert run("--frames", "0", "--format", "exr", "--passes", "alpha,median_depth")[0] == 2
 
 
 def test_background(run, work, model):

@@ -12,7 +12,7 @@ import pytest
 from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
-from fastgs_blender.formats import columns, compressed, rate, sensitivity
+from fastgs_blender.formats import columns, compressed, quantising, rate, refit, sensitivity
 from fastgs_blender.model.pruning import pruned, scores
 from fastgs_blender.util.tensor_files import open_tensors
 
@@ -26,6 +26,7 @@ def few_small_pictures(monkeypatch):
     monkeypatch.setattr(sensitivity, "WIDTH", 64)
     monkeypatch.setattr(rate, "SHOTS", 10)
     monkeypatch.setattr(rate, "JUDGED", 4)
+    monkeypatch.setattr(rate, "REFITS", 20)
 
 
 def psnr(a: fg.GaussianModel, b: fg.GaussianModel, t: float) -> float:
@@ -57,10 +58,46 @@ def test_files_lose_what_they_may_and_are_smaller_for_it(tmp_path):
         error = sensitivity.mean_square(truth, sensitivity.pictures(fg.load(tmp_path / "m.safetensors"), judged))
         assert 0.5 < error / rate.Loss.of(level).error(model) < 1.6, level
         sizes.append((tmp_path / "m.safetensors").stat().st_size)
-    assert sizes == sorted(sizes) and sizes[0] < model.nbytes / 5
+    assert sizes == sorted(sizes) and sizes[0] < model.nbytes / 4.5
     first = (tmp_path / "m.safetensors").read_bytes()
     fg.save(model, tmp_path / "m.safetensors", compress=0.02)
     assert first == (tmp_path / "m.safetensors").read_bytes()
+
+
+def test_progress_rises_and_may_end_it(tmp_path):
+    model, path = random_model(np.random.default_rng(2), 300, "cubic"), tmp_path / "m.safetensors"
+    told = []
+    fg.save(model, path, compress="fine", progress=told.append)
+    assert told == sorted(told) and len(told) > 12 and 0 < told[0] < 0.2 and told[-1] == 1 and len(set(told)) > 12
+    before = path.read_bytes()
+
+    def stop(share):
+        if share > 0.6:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        fg.save(model, path, compress="small", progress=stop)
+    assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_refitting_shows_what_was_left_out():
+    """Half of the Gaussians stay, coarsely rounded; refitted, they are nearer to the whole, from places that were not looked at."""
+    model = random_model(np.random.default_rng(2), 1500, "cubic", "line", "radial", "sh1", extent=2.0, size=0.06)
+    model = quantising.canonical(model)
+    found = sensitivity.sensitivity(model, sensitivity.shots(model, 10))
+    keep = sensitivity.removal(model, found)
+    keep = keep > np.median(keep)
+    ready, level = quantising.prepared(model.take(keep), found.take(keep)), -13.0
+    judged = sensitivity.shots(model, 4, 1000)
+    truth = sensitivity.pictures(model, judged)
+
+    def error(one):
+        arrays = refit.as_read(refit.in_parts(one, level, 400), one.model)
+        return sensitivity.mean_square(truth, sensitivity.pictures(replace(one.model, **arrays), judged))
+
+    after = refit.refitted(ready, level, 400, model, sensitivity.shots(model, 40, 100), lambda share: None)
+    assert error(after) < 0.75 * error(ready), (error(after), error(ready))
+    np.testing.assert_allclose(np.linalg.norm(after.model.rotation, axis=1), 1, atol=1e-5)
 
 
 def test_a_model_that_is_farther_from_the_truth_may_lose_more():
@@ -104,8 +141,6 @@ def test_files_of_version_2_are_read():
     assert len(found) == 20 and found.basis == model.basis and found.appearance == model.appearance
     for t in (0.1, 0.6):
         assert psnr(model, found, t) > 40
-
-
 
 
 def test_windows_keep_their_edges_to_the_bit(tmp_path):

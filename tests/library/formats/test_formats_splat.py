@@ -130,3 +130,15 @@ def test_gaussians_that_are_no_numbers_stay_out_and_an_empty_model_is_refused(rn
     assert len(fg.load(tmp_path / "m.splat")) == 2
     with pytest.raises(fg.FastGSError, match="no Gaussians"):
         fg.save(make_model(rng, 0), tmp_path / "none.splat")
+
+
+def test_what_lies_too_far_away_is_left_out_or_refused(rng, make_model, tmp_path):
+    """The format has no mark: records are recognised by plausible numbers."""
+    model = make_model(rng, 20)
+    model.position[3] = 2e7
+    with pytest.warns(fg.LossWarning, match="1 Gaussians that lie farther away"):
+        fg.save(model, tmp_path / "a.splat")
+    assert len(fg.load(tmp_path / "a.splat")) == 19
+    model.position[:] = 2e7
+    with pytest.raises(fg.FastGSError, match="make the model smaller"):
+        fg.save(model, tmp_path / "b.splat")

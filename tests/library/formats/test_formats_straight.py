@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Formats of Gaussians that travel straight and fade like a bell, against their own formulas: FreeTimeGS, Mediastorm, splat4d."""
+"""Formats of Gaussians with linear motion and bell-shaped temporal opacity, against their own formulas: FreeTimeGS, Mediastorm, splat4d."""
 from __future__ import annotations
 
 import io

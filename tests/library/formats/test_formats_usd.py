@@ -106,3 +106,9 @@ def test_mutated_files(tmp_path, extension):
     seeds = {"still": {"m" + extension: (tmp_path / f"m{extension}").read_bytes()}}
     told = mutations.campaign(f"usd {extension}", lambda folder: fg.load(folder / f"m{extension}"), seeds, tmp_path / "seeds")
     assert min(told.values(), default=1) > 0
+
+
+def test_a_model_of_no_gaussians_is_loaded_again(rng, tmp_path):
+    for name in ("none.usdc", "none.usda"):
+        fg.save(random_model(rng, 0), tmp_path / name)
+        assert len(fg.load(tmp_path / name)) == 0

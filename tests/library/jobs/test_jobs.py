@@ -111,7 +111,8 @@ def _together(work, arguments):
     for process in processes:
         process.start()
     for _ in processes:
-        ready.acquire()
+        while not ready.acquire(timeout=1):
+            assert all(process.is_alive() for process in processes), "a process has ended before all were ready"
     go.set()
     given = [answers.get() for _ in processes] if extra else []
     for process in processes:

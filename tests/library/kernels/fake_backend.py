@@ -13,7 +13,8 @@ from fastgs_blender.training.core.statistics import Statistics
 from fastgs_blender.util.backends import load_backend
 
 METHODS = frozenset(name for name in dir(TrainingBackend) if not name.startswith("_"))
-ON_HOST = {"numpy", "read", "front_to_back", "neighbour_distance", "project_points", "sweep", "resample", "measure_stages"}
+ON_HOST = {"numpy", "read", "begin_step", "end_step", "front_to_back",
+           "neighbour_distance", "project_points", "sweep", "resample", "measure_stages"}
 """Methods whose results are NumPy's."""
 
 
@@ -76,7 +77,7 @@ class FakeBackend:
         self.calls.append(name)
         if name == "array":
             return Buffer(args[0])  # a copy, as a device has one
-        if name in ("numpy", "read"):
+        if name in ("numpy", "read", "end_step"):
             assert all(isinstance(array, Buffer) for array in args), "what is no array of the backend was read from it"
             copies = [array._values.copy() for array in args]
             return copies[0] if name == "numpy" else copies

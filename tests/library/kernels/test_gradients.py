@@ -13,7 +13,7 @@ from random_models import BASES, TEMPORALS, random_model
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import rasterise, splats
 from fastgs_blender.model.slicing import slice_model
-from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.instances import AS_TRAINED, Instance
 from fastgs_blender.rendering.layout import Layout
 from fastgs_blender.rendering.oracle import BACKEND as ORACLE
 from fastgs_blender.training.core.statistics import Statistics
@@ -80,7 +80,7 @@ class Functional:
 
     def of_reference(self, model, t=T) -> float:
         """Its value by the oracle."""
-        instance = Instance(model, np.eye(4), t).viewed(self.camera)
+        instance = Instance(model, np.eye(4), t, AS_TRAINED).viewed(self.camera)
         layout = Layout([instance], self.depth)
         out = ORACLE.draw([instance], self.camera, layout, (), lambda fraction: None, band=BAND)
         value = (ORACLE.colour(out, layout, self.camera) * self.rgb).sum() + (out.alpha * self.alpha).sum()
@@ -189,8 +189,8 @@ def test_pictures_are_the_renderers(rng, appearance):
     model = random_model(rng, 300, "paper", "line", "radial", appearance)
     whole = fg.Camera(70, 50, 60, 60, 35, 25, random_pose(rng, 2.5))
     for camera in (whole, replace(whole, window=(13, 7, 40, 33))):
-        wanted = fg.render(model, camera, T)
-        instance = Instance(model, np.eye(4), T).viewed(camera)
+        wanted = fg.render([Instance(model, np.eye(4), T, AS_TRAINED)], camera)
+        instance = Instance(model, np.eye(4), T, AS_TRAINED).viewed(camera)
         drawn = CPU.draw([instance], camera, Layout([instance], True), (), lambda fraction: None)
         for depth in (False, True):
             got = CPU.splat(parameters_of(model), model, camera, T, depth)
@@ -297,7 +297,7 @@ def test_screen_statistics(rng):
 
 def test_torch_gets_the_same_pictures_and_gradients(rng):
     torch = pytest.importorskip("torch")
-    from fastgs_blender import differentiable
+    from fastgs_blender import torch as differentiable
 
     for appearance, depth in (("sh1", False), ("sigmoid", True)):
         model, functional = small_model(rng, "cubic", "line", "radial", appearance), Functional(rng, small_camera(rng), depth)
@@ -315,7 +315,7 @@ def test_torch_gets_the_same_pictures_and_gradients(rng):
 
 def test_tensors_that_changed_since_are_refused(rng):
     torch = pytest.importorskip("torch")
-    from fastgs_blender import differentiable
+    from fastgs_blender import torch as differentiable
 
     model, camera = small_model(rng), small_camera(rng)
     tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in parameters_of(model).items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model that exists is sound: the kernels read its arrays by the widths and codes of its kinds."""
+"""GaussianModel checks its arrays when it is made: kernels read them by the widths and codes of its kinds."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace

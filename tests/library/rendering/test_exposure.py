@@ -11,6 +11,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.model.edits import Edit
 from fastgs_blender.rendering import colour
+from fastgs_blender.rendering.cryptomatte import number
 from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
 from fastgs_blender.rendering.masks import pack_mask
@@ -196,3 +197,31 @@ def test_edits_are_blurred_between_the_moments():
     for backend in ("cpu", "reference"):
         found = fg.render([at(0.5)], CAMERA, exposure=Exposure(moments=moments, steps=64), backend=backend)
         assert np.abs(found["rgb"] - expected["rgb"]).mean() < 1e-3 and np.abs(found["rgb"] - expected["rgb"]).max() < 0.02
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_mattes_are_averages_and_data_is_the_middle_of_the_shutter(backend):
+    """A matte fits the blurred picture.  Depths and numbers of objects are sharp, of the middle of the time, wherever that lies."""
+    camera = fg.Camera(48, 32, 45, 45, 24, 16, np.eye(4))
+    model = arm(1.0)
+    still = np.arange(440) < 400
+    parts = [Instance(model.take(np.flatnonzero(which)), np.eye(4), 0.5, name=name, index=index)
+             for name, index, which in (("Wall", 1, still), ("Ball", 2, ~still))]
+    passes = ("alpha", "cryptomatte_00", "depth", "object_index")
+    exposure = Exposure(0, 4, steps=8)
+    found = fg.render(parts, camera, passes=passes, exposure=exposure, backend=backend)
+    middle = fg.render([replace(part, t=0.7) for part in parts], camera, passes=passes, backend=backend)
+    for name in ("depth", "object_index"):
+        np.testing.assert_array_equal(found[name], middle[name])
+    assert (found["depth"] != fg.render(parts, camera, passes=["depth"], backend=backend)["depth"]).any()
+
+    def ball(level):
+        return np.where(level[..., 0::2] == number("Ball"), level[..., 1::2], 0).sum(-1)
+
+    samples = exposure.samples(exposure.levels)
+    matte = sum(s.weights[-1] * ball(fg.render([replace(part, t=0.5 + 0.4 * s.time) for part in parts], camera, passes=["cryptomatte_00"],
+                                               backend=backend)["cryptomatte_00"]) for s in samples)
+    assert np.abs(ball(found["cryptomatte_00"]) - matte).max() < 0.03
+    assert np.abs(ball(middle["cryptomatte_00"]) - matte).max() > 0.3, "it should move"
+    cover = found["cryptomatte_00"][..., 1::2].sum(-1)
+    np.testing.assert_allclose(cover, found["alpha"], atol=1e-4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of stored models.  They change only on purpose: `python tests/library/test_golden.py` writes them anew."""
+"""Renders of stored models stay the same.  `python tests/library/rendering/test_golden.py` writes them anew after a wanted change."""
 from __future__ import annotations
 
 from pathlib import Path

@@ -97,12 +97,12 @@ def test_the_first_model_shows_the_points(rng, appearance):
 
 
 def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():
-    shots = [SimpleNamespace(t=f / 7) for f in range(7) for _ in range(5)]
+    shots = [SimpleNamespace(frame=f) for f in range(7) for _ in range(5)]
     views = schedule.Views(shots, 3)
     seen = np.zeros(len(shots), int)
     for i in range(35):
         chosen = views.at(i, 2)
-        assert len({shots[j].t for j in chosen}) == 1 and len(set(chosen)) == 2
+        assert len({shots[j].frame for j in chosen}) == 1 and len(set(chosen)) == 2
         seen[chosen] += 1
     assert seen.min() == seen.max() == 2
     assert views.at(11, 2) == schedule.Views(shots, 3).at(11, 2)
@@ -110,13 +110,13 @@ def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():
 
 
 def test_a_single_moving_camera_helps_out_from_other_moments():
-    views = schedule.Views([SimpleNamespace(t=f / 6) for f in range(6)], 0)
+    views = schedule.Views([SimpleNamespace(frame=f) for f in range(6)], 0)
     seen = np.bincount(np.concatenate([views.at(i, 3) for i in range(4)]), minlength=6)
     assert (seen == 2).all()
 
 
 def test_more_views_than_the_capture_has():
-    assert len(schedule.Views([SimpleNamespace(t=0.0)] * 3, 0).at(4, 8)) == 8
+    assert len(schedule.Views([SimpleNamespace(frame=0)] * 3, 0).at(4, 8)) == 8
 
 
 @pytest.mark.parametrize("has_alpha", [False, True])

@@ -12,8 +12,9 @@ from fastgs_blender.util.identity import SETTLED, FileIdentity
 
 @pytest.fixture
 def one_tick(monkeypatch):
-    """The file system's clock and inode numbers stand still; returns the time that all files have."""
+    """The clocks and the inode numbers stand still; returns the time that all files have."""
     now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now)
     monkeypatch.setattr(identity, "status_of", lambda path: (int(now * 1e9), int(now * 1e9), os.stat(path).st_size, 1, 1))
     return now
 

@@ -1,4 +1,4 @@
-// Add numbers from a place on to others.
+// Add a range of an array to a range of another array, element by element.
 
 //include common
 

@@ -1,4 +1,4 @@
-// Add up the rows of each splat's entries, in the order of its tiles, to what other bands have left.
+// Sum the gradients of each splat over its entries in the tile lists, in the order of its tiles, and add them to the sums of earlier bands.
 
 //include common
 

@@ -1,5 +1,5 @@
-// What crops leave of the opacity at a position (rendering/crops.py): 16 numbers of each crop in `extra`, those to keep first: the rows
-// of its matrix, whether it removes, its kind, its soft edge.
+// The factor by which crops multiply the opacity at a position (rendering/crops.py).  `extra` holds 16 numbers for each crop: the rows of
+// its matrix, whether it removes, its kind, the width of its soft edge.  Crops that keep come before crops that remove.
 
 fn crop_share(p: vec3f) -> f32 {
     let first = 2u * (view.terms.x + view.terms.y + view.terms.z);

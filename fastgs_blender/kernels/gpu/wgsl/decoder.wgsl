@@ -1,4 +1,4 @@
-// A model's decoder before a camera, as picture.py packs it.
+// The uniform data of the stages that turn blended features into colour: the camera, the look and the sizes, as picture.py packs them.
 
 struct Decoder {
     ray_x: vec4f,  // rows of camera to model; last the camera's centre in the model

@@ -2,7 +2,7 @@
 
 struct Grid {
     tiles: vec4i,  // first tile in x and in y, columns, rows
-    size: vec4u,   // splats
+    size: vec4u,   // splats, the most entries of the lists
 }
 
 const SIDE = {TILE};

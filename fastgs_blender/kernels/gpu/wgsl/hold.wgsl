@@ -1,4 +1,5 @@
-// Pull the features of the rows that count to those that are held; not a number: not held (training/core/hold.py).
+// Add the gradient of the pull of features towards their held values (training/core/hold.py), for the Gaussians that this step saw.  A held
+// value that is not finite means: this Gaussian is not held.
 
 //include common
 

@@ -1,7 +1,7 @@
-// What the stages of the loss share: (1 - d) L1 + d (1 - SSIM), as kernels/cpu/loss.py states it.
+// Declarations that the stages of the loss share.  The loss is (1 - d) L1 + d (1 - SSIM), as kernels/cpu/loss.py states it.
 //
-// Pictures are [h, w, 3].  `picture` is what is compared, over its background; where a pixel's weight is below 1, it is first moved that far
-// towards the target, but for the mean absolute difference.
+// Pictures are [h, w, 3].  `picture` is the rendered one over its background.  A pixel whose weight is below 1 is moved towards the target
+// in proportion, except for the mean absolute difference, which takes the rendered colour.
 
 struct Loss {
     size: vec4u,       // width, height, whether pixels have weights, numbers of a picture

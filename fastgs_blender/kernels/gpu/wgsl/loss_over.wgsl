@@ -1,4 +1,4 @@
-// A part of a picture over its background.
+// Composite a band of a rendered picture over the background.
 
 //include common
 

@@ -1,4 +1,4 @@
-// 1 for each Gaussian that was drawn.
+// Write 1 for each Gaussian that the view draws, for the optimiser.
 
 //include common
 

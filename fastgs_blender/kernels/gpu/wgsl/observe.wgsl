@@ -1,4 +1,4 @@
-// Add one view to the statistics of density control (training/core/statistics.py): what moves a splat on the screen.
+// Add one view to the statistics of density control (training/core/statistics.py): the gradients of the splats' positions on the screen.
 
 //include common
 
@@ -14,11 +14,12 @@ struct Job {
 @group(0) @binding(4) var<storage, read> sums: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;
 @group(0) @binding(6) var<storage, read_write> absolute: array<f32>;
+@group(0) @binding(7) var<storage, read> spilled: array<u32>;
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let n = place(group, groups) * 256u + lane;
-    if n >= job.size.x || depths[n] == 0xffffffffu {
+    if n >= job.size.x || depths[n] == 0xffffffffu || spilled[0] != 0u {
         return;
     }
     let a = splat_a[n];

@@ -1,4 +1,4 @@
-// Row r of a Gaussian's coefficients.
+// Row r of a Gaussian's motion coefficients, multiplied by the matrix in `table` where there is one (penalty.wgsl).
 fn row_of(n: u32, r: u32) -> vec3f {
     let first = 3u * n * job.size.y;
     var sum = vec3f(0.0);

@@ -43,6 +43,35 @@ fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, z: f32, radius: vec2f) 
     return change;
 }
 
+// log2 of what an opacity is multiplied by where a Gaussian is seen from farther than from the capture's cameras (rendering/distance.py).
+fn log2_share(position: vec3f, z: f32, sharp: f32, trace: f32, det: f32) -> f32 {
+    let k = view.time.y * select(z, 1.0, has(ORTHOGRAPHIC));
+    let limit = view.beyond.w + length(position - view.beyond.xyz);
+    if !(k > limit) {
+        return 0.0;
+    }
+    let small = view.raster.x * (limit / k) * (limit / k);
+    return 0.5 * log2((sharp + small * trace + small * small) / det);
+}
+
+// oracle.nearness of a Gaussian beside the picture; factor: its axes in the camera, times their sizes.
+fn nearness(p: vec3f, along: vec2f, factor: mat3x3f) -> f32 {
+    let deep = length(vec3f(factor[0].z, factor[1].z, factor[2].z));
+    if !(p.z < {REACH} * deep) {
+        return 1.0 / p.z;
+    }
+    let share = min({REACH} - p.z / deep, 1.0);
+    let unit = factor * (1.0 / deep); // so that products of small sizes stay numbers
+    let sides = mat3x3f(cross(unit[1], unit[2]), cross(unit[2], unit[0]), cross(unit[0], unit[1]));
+    let across = vec3f(along, 1.0) * sides;
+    let square = dot(across, across);
+    var densest = p.z;
+    if square > 0.0 {
+        densest = max(dot(across, p * sides) / square, 0.5 * p.z);
+    }
+    return (1.0 - share) / p.z + share / densest;
+}
+
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let n = place(group, groups) * 256u + lane;
@@ -86,9 +115,19 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
 
     // the rows u, v of the factor J W R S of the covariance
     let axes = axes_of(unit_quaternion(turned(n, delta)));
-    let bent = shear(p);
+    var bent = shear(p);
+    var centre = centre_of(p);
     let scale = exp(three(scale_at(n)));
     let sizes = scale * size_factor(max(scale.x, max(scale.y, scale.z)));
+    let tangent = p.xy / p.z;
+    if {BENDS} && !has(ORTHOGRAPHIC) && any(-bent.xy != tangent) {
+        let turned_axes = transpose(mat3x3f(view.row0.xyz, view.row1.xyz, view.row2.xyz)) * axes;
+        let near_by = nearness(p, -bent.xy, mat3x3f(turned_axes[0] * sizes.x, turned_axes[1] * sizes.y, turned_axes[2] * sizes.z));
+        if near_by != bent.z {
+            bent.z = near_by;
+            centre = view.lens.xy * ((p.xy + bent.xy * p.z) * near_by - bent.xy) + view.lens.zw;
+        }
+    }
     let deep = view.row2.xyz * axes;
     let u = view.lens.x * (view.row0.xyz * axes + bent.x * deep) * (sizes * bent.z);
     let v = view.lens.y * (view.row1.xyz * axes + bent.y * deep) * (sizes * bent.z);
@@ -111,7 +150,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let log2_sigma = log2(sigma);
     let reach = 1.3862943611198906 * (log2_sigma - view.raster.w);
     let radius = sqrt(reach * vec2f(s00, s11));
-    let centre = centre_of(p);
     if !(centre.x + radius.x >= view.frame.x && centre.x - radius.x <= view.frame.y
         && centre.y + radius.y >= view.frame.z && centre.y - radius.y <= view.frame.w) {
         return;
@@ -165,9 +203,16 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         channels[first + view.plan.w] = change.x;
         channels[first + view.plan.w + 1u] = change.y;
     }
+    var faint = 0.0;
+    if view.time.y > 0.0 {
+        faint = log2_share(position, p.z, sharp, dot(u, u) + dot(v, v), det);
+        if !(faint >= -{LIMIT}) {
+            return;
+        }
+    }
     let root = sqrt(s11);
     let root_det = sqrt(det);
     splat_a[row] = vec4f(centre, SCALE * root / root_det, -SCALE * s01 / (root * root_det));
-    splat_b[row] = vec4f(SCALE / root, log2_sigma, view.raster.y, view.raster.w);
+    splat_b[row] = vec4f(SCALE / root, log2_sigma + faint, view.raster.y, view.raster.w + faint);
     depths[row] = bitcast<u32>(p.z);
 }

@@ -241,7 +241,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     g = view.row0.xyz * g.x + view.row1.xyz * g.y + view.row2.xyz * g.z;
 
-    // colour; in g_delta what comes through the motion and the decoder's time features, in g_colour through colours that change
+    // colour; in g_delta what comes through the time since mu_tau: of the motion, of the decoder's time features, of colours that change
     var g_delta = 0.0;
     let own = view.plan.x;
     if view.kinds.y == SH {

@@ -1,8 +1,9 @@
-// Backward pass of raster.wgsl: for each entry of a tile's list the sums over its pixels (kernels/cpu/raster_backward.py), written where the
-// entry lies among those of its splat.
+// Backward pass of raster.wgsl: for each entry of a tile's list, sum the gradients of its splat over the tile's pixels
+// (kernels/cpu/raster_backward.py).  The entries of one splat are written next to each other, and collect.wgsl adds them up.
 //
-// A thread has an entry, and each pixel goes from thread to thread, from the farthest entry to the nearest, a step later to each: at a step,
-// a thread meets the pixel that the thread before it met one step earlier.  So every sum is one thread's own, and always has the same order.
+// Each thread handles one entry.  The pixels pass through the threads as through a pipeline, from the farthest entry to the nearest: at
+// each step a thread takes the pixel that the thread before it had one step earlier.  So one thread alone adds up each sum, always in one
+// order.
 
 //include common
 

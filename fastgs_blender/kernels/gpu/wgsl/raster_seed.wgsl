@@ -1,4 +1,5 @@
-// What the backward pass starts from at each pixel: (transmittance, place of the last splat, d loss / d alpha, _), then d loss / d channels.
+// Write the start values of the backward pass for each pixel: (transmittance, place of the last splat, d loss / d alpha, _), then
+// d loss / d channels.
 
 //include common
 

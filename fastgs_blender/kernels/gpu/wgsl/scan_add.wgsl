@@ -1,4 +1,4 @@
-// Add to each block of 2048 values what comes before it.
+// Prefix sums, last part: add to each block of 2048 values the total of the blocks before it.
 
 //include common
 

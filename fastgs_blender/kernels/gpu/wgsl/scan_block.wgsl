@@ -1,5 +1,5 @@
-// Sums of what comes before, within blocks of 2048 numbers: values become these, sums the blocks' totals.  Sums that do not fit stay at
-// the largest number.
+// Exclusive prefix sums within blocks of 2048 numbers, in place in `values`; `sums` gets each block's total.  Sums that do not fit into 32
+// bits stay at the largest number.
 
 //include common
 

@@ -1,4 +1,4 @@
-// Radix sort, first half of a pass: how often each digit of 4 bits occurs in each block of 2048 keys; digit by digit.
+// Radix sort, first half of a pass: count how often each digit of 4 bits occurs in each block of 2048 keys.  The counts lie digit by digit.
 
 //include common
 

@@ -1,7 +1,7 @@
-// Radix sort, second half of a pass: every key and its value go to their place; equal digits keep their order.
+// Radix sort, second half of a pass: move every key and its value to its place; equal digits keep their order.
 //
-// A thread has eight keys that follow each other.  `tally` counts each thread's digits, two digits to a word; summed over the threads before
-// it, that is where a key goes among those of its digit in the block, and `starts` says where these begin.
+// Each thread handles eight consecutive keys.  `tally` counts each thread's digits, two digits to a word.  A key's place is the place at
+// which its digit begins for this block (`starts`), plus the number of keys of that digit before it: the sum of earlier threads' tallies.
 
 //include common
 

@@ -1,4 +1,5 @@
-// The entries of the tile lists: for each splat, in the order of depth, a run of (tile, splat), whose place in the run is its value.
+// Write the entries of the tile lists: for each splat, in the order of depth, a run of the tiles that it touches; an entry's value is its
+// own place.
 
 //include common
 //include ellipse
@@ -28,7 +29,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let e = ellipse(a, b);
     for (var y = e.rows.x; y <= e.rows.y; y++) {
         let x = span(e, a, b, y);
-        for (var column = x.x; column <= x.y; column++) {
+        for (var column = x.x; column <= x.y && at < grid.size.y; column++) {
             tiles[at] = u32(y * grid.tiles.z + column);
             owner[at] = row;
             values[at] = at;

@@ -1,4 +1,4 @@
-// An instance before a camera, as scene.py packs it: what the stages that read a model take.
+// The uniform data of the stages that read a model: an instance seen by a camera, as scene.py packs it.
 
 struct View {
     row0: vec4f,     // model to camera: rows of the matrix, the translation last
@@ -11,7 +11,8 @@ struct View {
     depths: vec4f,   // near, far, middle of the image in x and in y
     raster: vec4f,   // blur, highest alpha, alpha cut, log2 of the cut
     ball: vec4f,     // centre, squared radius
-    time: vec4f,     // t, _, _, _
+    time: vec4f,     // t, growth of pixels beyond the capture's cameras, or 0
+    beyond: vec4f,   // the ball that holds those cameras: centre, radius
     look: array<vec4f, 5>,
     size: vec4u,     // Gaussians, row of the first splat, numbers of a splat's channels, Gaussians of the whole model before these
     widths: vec4u,   // coefficients of the motion, of the rotation; columns of temporal, of features

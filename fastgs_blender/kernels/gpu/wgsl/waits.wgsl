@@ -1,4 +1,4 @@
-// How many steps the next move of each row that counts stands for.
+// For each row (Gaussian) that this step sees, the number of steps since its last update; 0 for all others.
 
 //include common
 

@@ -51,9 +51,11 @@ def test_auto_takes_the_best_that_passes_and_remembers(machine, monkeypatch):
     machine(soft, inner, arc, wrong={"Arc A770": "its pictures are wrong by 1"})
     name, about = choose_device("auto")
     assert name == "gpu:UHD" and tested[-2:] == ["Arc A770", "UHD"] and not about
-    assert "has failed the self-test: its pictures are wrong by 1" in choose_device("gpu")[1]
+    failed = "Arc A770 has failed the self-test (its pictures are wrong by 1): the CPU is used."
+    assert choose_device("gpu") == ("auto", failed) == choose_device("a77"), "by its name neither"
+    assert choose_device("a77", lambda each: None) == ("auto", "Arc A770 has not been tested yet: the CPU is used.")
     machine(soft, arc, wrong={})
-    assert choose_device("auto") == ("auto", "Arc A770 has failed the self-test (its pictures are wrong by 1): the CPU is used.")
+    assert choose_device("auto") == ("auto", failed)
     monkeypatch.setenv("LOCAL_RANK", "1")
     machine(soft, card("one"), card("two"))
     assert choose_device("gpu")[0] == "gpu:two"
@@ -110,12 +112,21 @@ def test_the_self_test_passes_here_and_finds_what_is_wrong(adapter, fresh, monke
 
 
 def test_devices_are_listed(machine, run_command):
-    machine(card("llvmpipe", "CPU"), card("Arc A770"), wrong={"llvmpipe": "its pictures are wrong by 2"})
+    cards = card("llvmpipe", "CPU"), card("Arc A770")
+    tested = machine(*cards, wrong={"llvmpipe": "its pictures are wrong by 2"})
     text = run_command("info", "--devices")
     assert "Arc A770" in text and "graphics card, through Vulkan" in text and "its pictures are wrong by 2" in text
     assert "--device auto means Arc A770." in text
     facts = json.loads(run_command("info", "--devices", "--json"))
     assert facts["auto"] == "Arc A770" and [each["self_test"] for each in facts["devices"]] == ["", "its pictures are wrong by 2"]
+    assert len(tested) == 2
+    machine(*cards)
+    again = json.loads(run_command("info", "--devices", "--json", "--device", "llvm", "--again"))
+    assert tested[2:] == ["llvmpipe"] and [each["self_test"] for each in again["devices"]] == [""]
+    assert choice.describe(test=False)["devices"][1]["self_test"] == ""
+    cards[1].info["description"] = "driver 2"
+    machine(*cards)
+    assert choice.describe(test=False)["devices"][0]["self_test"] is None and len(tested) == 3
 
 
 @pytest.fixture
@@ -145,4 +156,6 @@ def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path,
     plan = session.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
     report = session.train(capture, store, plan, tmp_path, quiet=True, backend=fresh.name)
     assert report["iterations"] == 5 and len(calls) == 3
+    assert report["device"].startswith("fresh, then the processor, ")
+    assert json.loads((tmp_path / "status.json").read_text())["device"] == report["device"]
     assert "the GPU fails (Parent device is lost): the processor goes on from the last checkpoint" in capsys.readouterr().err

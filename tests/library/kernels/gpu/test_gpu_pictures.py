@@ -11,10 +11,12 @@ from random_cameras import hostile_scales, random_camera, random_pose
 from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
+from fastgs_blender.cameras.viewpoints import viewpoint_of
 from fastgs_blender.kernels.gpu import device, picture, scene
+from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering.crops import Crop
-from fastgs_blender.rendering.instances import Instance, ObjectSettings
-from fastgs_blender.rendering.passes import PASSES
+from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
+from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.volumes import mesh_volume
 
 SCENES = int(os.environ.get("FASTGS_GPU_SCENES", "24"))
@@ -82,6 +84,47 @@ def crowd():
     instances = [Instance(random_model(rng, 90, "fourier", "line", "radial", kind, size=0.15), random_pose(rng, 0.0), 0.3, look, name=kind,
                           index=i) for i, (kind, look) in enumerate(zip(kinds, looks))]
     return instances, fg.Camera(90, 70, 60, 60, 45, 35, random_pose(rng, 3.0), window=(11, 5, 70, 52))
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_far_views_agree_with_the_cpu(gpu, adapter, orthographic):
+    """Seen from farther than from the capture's cameras, splats are as faint as on the CPU."""
+    rng = np.random.default_rng(8)
+    near = fg.Camera(300, 200, 300, 300, 150, 100, random_pose(rng, 2.5))
+    model = random_model(rng, 400, "fourier", "line", "radial", "sh1", size=0.02)
+    model = replace(model, surroundings=Surroundings(cameras=(viewpoint_of(near),)))
+    focal = 12.0 if orthographic else 30.0
+    camera = replace(near, width=60, height=40, fx=focal, fy=focal, cx=30, cy=20, window=None, orthographic=orthographic)
+    wanted, got, plain = (fg.render([Instance(model, np.eye(4), 0.3, ObjectSettings(antialias=antialias))], camera, backend=backend)
+                          for backend, antialias in (("cpu", True), (name_of(adapter), True), (name_of(adapter), False)))
+    assert np.abs(got["rgb"] - wanted["rgb"]).max() < CLOSE and np.abs(got["alpha"] - wanted["alpha"]).max() < CLOSE
+    assert np.abs(plain["alpha"] - got["alpha"]).max() > 0.05
+
+
+def test_what_reaches_the_cameras_plane_agrees_with_the_oracle(gpu, adapter):
+    rng = np.random.default_rng(7)
+    n = 150
+    model = fg.GaussianModel(position=np.c_[rng.uniform(-1.5, 1.5, (n, 2)), rng.uniform(0.1, 1.5, n)], rotation=rng.normal(size=(n, 4)),
+                             scale=np.log(0.02) + rng.uniform(0, np.log(50), (n, 3)), opacity=rng.normal(0, 2, n),
+                             features=rng.uniform(0, 1, (n, 3)), raster=fg.Raster(near=0.0))
+    camera = fg.Camera(64, 36, 53, 53, 32, 18, np.eye(4))
+    cases = ((ObjectSettings(), name_of(adapter)), (ObjectSettings(), "reference"), (AS_TRAINED, "reference"))
+    found, wanted, straight = (fg.render([Instance(model, np.eye(4), 0, look)], camera, backend=name)["rgb"] for look, name in cases)
+    assert np.abs(found - wanted).mean() < 1e-4 and np.abs(found - wanted).max() < 0.01
+    assert np.abs(straight - wanted).max() > 0.1, "some of it is beside the picture"
+
+
+def test_the_cpu_sorts_by_pixel(gpu, adapter, caplog):
+    """The same bytes as the CPU's, and one line that says so."""
+    rng = np.random.default_rng(3)
+    model, camera = random_model(rng, 60, size=0.3), fg.Camera(50, 40, 40, 40, 25, 20, random_pose(rng, 3.0))
+    gpu.told = False
+    for _ in range(2):
+        wanted, got = (fg.render(model, camera, backend=backend, settings=PassSettings(sorting="pixel"))
+                       for backend in ("cpu", name_of(adapter)))
+        assert wanted["alpha"].any() and np.array_equal(wanted["rgb"], got["rgb"])
+    assert [record.getMessage() for record in caplog.records if "pixel" in record.getMessage()] == [
+        "the GPU sorts splats by their centres alone, so the CPU draws what is sorted by pixel."]
 
 
 def test_all_passes_of_several_instances_agree_with_the_cpu(gpu, adapter, crowd):

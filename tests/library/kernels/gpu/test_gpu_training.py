@@ -2,6 +2,7 @@
 """Training on the GPU backend against the CPU's kernels: gradients, penalties, Adam, and whole runs."""
 from __future__ import annotations
 
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,13 +12,17 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.protocol import MotionNorm, TrainingBackend
+from fastgs_blender.kernels.gpu.backend import GPU
+from fastgs_blender.kernels.gpu.device import Device
+from fastgs_blender.kernels.protocol import DeviceError, MotionNorm, TrainingBackend
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.util import backends
 from fastgs_blender.util.backends import load_backend
 
 HEIGHT, WIDTH = 40, 48
+STEPS = int(os.environ.get("FASTGS_GPU_STEPS", "40"))
 
 
 def relative(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -122,6 +127,70 @@ def test_shaking_moves_the_nearly_transparent_in_their_own_shape(gpu, rng):
     assert np.abs(moved[0][:2000].mean(0)).max() < 0.06
 
 
+def test_a_run_ends_where_the_cpus_does(gpu, adapter):
+    """Held-out views, after $FASTGS_GPU_STEPS steps (the campaign takes 300)."""
+    capture, store, points = toy_capture(frames=4, views=5)
+    chosen = settings.settings(iterations=STEPS, preview_every=0, max_gaussians=600)
+    model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    found = []
+    for name in ("cpu", f"gpu:{adapter.name}"):
+        trainer = Trainer(capture, store, chosen, model, backend=name)
+        while trainer.iteration < STEPS:
+            trainer.step()
+        found.append(trainer.measure(capture.held_out)[0])
+    assert abs(found[0] - found[1]) < 0.1
+
+
+def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
+    """Then the run goes on on the CPU from its last checkpoint (test_gpu_devices.py)."""
+    capture, store, points = toy_capture(frames=2, views=3)
+    chosen = settings.settings(iterations=100, density="mcmc", densify_from=0.0, preview_every=0, motion_weight=0.1, backdrop_hold=1.0,
+                               regulariser="group")
+    model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    native, pipelines, pipeline = gpu.device.native, gpu.device._pipelines, Device._pipeline
+    broken, used = [], set()
+
+    def steps():
+        device = Device(gpu.device.adapter, _pipelines=pipelines)
+        device.__dict__["native"] = native
+        monkeypatch.setitem(backends.loaded, "gpu:fresh", GPU(lambda: device))
+        trainer = Trainer(capture, store, chosen, model, sizes=np.full(len(points), 0.3), backend="gpu:fresh")
+        for _ in range(2):
+            trainer.step()
+
+    def failing(self, stage, constants):
+        used.add(stage)
+        if stage in broken:
+            raise RuntimeError("Parent device is lost")
+        return pipeline(self, stage, constants)
+
+    monkeypatch.setattr(Device, "_pipeline", failing)
+    steps()
+    assert {"project", "tiles_pad", "raster", "loss_slope", "raster_backward", "project_backward", "penalty", "hold", "shrink", "shake",
+            "adam", "moved", "observe"} <= used
+    for stage in sorted(used):
+        broken[:] = [stage]
+        with pytest.raises(DeviceError, match="Parent device is lost"):
+            steps()
+
+
+def test_torch_differentiates_by_pose_on_the_gpu(gpu, adapter, rng):
+    """The same gradients as on the CPU."""
+    torch = pytest.importorskip("torch")
+    from fastgs_blender import torch as ours
+
+    model = random_model(rng, 40, "cubic", "line", "radial", "sigmoid", extent=0.6, size=0.2)
+    camera = fg.Camera(WIDTH, HEIGHT, 50, 55, 22, 21, random_pose(rng, 3.0))
+    found = []
+    for name in ("cpu", f"gpu:{adapter.name}"):
+        parameters, pose = ours.tensors(model), torch.zeros(6, dtype=torch.float64, requires_grad=True)
+        picture = ours.render(parameters, model, camera, 0.4, pose=pose, backend=name)
+        (picture.rgb.square().sum() + picture.alpha.sum()).backward()
+        found.append({"pose": pose.grad.numpy(), **{name: tensor.grad.numpy() for name, tensor in parameters.items()}})
+    for name, wanted in found[0].items():
+        assert relative(found[1][name], wanted) <= 2e-3, name
+
+
 def test_the_backend_offers_what_the_protocol_says(gpu):
     import inspect
 
@@ -130,17 +199,23 @@ def test_the_backend_offers_what_the_protocol_says(gpu):
         assert list(inspect.signature(getattr(gpu, method)).parameters)[:len(wanted)] == wanted, method
 
 
-def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter):
-    """A run on the GPU is near the CPU's; continued from its state in the middle it gives the same bytes."""
+def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatch):
+    """A run on the GPU is near the CPU's, and is waited for once in a step.  Continued from its state in the middle, with tile lists that
+    are guessed too short in every step, it gives the same bytes."""
     capture, store, points = toy_capture(frames=3, views=3)
     chosen = settings.settings(iterations=8, densify_every=4, densify_from=0.0, densify_until=1.0, threshold=1e-6, preview_every=0,
-                               backdrop_hold=5.0, motion_weight=0.1)
+                               backdrop_hold=5.0, motion_weight=0.1, batch=2)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
     name = f"gpu:{adapter.name}"
     ours, theirs = (Trainer(capture, store, chosen, model, sizes=sizes, backend=each) for each in (name, "cpu"))
+    reads, read, sizes = [], Device.read, set()
+    monkeypatch.setattr(Device, "read", lambda self, *given: reads.append(given) or read(self, *given))
     for number in range(8):
+        reads.clear()
         mine, other = ours.step(), theirs.step()
+        assert len(reads) == 1 or mine["reduction"] not in sizes or ours.strategy.acts(number + 1) or ours.evening.looks(number, 8)
+        sizes.add(mine["reduction"])
         if number < 4:  # until density control may choose others
             assert mine["seen"] == other["seen"]
             np.testing.assert_allclose([mine[key] for key in ("loss", "psnr", "motion_penalty")],
@@ -149,8 +224,13 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter):
             middle = {key: array.copy() for key, array in ours.state()[0].items()}, ours.state()[1]
     resumed = Trainer(capture, store, chosen, backend=name)
     resumed.restore(*middle)
+    attempt, attempts = resumed._attempt, []
+    monkeypatch.setattr(resumed, "_attempt", lambda rates: attempts.append(resumed.iteration) or attempt(rates))
     while resumed.iteration < 8:
+        for room in gpu.device.rooms.values():
+            room.entries = 20
         resumed.step()
+    assert attempts == [5, 5, 6, 6, 7, 7], "what did not fit was taken again"
     mine, other = ours.state()[0], resumed.state()[0]
     assert mine.keys() == other.keys()
     assert all(np.array_equal(mine[key], other[key], equal_nan=True) for key in mine)

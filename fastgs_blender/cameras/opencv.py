@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras as OpenCV's calibration gives them: a matrix, a vector of distortion, and the world's place in the camera.
+
+OpenCV counts pixel centres in whole numbers, so that 0.5 is added to the principal point.  Its vector of distortion is k1 k2 p1 p2 k3
+k4 k5 k6, of which the later ones may be missing; the fisheye model has k1 k2 k3 k4.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..util import rotations
+from ..util.errors import FastGSError
+from . import poses
+from .lens import Intrinsics, Lens
+
+LARGEST_RIG = 50.0
+"""Distance of two cameras beyond which a calibration without a unit is taken to count in millimetres: a rig of 50 m, or of 5 cm."""
+MILLIMETRES = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A camera of a calibration file.
+
+    name    as the file calls it
+    matrix  [3, 3], pixel centres at whole numbers
+    lens    its distortion, and skew
+    pose    world-to-camera [4, 4], in the file's unit
+    size    width and height of the calibrated pictures; None: the file does not say
+    """
+
+    name: str
+    matrix: np.ndarray
+    lens: Lens
+    pose: np.ndarray
+    size: tuple[int, int] | None = None
+
+    def intrinsics(self, size: tuple[int, int], where: str) -> Intrinsics:
+        """Intrinsics of pictures of that size, which may be smaller or larger than the calibrated ones; raises FastGSError where they
+        have another shape."""
+        given = self.size or size
+        sx, sy = size[0] / given[0], size[1] / given[1]
+        if abs(sx - sy) > 0.01 * sx:
+            raise FastGSError(f"{where}: it has {size[0]} x {size[1]} pixels, but camera {self.name} was calibrated for {given[0]} x "
+                              f"{given[1]}; give pictures that are neither cropped nor turned.")
+        m = self.matrix
+        return poses.intrinsics(where, m[0, 0] * sx, m[1, 1] * sy, (m[0, 2] + 0.5) * sx, (m[1, 2] + 0.5) * sy, *size)
+
+
+def camera(name: str, where: str, matrix, distortion, rotation, translation, size=None, fisheye: bool = False) -> Calibrated:
+    """A checked camera; `where` (file and camera) is in front of each FastGSError.
+
+    matrix       3 x 3
+    distortion   None or the coefficients, a list or a matrix of them
+    rotation     3 numbers (Rodrigues: axis times angle in radians) or 3 x 3, from world to camera
+    translation  3 numbers: x_camera = rotation x_world + translation
+    size         None, or width and height
+    """
+    matrix = poses.numbers(matrix, (3, 3), f"{where}: its matrix")
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or np.abs(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] - [0, 0, 0, 1]).max() > 1e-6:
+        raise FastGSError(f"{where}: its matrix must be fx 0 cx, 0 fy cy, 0 0 1 with focal lengths above 0.")
+    pose = np.eye(4)
+    turn = np.squeeze(_array(rotation, f"{where}: its rotation"))
+    pose[:3, :3] = turn if turn.shape == (3, 3) else from_rodrigues(turn, f"{where}: its rotation")
+    pose[:3, 3] = poses.numbers(np.ravel(_array(translation, f"{where}: its translation")), (3,), f"{where}: its translation")
+    pose = poses.rigid(pose, f"{where}: its rotation and translation")
+    if size is not None:
+        size = tuple(poses.whole(side, f"{where}: its size", 1, 1 << 20) for side in poses.listed(list(size), f"{where}: its size", 2)[:2])
+    return Calibrated(name, matrix, lens_of(distortion, fisheye, matrix[0, 1] / matrix[0, 0], where), pose, size)
+
+
+def lens_of(distortion, fisheye: bool, skew: float, where: str) -> Lens:
+    """The lens with OpenCV's vector of distortion, None or of any length."""
+    given = np.ravel(_array([] if distortion is None else distortion, f"{where}: its distortion"))
+    most = 4 if fisheye else 8
+    if np.any(given[most:]):
+        raise FastGSError(f"{where}: its distortion has {len(given)} coefficients, and {most} are known here; calibrate it without thin "
+                          "prisms and tilted sensors.")
+    k = np.zeros(8)
+    k[:min(len(given), most)] = given[:most]
+    if fisheye:
+        return Lens("fisheye", tuple(k[:4]), skew=skew)
+    return Lens("opencv", (k[0], k[1], *k[4:]), (k[2], k[3]), skew)
+
+
+def from_rodrigues(vector, where: str) -> np.ndarray:
+    """The rotation [3, 3] about an axis [3] by its length in radians."""
+    vector = poses.numbers(vector, (3,), where)
+    if np.abs(vector).max() > 1e3:
+        raise FastGSError(f"{where} must be an axis times an angle in radians, not {vector[0]:g}, {vector[1]:g}, {vector[2]:g}.")
+    return rotations.to_matrices(rotations.exp(vector / 2))
+
+
+def metric(cameras: Sequence[Calibrated], unit: float | None) -> tuple[float, str]:
+    """The length in metres of a calibration's unit, and a remark; `unit` is what the file says, or None.
+
+    Without a unit, distances between cameras that no rig in metres has are taken for millimetres.
+    """
+    if unit is not None:
+        return unit, "" if unit == 1 else f"its unit of {unit:g} m became metres"
+    centres = np.array([poses.inverse(each.pose)[:3, 3] for each in cameras])
+    width = float(np.linalg.norm(centres - centres[0], axis=1).max(initial=0))
+    if width <= LARGEST_RIG:
+        return 1.0, ""
+    return MILLIMETRES, (f"its lengths are taken for millimetres, because two of its cameras are {width:.0f} apart: "
+                         f"{width * MILLIMETRES:.3g} m now")
+
+
+def upright_axes(given: Sequence[np.ndarray]) -> str:
+    """The axes, of those that GaussianModel knows, whose upward direction is nearest to that of cameras with these poses [4, 4]."""
+    up = -np.sum([pose[1, :3] for pose in given], 0)
+    return max(("RDF", -up[1]), ("RFU", up[2]), ("RUB", up[1]), key=lambda pair: pair[1])[0]
+
+
+def _array(value, where: str) -> np.ndarray:
+    """Finite numbers of any shape, at most two dimensions."""
+    try:
+        if isinstance(value, (str, bool, dict)):
+            raise TypeError
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.full(1, np.nan)
+    if array.ndim > 2 or not np.isfinite(array).all():
+        raise FastGSError(f"{where} must be finite numbers.")
+    return array

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Aligns curves over time that contain the same events: finds the time offset of each, to a fraction of a sample."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+LEAST_COMMON = 12
+"""Samples in which two curves must overlap, and the least share of the shorter one."""
+COMMON_SHARE = 0.5
+FINE = 0.02
+"""Samples between two shifts that are tried near the best whole one."""
+ROUNDS = 60
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Curve j shows at sample s what curve i shows at s + lag; alike: their correlation there, -1..1; alone: how much higher it is than
+    at any other peak."""
+
+    i: int
+    j: int
+    lag: float
+    alike: float
+    alone: float
+
+
+def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int) -> Pair | None:
+    """The best lag of two curves within +-most samples; None where they overlap too little, or one of them is flat."""
+    a, b = curves[i], curves[j]
+    least = max(LEAST_COMMON, int(COMMON_SHARE * min(len(a), len(b))))
+    lags = [lag for lag in range(-most, most + 1) if min(len(a) - lag, len(b)) - max(-lag, 0) >= least]
+    if not lags:
+        return None
+    alike = np.array([_alike(a, b, float(lag)) for lag in lags])
+    common = np.array([min(len(a) - lag, len(b)) - max(-lag, 0) for lag in lags])
+    alike *= np.sqrt(common / common.max())  # short pieces are alike by chance
+    best = int(np.argmax(alike))
+    if alike[best] <= 0:
+        return None
+    away = np.abs(np.arange(len(lags)) - best) > 2
+    inner = np.r_[False, (alike[1:-1] >= alike[:-2]) & (alike[1:-1] >= alike[2:]), False] if len(lags) > 2 else np.zeros(len(lags), bool)
+    others = alike[away & inner]
+    fine = lags[best] + np.arange(-1, 1 + FINE / 2, FINE)
+    closer = np.array([_alike(a, b, lag) for lag in fine])
+    top = int(np.argmax(closer))
+    return Pair(i, j, float(fine[top]), float(closer[top]), float(closer[top] - max(others.max(initial=0), 0)))
+
+
+def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:
+    """The correlation of b [n] with a moved by lag samples, over what is common to both."""
+    places = np.arange(len(b)) + lag
+    inside = (places >= 0) & (places <= len(a) - 1)
+    if inside.sum() < 3:
+        return -1.0
+    x, y = between(a, places[inside]), b[inside]
+    x, y = x - x.mean(), y - y.mean()
+    size = np.sqrt((x @ x) * (y @ y))
+    return float(x @ y / size) if size > 1e-12 else -1.0
+
+
+def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """values [n] at places (samples, fractions lie between them) by Catmull and Rom's cubic; the ends are repeated."""
+    first = np.clip(np.floor(places).astype(int), 0, max(len(values) - 2, 0))
+    u = places - first
+    p0, p1, p2, p3 = (values[np.clip(first + k, 0, len(values) - 1)] for k in (-1, 0, 1, 2))
+    return p1 + 0.5 * u * (p2 - p0 + u * (2 * p0 - 5 * p1 + 4 * p2 - p3 + u * (3 * (p1 - p2) + p3 - p0)))
+
+
+def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
+    """(offsets [count], their standard deviations [count]) that agree best with the pairs: the sum of absolute differences is least, so
+    that a few wrong pairs do no harm.  The median of the offsets is 0; what no pair reaches is NaN.
+    """
+    offsets, spread = np.full(count, np.nan), np.full(count, np.nan)
+    group = _largest(count, pairs)
+    pairs = [pair for pair in pairs if pair.i in group]
+    if len(group) < 2:
+        return offsets, spread
+    place = {camera: k for k, camera in enumerate(group)}
+    rows = np.zeros((len(pairs), len(group)))
+    for row, pair in zip(rows, pairs):
+        row[place[pair.j]], row[place[pair.i]] = 1, -1
+    lags, weight = np.array([pair.lag for pair in pairs]), np.array([max(pair.alike, 1e-3) for pair in pairs])
+    found = np.zeros(len(group))
+    for _ in range(ROUNDS):
+        share = weight / (np.abs(rows @ found - lags) + 1e-3)
+        found = np.linalg.lstsq(np.sqrt(share)[:, None] * rows, np.sqrt(share) * lags, rcond=None)[0]
+    error = np.abs(rows @ found - lags)
+    offsets[list(group)] = found - np.median(found)
+    for camera, k in place.items():
+        own = error[rows[:, k] != 0]
+        spread[camera] = 1.5 * np.median(own) / np.sqrt(max(len(own) - 1, 1)) if len(own) > 1 else np.nan
+    return offsets, spread
+
+
+def _largest(count: int, pairs: Sequence[Pair]) -> list[int]:
+    """The largest group of curves that pairs join, in order."""
+    group = list(range(count))
+    for _ in range(count):
+        for pair in pairs:
+            group[pair.i] = group[pair.j] = min(group[pair.i], group[pair.j])
+    members: dict[int, list[int]] = {}
+    for curve, number in enumerate(group):
+        members.setdefault(number, []).append(curve)
+    return max(members.values(), key=len)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finds the clock offsets of a capture's cameras from their sound, a flash, or the motion in their pictures."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...util.errors import FastGSError
+from ..capture import Capture
+from .alignment import COMMON_SHARE, LEAST_COMMON, Pair, compared, settled
+from .curves import Curves, activity, curves, flashes, moving
+from .files import Clocks
+from .sound import heard, onsets
+
+WAYS = ("auto", "sound", "flash", "motion")
+NEIGHBOURS = 8
+"""Cameras that each one is compared with: in a large rig not all pairs are."""
+ALIKE, ALONE = 0.5, 0.1
+"""Least correlation of two cameras' curves of motion, and how far it must stand above that of other shifts."""
+SURE = 2.0
+"""An offset found by motion counts where it is so many standard deviations from 0: these curves are only alike, not equal."""
+SOUND_ERROR, FLASH_ERROR, MOTION_ERROR = 0.003, 0.3, 0.15
+"""Standard deviations at best: of a clear shift of two sounds, in seconds (they travel a metre in that time); of what a flash or curves of
+motion give, in frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the search gave: the clocks; curves, or None where sound told enough; lost: views whose offset could not be found."""
+
+    clocks: Clocks
+    curves: Curves | None
+    lost: tuple[str, ...]
+
+
+def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None) -> Found:
+    """The offsets of a capture that was opened without any (open_capture(path, offsets={})).
+
+    way       "auto", "sound", "flash" or "motion"; auto: sound where all cameras have some and it is clear, else a flash, else motion
+    progress  called as progress(done, of) while pictures are looked at
+    Returns `clocks`, whose median offset is 0; `lost`, the names of views whose offset could not be found and is given as 0; `curves` of
+    what moves, None where sound told enough.  `fastgs sync` refines these offsets by a short training.
+    Raises FastGSError, with the reason, where nothing can be found.
+
+    Example:
+        found = fg.find_offsets(fg.open_capture("my-capture", offsets={}))
+        fg.write_clocks("my-capture", found.clocks)
+    """
+    if way not in WAYS:
+        raise FastGSError(f"offsets are found by {', '.join(WAYS)}, not by {way!r}.")
+    if len(capture.views) < 2:
+        raise FastGSError(f"{capture.path}: it has one camera, whose clock has none to be compared with.")
+    if way in ("auto", "sound"):
+        found = _by_sound(capture)
+        if found is not None and not found.lost:
+            return found
+        if way == "sound":
+            raise FastGSError(f"{capture.path}: " + ("its cameras have no sound in common" if found is None else
+                              f"the sound of {', '.join(found.lost)} fits no other camera's") + "; find the offsets with --by motion.")
+    shown = curves(capture, progress)
+    flash = flashes(shown) if way in ("auto", "flash") else None
+    if flash is not None:
+        found = _settled(capture, shown, list(flash), list(range(len(flash))), "flash", ALIKE)
+        if not found.lost or way == "flash":
+            return found
+    elif way == "flash":
+        raise FastGSError(f"{capture.path}: most of its cameras show no flash; find the offsets with --by motion.")
+    return _by_motion(capture, shown)
+
+
+def _by_motion(capture: Capture, shown: Curves) -> Found:
+    still = {shot.view for shot in capture.shots} - _moved(capture)
+    usable = [k for k in moving(shown) if shown.views[k] in still]
+    if len(usable) < 2:
+        some = "more than one" if usable else "any"
+        raise FastGSError(f"{capture.path}: nothing moves in the pictures of {some} of its cameras, so clocks cannot be compared; choose "
+                          "a part of the clip in which something moves, or clap or flash a lamp when you film.")
+    found = _settled(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion", ALIKE)
+    if len(found.lost) == len(shown.views):
+        raise FastGSError(f"{capture.path}: what moves looks too different from camera to camera for their clocks to be compared; choose a "
+                          "longer part of the clip, or clap or flash a lamp when you film.")
+    return found
+
+
+def _moved(capture: Capture) -> set[str]:
+    """The views whose cameras move: their pictures change all the time."""
+    poses: dict[str, set] = {}
+    for shot in capture.shots:
+        if shot.camera is not None:
+            poses.setdefault(shot.view, set()).add(shot.camera.world_to_camera.tobytes())
+    return {view for view, each in poses.items() if len(each) > 1}
+
+
+def _pairs(count: int) -> list[tuple[int, int]]:
+    return [(i, (i + k) % count) for k in range(1, min(NEIGHBOURS, count // 2) + 1) for i in range(count) if 2 * k < count or i < k]
+
+
+def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str, alike: float) -> Found:
+    """The offsets of the views in these rows, by their lines."""
+    length = min(map(len, lines))
+    most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
+    pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most)) is not None]
+    pairs = [pair for pair in pairs if pair.alike >= alike and pair.alone >= ALONE]
+    offsets, spread = settled(len(lines), pairs)
+    return _found(capture, {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}, way, shown)
+
+
+def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, shown: Curves | None) -> Found:
+    lost = tuple(view for view in capture.views if not np.isfinite(values.get(view, (np.nan, 0))[0]))
+    floor = {"motion": MOTION_ERROR, "flash": FLASH_ERROR, "sound": SOUND_ERROR * capture.clip.fps}[way]
+    offsets, uncertainty = {}, {}
+    for view, (offset, spread) in values.items():
+        if view in lost:
+            continue
+        uncertainty[view] = float(np.hypot(floor, spread if np.isfinite(spread) else 3 * floor))
+        offsets[view] = float(offset) if way == "sound" or abs(offset) > SURE * uncertainty[view] else 0.0
+    return Found(Clocks({view: offsets.get(view, 0.0) for view in capture.views}, uncertainty, way), shown, lost)
+
+
+def _by_sound(capture: Capture) -> Found | None:
+    """By sound; None unless at least two cameras are videos with sound."""
+    videos = {shot.view: shot.image.path for shot in reversed(capture.shots) if shot.image.frame is not None}
+    lines = {view: line for view, path in videos.items() if (line := onsets(path)) is not None}
+    views = [view for view in capture.views if view in lines]
+    if len(views) < 2:
+        return None
+    pairs = [pair for i, j in _pairs(len(views)) if (pair := heard([lines[view] for view in views], i, j)) is not None]
+    pairs = [Pair(pair.i, pair.j, pair.lag * capture.clip.fps, pair.alike, pair.alone) for pair in pairs]
+    offsets, spread = settled(len(views), pairs)
+    if not np.isfinite(offsets).any():
+        return None
+    return _found(capture, {view: (offsets[k], spread[k]) for k, view in enumerate(views)}, "sound", None)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks a capture for problems before training: check() measures a bounded part of it and returns a CheckReport.
+
+A check is a module of this folder with run(looked) -> Section, and its name in CHECKS.
+"""
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ..captures import open_capture
+from ..util.arguments import file_path
+from ..util.errors import FastGSError
+from .report import CheckReport, Section
+from .samples import Looked, look
+
+CHECKS = ("files", "calibration", "timing", "exposure", "sharpness", "coverage", "outlook", "cost")
+"""Names of the checks, in the order in which they are made and shown."""
+WEIGHTS = {"reading pictures": (0.0, 0.4), "comparing pictures": (0.4, 0.75), "comparing clocks": (0.75, 0.95)}
+"""Begin and end of the long stages, as shares of the whole."""
+
+
+def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
+          layout: str | None = None, progress: Callable[[str, float], None] | None = None) -> CheckReport:
+    """Look at the capture in a folder or file, and say what will make a model of it poor.
+
+    scale, frames, held_out, layout  as open_capture() has them; progress(stage, share) is called with shares from 0 to 1
+    Pictures of at most a few moments are looked at: a minute for a usual capture.  Raises FastGSError where it is none, or no picture
+    can be read.
+
+    Example:
+        report = fg.check("my-capture")
+        print(report.verdict)
+    """
+    path = file_path(path, "the name of a capture")
+    capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
+    report = progress or (lambda stage, share: None)
+
+    def at(stage: str, share: float) -> None:
+        low, high = WEIGHTS[stage]
+        report(stage, low + (high - low) * min(share, 1.0))
+
+    looked = Looked(capture, Path(path), layout, scale, at)
+    look(looked)
+    sections = {}
+    for name in CHECKS:
+        module = importlib.import_module(f".{name}", __name__)
+        try:
+            sections[name] = module.run(looked)
+        except FastGSError as error:  # what a check needs is not installed, or not there: the others go on
+            sections[name] = Section(name.capitalize(), "This could not be looked at.")
+            sections[name].add("note", f"{name.capitalize()} could not be checked: {error}", "The other checks were made.")
+    report("done", 1.0)
+    return CheckReport(str(path), capture.layout, looked.words(), looked.views, capture.held_out_views, looked.thumbnails, sections)

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks the poses and lenses of a calibration, by features that pictures of several cameras have in common."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..training.initial import features
+from . import drawing
+from .matching import Matches
+from .report import Section, listed
+from .reprojection import OFF, offsets
+from .samples import Looked
+
+FAR_OFF = 3.0
+"""Error, in pixels of the sampled pictures, above which the calibration of the whole rig is reported; of one camera: reprojection.OFF."""
+LEAST_POINTS = 12
+BORDER, RISE = 0.7, 1.5
+"""The border of a picture begins at this share of half its diagonal; pixels by which errors there may exceed those inside."""
+EMPTY = 0.15
+"""Largest share of a picture that may be empty after undistortion."""
+ODD_FOCAL, ODD_CENTRE = 0.05, 0.15
+
+
+def run(looked: Looked) -> Section:
+    """Measure errors of matches against the calibration; find the wrong cameras and the angle by which each seems turned."""
+    section = Section("Calibration", "How many pixels matches between two pictures miss the lines on which the calibration puts them: "
+                                     "under 1 is "
+                      "good. They were found without the calibration.")
+    if not looked.capture.posed:
+        section.summary = "The capture does not say where its cameras are; training finds them from its pictures first."
+        return section
+    _lenses(section, looked)
+    matches = looked.matches
+    if not matches.pairs:
+        pairs = f"none of {matches.tried} pairs" if matches.tried else "none of the pairs"
+        section.add("note", f"The calibration cannot be judged: {pairs} of pictures has enough in common, as with "
+                            "cameras that are "
+                    "far apart or a scene without texture.", "Train a draft, and look at the held-out views.")
+        return section
+    scale = {view: samples[0].shrunk for view, samples in looked.samples.items()}
+    bad, error = looked.judged.wrong, looked.judged.misses
+    usual = float(np.median([error[view] for view in looked.views if view not in bad and np.isfinite(error[view])] or [np.nan]))
+    for view in bad:
+        _tell(section, looked, matches, view, error[view] * scale[view], bad)
+    if not bad and np.isfinite(usual) and usual > OFF:
+        section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * _most(scale):.1f} pixels with all "
+                                                            "cameras: the "
+                    "calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are neither cropped, "
+                                                                         "turned nor "
+                    "stabilised, and that lens correction in the cameras was the same as when they were calibrated.", (),
+                    ("reprojection error", round(usual, 3), "pixels"))
+    _borders(section, looked, matches, bad)
+    unknown = [view for view in looked.views if not np.isfinite(error[view])]
+    if unknown:
+        section.add("note", f"{listed(unknown)} {'has' if len(unknown) == 1 else 'have'} too little in common with the other cameras for "
+                            "the calibration "
+                    "to be judged there.", "Look at the coverage; cameras 20 degrees apart have more in common.", unknown)
+    xyz = matches.good_points(bad)
+    grades = dict.fromkeys(bad, "wrong")
+    shown = {view: value * scale[view] for view, value in error.items()}
+    section.pictures.append(drawing.bars_picture("Distance of features from where the other cameras put them, the median of each "
+                                                 "camera.", shown, "px", grades))
+    section.columns = {"Calibration": {view: f"{value:.1f} px" if np.isfinite(value) else "?" for view, value in shown.items()}}
+    section.measures |= {"reprojection_pixels": {view: _number(value) for view, value in shown.items()}, "median_pixels": _number(usual),
+                         "pairs": len(matches.pairs), "pairs_tried": matches.tried, "points": len(xyz), "wrong_cameras": bad}
+    return section
+
+
+def turned_by(matches: Matches, view: str, bad) -> tuple[float, float] | None:
+    """The rotation in degrees and the distance between a camera's pose and its calibration, from points that correct cameras see too."""
+    pycolmap = features.pycolmap_module()
+    _, places, xyz = offsets(matches, view, [other for other in bad if other != view])
+    if len(xyz) < LEAST_POINTS:
+        return None
+    camera = next(each.camera for (_, name), each in matches.features.items() if name == view)
+    lens = pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=[camera.fx, camera.fy, camera.cx, camera.cy])
+    options = pycolmap.AbsolutePoseEstimationOptions()
+    options.ransac.max_error, options.ransac.random_seed = 4.0, 1
+    found = pycolmap.estimate_and_refine_absolute_pose(places, xyz, lens, options)
+    if found is None:
+        return None
+    pose = found["cam_from_world"].matrix()
+    given = camera.world_to_camera
+    turn = pose[:, :3] @ given[:3, :3].T
+    moved = np.linalg.norm(-pose[:, :3].T @ pose[:, 3] + given[:3, :3].T @ given[:3, 3])
+    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(moved)
+
+
+def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: float, bad) -> None:
+    found = turned_by(matches, view, bad)
+    by = "it was bumped, zoomed or calibrated wrongly"
+    if found is not None:
+        moved = f" and moved by {found[1]:.2g} of the world's units" if found[1] > 0.02 * looked.capture.extent else ""
+        by = f"it seems turned by {found[0]:.1f} degrees{moved} against its calibration, as by a bump"
+        section.measures.setdefault("turned_degrees", {})[view] = round(found[0], 3)
+    section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.",
+                f"Calibrate {view} again, or leave it out: all that it sees is blurred otherwise.", [view],
+                ("reprojection error", round(error, 3), "pixels"))
+
+
+def _borders(section: Section, looked: Looked, matches: Matches, bad) -> None:
+    """Whether errors are larger near the borders, which means that the calibration's lens model is wrong."""
+    inside: dict[str, list] = {view: [] for view in looked.views}
+    outside: dict[str, list] = {view: [] for view in looked.views}
+    for pair in matches.pairs:
+        if pair.a in bad or pair.b in bad:
+            continue
+        for k, view in enumerate((pair.a, pair.b)):
+            each = matches.features[pair.moment, view]
+            middle = np.array([each.camera.width, each.camera.height]) / 2
+            radius = np.linalg.norm((each.places[pair.rows[:, k]] - middle), axis=1) / np.linalg.norm(middle)
+            outside[view] += pair.distance[radius > BORDER].tolist()
+            inside[view] += pair.distance[radius <= BORDER].tolist()
+    rise = {view: float(np.median(outside[view]) - np.median(inside[view])) for view in inside
+            if len(outside[view]) >= LEAST_POINTS and len(inside[view]) >= LEAST_POINTS}
+    for view in [view for view, value in rise.items() if value > RISE]:
+        section.add("poor", f"Near the borders of {view}, matches miss by {rise[view]:.1f} pixels more than in its middle: its lens is "
+                            "not what the "
+                    "calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of distortion or "
+                                         "as a fisheye.",
+                    [view], ("rise at the border", round(rise[view], 3), "pixels"))
+    section.measures["border_rise_pixels"] = {view: round(value, 4) for view, value in rise.items()}
+
+
+def _lenses(section: Section, looked: Looked) -> None:
+    for view, samples in looked.samples.items():
+        given, sample = samples[0].shot.image.intrinsics, samples[0]
+        if given is None:
+            continue
+        odd = []
+        if abs(given.fx / given.fy - 1) > ODD_FOCAL:
+            odd.append(f"its focal lengths are {given.fx:.0f} and {given.fy:.0f} pixels")
+        off = max(abs(given.cx / given.width - 0.5), abs(given.cy / given.height - 0.5))
+        if off > ODD_CENTRE:
+            odd.append(f"its optical axis is {off:.0%} of the picture off its middle")
+        if odd:
+            section.add("note", f"The calibration of {view} is unusual: {' and '.join(odd)}.", "That is right for cropped or squeezed "
+                                                                                               "pictures only; "
+                        "else calibrate again.", [view])
+        empty = 0.0 if sample.valid is None else float(1 - sample.valid.mean())
+        if empty > EMPTY and not sample.shot.image.lens.is_pinhole:
+            section.add("note", f"Undoing the lens of {view} leaves {empty:.0%} of its picture empty.", "Such borders do not count in "
+                                                                                                        "training; check the "
+                        "coefficients of distortion if that is a surprise.", [view], ("empty share", round(empty, 3), ""))
+
+
+def _most(scale: dict[str, int]) -> int:
+    return max(scale.values())
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 4) if np.isfinite(value) else None

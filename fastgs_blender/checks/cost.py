@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Estimates the disk space, memory and time that training will need."""
+from __future__ import annotations
+
+import shutil
+
+from ..captures.pixels import decoding
+from ..captures.pixels.framefiles import default_folder
+from ..captures.pixels.store import RESERVE
+from ..jobs import checks
+from ..training.core.settings import PRESETS
+from ..util.errors import FastGSError
+from .report import Section
+from .samples import Looked
+
+
+def run(looked: Looked) -> Section:
+    """Bytes of the cache of decoded pictures against what is free, and the presets' time and memory on this machine's processor."""
+    capture = looked.capture
+    section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
+                                       "without a "
+                      "GPU, roughly.")
+    first: dict = {}
+    counts: dict = {}
+    for shot in capture.shots:
+        first.setdefault(shot.view, shot)
+        counts[shot.view] = counts.get(shot.view, 0) + 1
+    size, pixels = 0, 0
+    for view, shot in first.items():
+        try:
+            height, width, channels = decoding.shape(shot, capture.scale)
+        except FastGSError:  # told with the files
+            continue
+        size += height * width * channels * counts[view]
+        pixels = max(pixels, height * width)
+    free = _free(default_folder(capture))
+    if free is not None and size + RESERVE > free:
+        section.add("wrong", f"The cache of decoded pictures needs {size / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free.", "Free some "
+                                                                                                                            "space, use "
+                                                                                                                            "--scale or "
+                    "--frames, or set FASTGS_CACHE_DIR to a folder on another disk.", (), ("cache", round(size / 1e9, 2), "GB"))
+    memory = checks.available_memory()
+    rows = {}
+    for preset in PRESETS:
+        seconds, needed = checks.estimate(pixels, *checks.size_of(preset), len(capture))
+        rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
+        if memory is not None and preset == "standard" and needed > memory:
+            section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "
+                                "GB are free.",
+                        "Close other programs, or train smaller pictures or fewer Gaussians.", (), ("memory", round(needed / 1e9, 2), "GB"))
+    times = "; ".join(f"{preset} {_minutes(row['minutes'])} and {row['memory_gb']:.1f} GB of memory" for preset, row in rows.items())
+    section.summary += f" Cache: {size / 1e9:.2f} GB{f' of {free / 1e9:.0f} GB free' if free is not None else ''}. Training: {times}."
+    section.measures = {"cache_gb": round(size / 1e9, 4), "free_gb": None if free is None else round(free / 1e9, 2), "presets": rows}
+    return section
+
+
+def _free(folder) -> int | None:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def _minutes(value: float) -> str:
+    return f"{value:.0f} minutes" if value < 100 else f"{value / 60:.1f} hours"

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks exposure: differences of brightness and white balance between cameras, dark and burnt-out pictures, changes of light over time."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from . import drawing
+from .matching import Matches
+from .report import Section, listed
+from .samples import Looked
+
+UNEVEN, UNEVEN_WHOLE, TINT = 0.1, 0.35, 0.1
+"""Share by which a camera may be brighter than others: by what they see in common, by whole pictures; and its channels by each other."""
+DARK, BURNT, BURNT_SHARE = 0.1, 0.985, 0.05
+"""Median brightness below which a picture is dark; brightness of burnt pixels, and their share that is told."""
+CHANGES, COMMON = 0.06, 0.6
+"""Share by which a camera's still parts may change over time, and of the cameras that must change for the light to be the reason."""
+REACH = 4
+"""Pixels around a feature whose mean colour is compared."""
+LEAST = 12
+"""Features in common that a camera's brightness is told from."""
+GAMMA = 2.2
+
+
+def run(looked: Looked) -> Section:
+    """Brightness and tint of each camera against the others, its darkness and burnt parts, and its changes over time."""
+    section = Section("Exposure", "How bright each camera is against the others, by the colours of features that they see in common; where "
+                      "too few are, by the means of whole pictures.")
+    gains, whole = brightness(looked)
+    even = {view: float(np.exp(np.mean(gain))) for view, gain in gains.items()}
+    _uneven(section, even, gains, whole)
+    _dark(section, looked)
+    _changing(section, looked)
+    told = {view: "poor" for finding in section.findings for view in finding.views}
+    section.pictures.insert(0, drawing.bars_picture("Brightness of each camera; 1 is the median of "
+                                                    "all.", even, "", told, (1.0, "1"), "x {:.2f}"))
+    section.columns = {"Brightness": {view: f"x {value:.2f}" for view, value in even.items()}}
+    section.measures |= {"brightness": {view: round(value, 4) for view, value in even.items()}, "by_whole_pictures": sorted(whole),
+                         "channels": {view: [round(float(v), 4) for v in np.exp(gain)] for view, gain in gains.items()}}
+    return section
+
+
+def brightness(looked: Looked) -> tuple[dict[str, np.ndarray], set[str]]:
+    """Logarithm of each camera's channels [3] against the median camera, and the cameras that were judged by whole pictures."""
+    means = {view: np.log(np.maximum(np.median([_mean(sample) for sample in samples], 0), 1e-3))
+             for view, samples in looked.samples.items()}
+    try:
+        found = common_gains(looked.matches, looked.views)
+    except FastGSError:  # without pycolmap
+        found = {}
+    whole = set(means) - set(found)
+    middle = np.median(list(means.values()), 0)
+    gains = {view: found.get(view, value - middle) for view, value in means.items()}
+    return gains, whole
+
+
+def common_gains(matches: Matches, views: list[str]) -> dict[str, np.ndarray]:
+    """Logarithms of gains [3] by view that explain the colours of matched features; their median is 0.
+
+    Least squares over the pairs' medians, for the largest group of cameras that are compared with each other.
+    """
+    rows, counts = [], dict.fromkeys(views, 0)
+    for pair in matches.pairs:
+        one, other = (_colours(matches, pair.moment, view, pair.rows[:, k]) for k, view in enumerate((pair.a, pair.b)))
+        good = ((one > 0.04) & (one < 0.96) & (other > 0.04) & (other < 0.96)).all(1)
+        if good.sum() >= LEAST:
+            rows.append((pair.a, pair.b, np.median(np.log(one[good] / other[good]), 0), np.sqrt(good.sum())))
+            counts[pair.a] += 1
+            counts[pair.b] += 1
+    group = _largest_group(views, [(a, b) for a, b, _, _ in rows])
+    if len(group) < 2:
+        return {}
+    at = {view: k for k, view in enumerate(group)}
+    rows = [row for row in rows if row[0] in at]
+    system, right = np.zeros((len(rows) + 1, len(group))), np.zeros((len(rows) + 1, 3))
+    for k, (a, b, ratio, weight) in enumerate(rows):
+        system[k, at[a]], system[k, at[b]], right[k] = weight, -weight, weight * ratio
+    system[-1] = 1
+    for _ in range(8):  # of pairs that disagree, the fewer count less
+        gains = np.linalg.lstsq(system, right, rcond=None)[0]
+        off = np.abs(system @ gains - right).max(1) / np.maximum(np.abs(system).max(1), 1e-12)
+        heavy = 1 / np.sqrt(np.maximum(off, 0.02))
+        heavy[-1] = 1
+        system, right = _weighted(rows, at, heavy)
+    gains -= np.median(gains, 0)
+    return {view: gains[k] for view, k in at.items()}
+
+
+def _weighted(rows, at, heavy):
+    system, right = np.zeros((len(rows) + 1, len(at))), np.zeros((len(rows) + 1, 3))
+    for k, (a, b, ratio, weight) in enumerate(rows):
+        w = weight * heavy[k]
+        system[k, at[a]], system[k, at[b]], right[k] = w, -w, w * ratio
+    system[-1] = 1
+    return system, right
+
+
+def _largest_group(views, edges) -> list[str]:
+    group = {view: view for view in views}
+
+    def root(view):
+        while group[view] != view:
+            view = group[view]
+        return view
+
+    for a, b in edges:
+        group[root(a)] = root(b)
+    members: dict[str, list[str]] = {}
+    for view in views:
+        members.setdefault(root(view), []).append(view)
+    return max(members.values(), key=len)
+
+
+def _colours(matches: Matches, moment: int, view: str, rows: np.ndarray) -> np.ndarray:
+    """Mean colours [M, 3] 0..1 around features."""
+    places, image = matches.features[moment, view].places[rows], matches.samples[moment, view].rgb
+    x, y = (np.clip(places[:, k].astype(int), REACH, max(image.shape[1 - k] - 1 - REACH, REACH)) for k in (0, 1))
+    around = np.arange(-REACH, REACH + 1)
+    rows_, columns = (np.minimum(v, n - 1) for v, n in ((y[:, None, None] + around[:, None], image.shape[0]),
+                                                        (x[:, None, None] + around, image.shape[1])))
+    return image[rows_, columns].astype(np.float32).mean((1, 2)) / 255
+
+
+def _mean(sample) -> np.ndarray:
+    rgb = sample.rgb if sample.valid is None else sample.rgb[sample.valid]
+    return rgb.reshape(-1, 3).mean(0) / 255
+
+
+def _uneven(section: Section, even, gains, whole) -> None:
+    advice = "Set exposure, gain and white balance by hand, the same on all cameras."
+    off = {view: value for view, value in even.items() if max(value, 1 / value) - 1 > (UNEVEN_WHOLE if view in whole else UNEVEN)}
+    words = {view: f"{view} is {value:.2f} times as bright ({abs(np.log2(value) * GAMMA):.1f} stops "
+                   f"{'brighter' if value > 1 else 'darker'})"
+             for view, value in off.items()}
+    for views, severity, how in (([view for view in off if view not in whole], "poor", "By what they see in common, "),
+                                 ([view for view in off if view in whole], "note", "By whole pictures, which may show other things, ")):
+        if views:
+            section.add(severity, f"{how}{listed([words[view] for view in views])} as the others: surfaces change their colour from view "
+                        "to view.", advice, views, ("brightness", _farthest(even[v] for v in views), "times"))
+    tints = {}
+    for view, gain in gains.items():
+        tint = np.exp(gain - gain.mean())
+        if view not in whole and np.abs(tint - 1).max() > TINT:
+            channel = int(np.abs(tint - 1).argmax())
+            tints[view] = f"{view} ({('red', 'green', 'blue')[channel]} x {tint[channel]:.2f})", float(tint[channel])
+    if tints:
+        section.add("poor", f"{listed([words for words, _ in tints.values()])} {'has' if len(tints) == 1 else 'have'} another white "
+                            "balance "
+                    "than the "
+                    "others.", advice, tints, ("tint", _farthest(t for _, t in tints.values()), "times"))
+
+
+def _farthest(gains) -> float:
+    return round(max(gains, key=lambda gain: abs(np.log(gain))), 3)
+
+
+def _dark(section: Section, looked: Looked) -> None:
+    dark, burnt = {}, {}
+    for view, samples in looked.samples.items():
+        light = [np.median(sample.rgb.mean(2)) / 255 for sample in samples]
+        dark[view] = float(np.median(light))
+        burnt[view] = float(np.mean([(sample.rgb.min(2) >= 255 * BURNT).mean() for sample in samples]))
+    if gloomy := [view for view, value in dark.items() if value < DARK]:
+        section.add("poor", f"{listed(gloomy)} {'is' if len(gloomy) == 1 else 'are'} dark: half of the picture is below "
+                            f"{max(dark[v] for v in gloomy):.0%} "
+                    "of white, where noise and compression hide details.", "Add light rather than gain; a black background is no "
+                                                                           "fault.", gloomy,
+                    ("median brightness", round(min(dark[v] for v in gloomy), 3), ""))
+    if flat := [view for view, value in burnt.items() if value > BURNT_SHARE]:
+        section.add("poor" if len(flat) < len(burnt) else "note", f"{listed(flat)} {'is' if len(flat) == 1 else 'are'} burnt out in "
+                                                                  f"{max(burnt[v] for v in flat):.0%} of the picture: "
+                    "nothing is known of what is there.", "Lower the exposure when filming; a white background is no fault.", flat,
+                    ("burnt share", round(max(burnt[v] for v in flat), 3), ""))
+    section.measures |= {"median_brightness": {v: round(x, 4) for v, x in dark.items()},
+                         "burnt_share": {v: round(x, 4) for v, x in burnt.items()}}
+
+
+def _changing(section: Section, looked: Looked) -> None:
+    """Brightness over time of what stands still: the median over the pixels of each picture's ratio to the median picture."""
+    curves = {}
+    for view, samples in looked.samples.items():
+        shapes = {sample.rgb.shape for sample in samples}
+        moved = len({None if sample.camera is None else sample.camera.world_to_camera.tobytes() for sample in samples}) > 1
+        if len(samples) < 3 or len(shapes) > 1 or moved:
+            continue
+        stack = np.array([sample.rgb[::4, ::4].mean(2) for sample in samples]) + 4.0
+        curves[view] = np.median(stack / np.median(stack, 0), axis=(1, 2))
+    change = {view: float(np.ptp(curve)) for view, curve in curves.items()}
+    moving = [view for view, value in change.items() if value > CHANGES]
+    if moving and len(moving) >= COMMON * len(change):
+        section.add("poor", f"The light changes: what stands still becomes up to {max(change.values()):.0%} brighter or darker in "
+                            f"{listed(moving)}.",
+                    "Light the scene with lamps that neither move nor flicker (at 50 or 60 Hz film with a shutter of 1/50 or 1/60 s), or "
+                    "with no "
+                    "sun between clouds.", moving, ("change of brightness", round(max(change.values()), 3), ""))
+    elif moving:
+        section.add("poor", f"{listed(moving)} {'changes its' if len(moving) == 1 else 'change their'} exposure while filming, by up to "
+                            f"{max(change[v] for v in moving):.0%}.", "Turn automatic "
+                    "exposure and gain off.", moving, ("change of brightness", round(max(change[v] for v in moving), 3), ""))
+    if curves:
+        section.measures["change_of_brightness"] = {view: round(value, 4) for view, value in change.items()}
+        if max(change.values()) > CHANGES / 2:
+            section.pictures.append(drawing.curves_picture("Brightness of what stands still, over the moments that were looked at.", curves,
+                                                           "moments", "brightness"))

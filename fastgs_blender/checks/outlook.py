@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Predicts which views of the finished model will be poor, and why: too few cameras, too far apart, or too near to each other."""
+from __future__ import annotations
+
+import numpy as np
+
+from . import drawing
+from .coverage import ENOUGH
+from .report import Section, listed
+from .samples import Looked
+from .space import Space, space_of
+
+FEW = 7
+"""Training cameras below which a capture has few."""
+APART, FAR = 20.0, 35.0
+"""Degrees between a view and the nearest training camera above which the view becomes softer, and above which it becomes poor."""
+NARROW = 8.0
+"""Degrees between the outermost cameras below which depth is uncertain."""
+MOVING = 2
+"""Number of different poses above which a camera counts as moving."""
+
+
+def run(looked: Looked) -> Section:
+    """Measure the angles between cameras, seen from the middle of the scene, and predict the quality of views between and beside them."""
+    section = Section("Outlook", "How far each view is from the nearest training camera, in degrees seen from the middle of the scene: "
+                                 "up to "
+                      f"{APART:.0f} a model holds, beyond {FAR:.0f} it has to guess.")
+    capture = looked.capture
+    if not capture.posed or not looked.training:
+        section.summary = "Without poses nothing can be said about views between the cameras yet."
+        return section
+    poses = {shot.camera.world_to_camera.tobytes() for shot in capture.training}
+    if len(poses) > MOVING * len(looked.training):
+        section.summary = "The cameras move; views along their way will be good, others were not judged."
+        return section
+    space = space_of(looked)
+    count = len(capture.training and dict.fromkeys(shot.view for shot in capture.training))
+    if count < 2:
+        section.add("wrong", "There is one training camera: nothing says how far away anything is.", "Film with more cameras, or hold "
+                                                                                                     "out fewer.")
+        return section
+    nearest = {view: space.nearest(view) for view in looked.views}
+    for view in capture.held_out_views:
+        if view in nearest:
+            _held_out(section, space, view, nearest[view], count)
+    gaps = {view: nearest[view][1] for view in looked.training}
+    if count < FEW:
+        _few(section, count, gaps)
+    widest = max(space.angle(a, b) for a in looked.training for b in looked.training)
+    if widest < NARROW:
+        section.add("poor", f"All cameras stand within {widest:.1f} degrees, seen from the scene: depth is uncertain, and views beside "
+                            "them will be "
+                    "distorted.", "Spread the cameras; 20 degrees from one to the next are "
+                                  "fine.", (), ("baseline", round(widest, 2), "degrees"))
+    lonely = [view for view, gap in gaps.items() if gap > FAR]
+    if lonely and count >= FEW:
+        section.add("poor", f"{listed(lonely)} {'stands' if len(lonely) == 1 else 'stand'} more than {FAR:.0f} degrees from the nearest "
+                            "other camera: "
+                    "between them the model has to guess.", "Add cameras in between, or keep the final camera near the filmed "
+                                                            "directions.", lonely,
+                    ("gap", round(max(gaps[v] for v in lonely), 1), "degrees"))
+    shown = {view: angle for view, (_, angle) in nearest.items()}
+    grades = {view: "wrong" if angle > FAR else "poor" if angle > APART else "" for view, angle in shown.items()}
+    section.pictures.append(drawing.bars_picture("Degrees from each camera to the nearest training camera.", shown, "degrees",
+                                                 grades, (APART, f"{APART:.0f}"), "{:.0f}"))
+    section.columns = {"Nearest camera": {view: f"{name}, {angle:.0f} degrees" for view, (name, angle) in nearest.items()}}
+    section.measures = {"training_cameras": count, "nearest_degrees": {view: round(angle, 2) for view, angle in shown.items()},
+                        "widest_degrees": round(widest, 2)}
+    return section
+
+
+def _held_out(section: Section, space: Space, view: str, nearest: tuple[str, float], count: int) -> None:
+    other, angle = nearest
+    seen = space.counts(view)
+    few = float((seen < ENOUGH).mean())
+    if angle <= APART and few < 0.5:
+        return
+    grade = "poor" if angle > FAR or few >= 0.5 or count < FEW else "note"
+    section.add(grade, f"The held-out view {view} will be poor: it stands {angle:.0f} degrees from the nearest training camera, {other}, "
+                       "and "
+                f"{few:.0%} of its picture is seen by fewer than {ENOUGH} of the {count} training cameras, "
+                f"{float((seen < 1).mean()):.0%} by none. "
+                "Surfaces that face it were filmed at a slant or not at all.", f"No setting changes that: film from directions at most "
+                                                                               f"{APART:.0f} "
+                "degrees apart. Judge this model from between its training cameras.", [view], ("angle", round(angle, 2), "degrees"))
+
+
+def _few(section: Section, count: int, gaps: dict[str, float]) -> None:
+    gap = float(np.max(list(gaps.values())))
+    beside = f"the nearest neighbours are up to {gap:.0f} degrees apart"
+    grade = "poor" if gap > APART or count < ENOUGH + 1 else "note"
+    section.add(grade, f"{count} training cameras are few, and {beside}: views more than about {APART / 2:.0f} degrees beside a camera "
+                       "will show "
+                "floating pieces and wrong depth, however long it is trained.", "Add cameras; with these, put one in every 20 degrees "
+                                                                                "around what "
+                "matters, and keep the final camera near them.", (), ("training cameras", float(count), ""))

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Samples the pictures that a check measures: a few moments of each camera, decoded once, scaled down and kept in memory."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..captures.capture import Capture, Shot
+from ..captures.pixels import decoding, undistortion
+from ..training.core.targets import small_camera, smaller
+from ..training.initial.dense import spread
+from ..util.errors import FastGSError
+from . import blur
+from .matching import Matches, matched
+from .reprojection import Judged, judged
+
+SIDE = 1024
+"""Pixels of the longer side to which pictures are scaled down after their sharpness was measured."""
+MOMENTS, MOST_VIEWS, MOST_PIXELS = 5, 40, 200_000_000
+"""Moments of each camera, cameras (more are spread evenly), and pixels in all that are kept."""
+THUMBNAIL = 320
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sampled picture.
+
+    rgb      [h, w, 3] uint8, display sRGB, with its longer side at most SIDE
+    camera   of that size; None in a capture without poses
+    valid    [h, w] bool, False where the lens has no picture; None: everywhere
+    shrunk   by how much the picture was shrunk
+    blur     Gaussian blur in pixels of the picture as it is trained on, NaN where it has no texture
+    """
+
+    shot: Shot
+    rgb: np.ndarray
+    camera: Camera | None
+    valid: np.ndarray | None
+    shrunk: int
+    blur: float
+
+
+@dataclass(eq=False)
+class Looked:
+    """A capture and its sampled pictures; checks ask it for pictures and matches.
+
+    path, layout  to open the capture again; progress(stage, share) is called while something takes long, share in 0..1
+    samples       by view, ordered by time
+    """
+
+    capture: Capture
+    path: Path
+    layout: str | None = None
+    scale: float | None = None
+    progress: Callable[[str, float], None] = lambda stage, share: None
+    samples: dict[str, list[Sample]] = field(default_factory=dict)
+    unreadable: list[str] = field(default_factory=list)
+
+    @property
+    def views(self) -> list[str]:
+        """The names of the sampled cameras."""
+        return list(self.samples)
+
+    @property
+    def training(self) -> list[str]:
+        """The sampled cameras that are used for training."""
+        kept = set(self.capture.held_out_views)
+        return [view for view in self.samples if view not in kept]
+
+    @cached_property
+    def matches(self) -> Matches:
+        """Features that pictures have in common; raises FastGSError where pycolmap is not installed."""
+        return matched(self.samples, self.capture.posed, lambda share: self.progress("comparing pictures", share))
+
+    @cached_property
+    def judged(self) -> Judged:
+        """The cameras whose calibration is wrong, measured by matches()."""
+        return judged(self.matches, self.views)
+
+    @property
+    def thumbnails(self) -> dict[str, np.ndarray]:
+        """A small picture [h, w, 3] uint8 of each camera."""
+        return {view: thumbnail(samples[len(samples) // 2].rgb) for view, samples in self.samples.items()}
+
+    def words(self) -> str:
+        """The number of sampled pictures, moments and cameras, in words."""
+        pictures = sum(map(len, self.samples.values()))
+        moments = max(map(len, self.samples.values()), default=0)
+        some = f" of {len(self.capture.views)}" if len(self.samples) < len(self.capture.views) else ""
+        return (f"Looked at: {pictures} pictures of the {len(self.capture)} there are, {moments} moments of {len(self.samples)}{some} "
+                "cameras; "
+                "what happens between them is not known.")
+
+
+def thumbnail(rgb: np.ndarray) -> np.ndarray:
+    """A picture with its longer side at most THUMBNAIL."""
+    reduction = max(1, -(-max(rgb.shape[:2]) // THUMBNAIL))
+    return np.uint8(smaller(rgb, reduction) + 0.5) if reduction > 1 else rgb
+
+
+def look(looked: Looked) -> None:
+    """Decode the sampled pictures; those that cannot be decoded are listed in `unreadable`."""
+    capture = looked.capture
+    by_view: dict[str, list[Shot]] = {}
+    for shot in capture.shots:
+        by_view.setdefault(shot.view, []).append(shot)
+    kept = set(capture.held_out_views)
+    views = spread([view for view in by_view if view not in kept], MOST_VIEWS)
+    views = [view for view in by_view if view in views or (view in kept and len(kept) <= MOST_VIEWS // 4)]
+    first = next(iter(by_view.values()))[0]
+    try:
+        height, width, _ = decoding.shape(first, capture.scale)
+    except FastGSError:
+        height, width = SIDE, SIDE
+    pixels = height * width // reduction_of(height, width)**2
+    moments = int(np.clip(MOST_PIXELS // max(pixels * len(views), 1), 2, MOMENTS))
+    frames = spread(sorted({shot.frame for shot in capture.shots}), moments)
+    chosen = [shot for view in views for shot in _near(by_view[view], frames)]
+    looked.samples = {view: [] for view in views}
+    for done, (shot, found) in enumerate(decoding.decode([replace(shot, mask=None) for shot in chosen], capture.scale), 1):
+        looked.progress("reading pictures", done / len(chosen))
+        if isinstance(found, FastGSError):
+            looked.unreadable.append(str(found))
+        else:
+            looked.samples[shot.view].append(_sample(shot, found))
+    looked.samples = {view: sorted(samples, key=lambda sample: sample.shot.frame) for view, samples in looked.samples.items() if samples}
+    if not looked.samples:
+        raise FastGSError(f"{capture.path}: none of its pictures can be read: "
+                          f"{looked.unreadable[0] if looked.unreadable else 'none is there.'}")
+
+
+def reduction_of(height: int, width: int) -> int:
+    """The whole factor by which a picture of that size is shrunk."""
+    return max(1, -(-max(height, width) // SIDE))
+
+
+def _near(shots: list[Shot], frames: list[int]) -> list[Shot]:
+    """Of a view's shots, those nearest to the frames, each once."""
+    return list({min(shots, key=lambda shot: abs(shot.frame - frame)).frame: min(shots, key=lambda shot: abs(shot.frame - frame))
+                 for frame in frames}.values())
+
+
+def _sample(shot: Shot, found: np.ndarray) -> Sample:
+    rgb = found[..., :3] if found.dtype == np.uint8 else np.uint8(found[..., :3] >> 8)
+    valid = undistortion.valid(shot)
+    if found.shape[2] > 3:  # an alpha channel: the rest is no picture
+        seen = found[..., 3] > np.iinfo(found.dtype).max // 2
+        valid = seen if valid is None else valid & seen
+    reduction = reduction_of(*rgb.shape[:2])
+    small = np.uint8(smaller(rgb, reduction) + 0.5) if reduction > 1 else np.ascontiguousarray(rgb)
+    camera = None if shot.camera is None else small_camera(shot.camera, reduction)
+    inside = None if valid is None else smaller(valid.astype(np.float32), reduction) > 0.99
+    return Sample(shot, small, camera, inside, reduction, blur.blur_of(rgb, valid))

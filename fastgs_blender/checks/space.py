@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The geometry of a capture: the positions of its cameras, the box around the filmed scene, its ground plan, and shared fields of view."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..training.initial.dense import depth_range
+from ..util.errors import FastGSError
+from .samples import Looked
+
+LEAST_POINTS = 40
+CELLS = 32
+"""Cells across a picture in which cameras are counted."""
+NEAREST = 6
+PLAN = {"RFU": ([1, 0, 0], [0, 1, 0], [0, 0, 1]), "RDF": ([1, 0, 0], [0, 0, 1], [0, -1, 0]), "RUB": ([1, 0, 0], [0, 0, -1], [0, 1, 0])}
+"""Right, forward and up of the worlds that GaussianModel knows."""
+
+
+@dataclass(eq=False)
+class Space:
+    """Cameras by view, those that are trained on, and points [P, 3] on surfaces, as far as any are known."""
+
+    cameras: dict[str, Camera]
+    training: list[str]
+    points: np.ndarray
+    focus: np.ndarray
+    range: tuple[float, float]
+    axes: str
+
+    @cached_property
+    def known(self) -> bool:
+        """Whether enough points are known to say how far away surfaces are."""
+        return len(self.points) >= LEAST_POINTS
+
+    def centre(self, view: str) -> np.ndarray:
+        """A camera's place [3]."""
+        matrix = self.cameras[view].world_to_camera
+        return -matrix[:3, :3].T @ matrix[:3, 3]
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """The middle [3] of the filmed scene."""
+        return np.median(self.points, 0) if self.known else self.focus
+
+    def angle(self, a: str, b: str) -> float:
+        """Degrees between two cameras, seen from the middle of the filmed scene."""
+        one, other = self.centre(a) - self.middle, self.centre(b) - self.middle
+        size = np.linalg.norm(one) * np.linalg.norm(other)
+        return float(np.degrees(np.arccos(np.clip(one @ other / max(size, 1e-12), -1, 1))))
+
+    def nearest(self, view: str) -> tuple[str, float]:
+        """The training camera nearest to a view by its angle, another one, and that angle in degrees."""
+        return min(((other, self.angle(view, other)) for other in self.training if other != view), key=lambda pair: pair[1])
+
+    def depths(self, view: str, places: np.ndarray) -> np.ndarray:
+        """How far away [M] the surfaces behind pixels [M, 2] are, by the nearest known points; the middle's depth without any."""
+        camera = self.cameras[view]
+        flat = max(float((camera.world_to_camera @ [*self.middle, 1])[2]), 1e-6)
+        if not self.known:
+            return np.full(len(places), flat)
+        local = self.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        pixels = camera.pixels(local)
+        seen = np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        if seen.sum() < NEAREST:
+            return np.full(len(places), flat)
+        pixels, depth = pixels[seen], local[seen, 2]
+        away = ((places[:, None] - pixels) ** 2).sum(-1)
+        near = np.argpartition(away, NEAREST - 1, axis=1)[:, :NEAREST]
+        return np.median(depth[near], axis=1)
+
+    def counts(self, view: str) -> np.ndarray:
+        """How many training cameras [rows, columns] see what a view sees, itself included if it is one."""
+        camera = self.cameras[view]
+        columns, rows = CELLS, max(2, round(CELLS * camera.height / camera.width))
+        x, y = np.meshgrid((np.arange(columns) + 0.5) / columns * camera.width, (np.arange(rows) + 0.5) / rows * camera.height)
+        places = np.stack([x.ravel(), y.ravel()], 1)
+        depth = self.depths(view, places)
+        local = np.stack([(places[:, 0] - camera.cx) / camera.fx * depth, (places[:, 1] - camera.cy) / camera.fy * depth, depth], 1)
+        world = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+        return self.seen(world, without=view).reshape(rows, columns) + (view in self.training)
+
+    def seen(self, xyz: np.ndarray, without: str = "") -> np.ndarray:
+        """How many training cameras [P] have points [P, 3] in their pictures."""
+        total = np.zeros(len(xyz), int)
+        for view in self.training:
+            if view == without:
+                continue
+            camera = self.cameras[view]
+            local = xyz @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            pixels = camera.pixels(local)
+            total += np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        return total
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The low and the high corner [3] of the filmed scene, in its ground plan: right, forward, up."""
+        if self.known:
+            inside = self.planned(self.points)
+            low, high = np.percentile(inside, (3, 97), axis=0)
+            pad = 0.1 * (high - low) + 1e-6
+            return low - pad, high + pad
+        middle, reach = self.planned(self.middle[None])[0], 0.4 * self.range[0] / 0.3
+        return middle - reach, middle + reach
+
+    def planned(self, xyz: np.ndarray) -> np.ndarray:
+        """World points [P, 3] as right, forward, up."""
+        return xyz @ np.array(PLAN[self.axes], float).T
+
+    def world(self, plan: np.ndarray) -> np.ndarray:
+        """The inverse of planned()."""
+        return plan @ np.array(PLAN[self.axes], float)
+
+
+def space_of(looked: Looked) -> Space:
+    """The space of a capture with poses; points are of features on which cameras agree (without those that are off), or the layout's."""
+    capture = looked.capture
+    cameras = {view: samples[len(samples) // 2].shot.camera for view, samples in looked.samples.items()}
+    try:
+        points = looked.matches.good_points(looked.judged.wrong)
+    except FastGSError:  # without pycolmap
+        points = np.zeros((0, 3))
+    if len(points) < LEAST_POINTS and capture.points is not None:
+        step = max(1, len(capture.points) // 4000)
+        points = np.asarray(capture.points.xyz[::step], np.float64)
+    return Space(cameras, looked.training, points, capture.focus, depth_range(capture), capture.axes if capture.axes in PLAN else "RDF")

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..captures import open_capture
+from ..captures.clocks.curves import activity, moving
+from ..captures.clocks.files import read_clocks
+from ..captures.clocks.find import find_offsets
+from ..util.errors import FastGSError
+from . import drawing
+from .report import Section, listed
+from .samples import Looked
+
+FRAMES = 96
+"""Frames that are looked at, from the middle of the clip: enough for shifts of half of them."""
+LEAST_FRAMES = 16
+LATE = 0.15
+"""Frames by which a clock may be off before the finding says so; half a frame and more should be put right."""
+
+
+def run(looked: Looked) -> Section:
+    """The offset of each camera's clock, by sound, a flash or motion (captures.clocks)."""
+    capture = looked.capture
+    count = capture.clip.frame_count
+    section = Section("Synchronisation", "How many frames each camera's clock is ahead of or behind the others', from sound, a flash, or "
+                                         "how much "
+                      f"moves in each frame{f'; the middle {FRAMES} frames were looked at' if count > FRAMES else ''}.")
+    if count < LEAST_FRAMES or len(capture.views) < 2:
+        section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
+        return section
+    try:
+        found = find_offsets(_part(looked, count), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
+    except FastGSError as error:
+        reason = str(error).partition(": ")[2] or str(error)
+        section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs "
+                                                                                    "sync on that "
+                    "part of it; else look at two cameras side by side.")
+        return section
+    _judge(section, found, _known(looked))
+    if found.curves is not None:
+        lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
+        if lines:
+            section.pictures.append(drawing.curves_picture("How much moves from frame to frame, as it is compared: the curves of cameras "
+                                                           "that "
+                                                           "run together rise and fall "
+                                                           "together.", lines, "frames", "motion", found.curves.first))
+    offsets = {view: value for view, value in found.clocks.offsets.items() if view not in found.lost}
+    section.columns = {"Clock": {view: f"{value:+.2f} frames" for view, value in offsets.items()}}
+    section.measures = {"offsets_frames": {view: round(value, 4) for view, value in offsets.items()}, "found_by": found.clocks.found_by,
+                        "uncertainty_frames": {view: round(value, 4) for view, value in found.clocks.uncertainty.items()},
+                        "unknown": list(found.lost)}
+    return section
+
+
+def _part(looked: Looked, count: int):
+    """The middle of the capture, with no offsets applied."""
+    begin = max((count - FRAMES) // 2, 0)
+    return open_capture(looked.path, scale=looked.scale, frames=slice(begin, min(begin + FRAMES, count)), layout=looked.layout, offsets={})
+
+
+def _known(looked: Looked) -> dict[str, float]:
+    """The offsets that training will use anyway, by view, with the median 0: of sync.json, or of times that the layout states."""
+    clocks, capture = read_clocks(looked.path), looked.capture
+    offsets: dict[str, float] = dict.fromkeys(capture.views, 0.0)
+    if clocks is not None:
+        offsets |= {view: value for view, value in clocks.offsets.items() if view in offsets}
+    else:
+        late: dict[str, list[float]] = {}
+        for shot in capture.shots:
+            late.setdefault(shot.view, []).append(shot.t * capture.clip.frame_count - shot.frame)
+        offsets = {view: float(np.median(values)) for view, values in late.items()}
+    middle = float(np.median(list(offsets.values())))
+    return {view: value - middle for view, value in offsets.items()}
+
+
+def _judge(section: Section, found, known) -> None:
+    off = {view: value - known.get(view, 0.0) for view, value in found.clocks.offsets.items() if view not in found.lost}
+    for view, value in off.items():
+        if abs(value) <= max(LATE, 2 * found.clocks.uncertainty.get(view, 0.0)):
+            continue
+        way = "ahead of" if value > 0 else "behind"
+        section.add("wrong" if abs(value) >= 0.5 else "poor", f"{view} is {abs(value):.2f} frames {way} the others (found by "
+                                                              f"{found.clocks.found_by}, give or take "
+                    f"{found.clocks.uncertainty.get(view, 0.0):.2f}): what moves is seen at two places at once.", "fastgs sync writes "
+                                                                                                                  "the offsets "
+                    "beside the capture, and training uses them; next time, start all cameras by a genlock or a trigger.", [view],
+                    ("offset", round(value, 3), "frames"))
+    if found.lost:
+        section.add("note", f"The clock of {listed(found.lost)} could not be compared with the others': too little moves there, or it "
+                            "looks too "
+                    "different.", "Look at those cameras beside another one at a fast movement.", found.lost)

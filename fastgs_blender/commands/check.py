@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""say what is wrong with a capture before training on it
+
+Looks at a few moments of all cameras, for about a minute: are the files whole, do the cameras stand where the calibration says, do they
+run together, are they equally bright and sharp, how many of them see which part of the scene, and which views will be poor whatever the
+settings; and how much disk, memory and time training will need.
+
+--out (default: a folder beside the capture) gets check.html, one page of pictures and sentences, and check.json.  The exit code is 1 where
+something should be put right before training.
+"""
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from ..util.errors import FastGSError
+from ..util.progress import progress
+from .shared import PROBLEMS, print_json, say, use_threads
+
+STEPS = 1000
+"""Parts of the whole that progress counts."""
+EVERY = 0.3
+"""Seconds between two writings of the file that --status names."""
+
+
+def add_arguments(parser):
+    parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
+    parser.add_argument("--out", metavar="DIR", help="folder for the page (default: CAPTURE-check beside the capture)")
+    parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
+    parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
+    parser.add_argument("--frames", metavar="A:B", help="the part of the capture to look at, frames counted from 0 (default: all)")
+    parser.add_argument("--held-out", metavar="NAME,NAME", help="views that will not be trained on (default: the layout's)")
+    parser.add_argument("--status", metavar="FILE", help="a file that tells other programs how far the check is, as JSON")
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def run(args):
+    from ..checks import check, page
+    from .train import frames_slice
+
+    use_threads(args.threads)
+    held_out = None if args.held_out is None else [name for name in args.held_out.split(",") if name]
+    place = Path(args.capture).resolve()
+    out = Path(args.out) if args.out else place.with_name(f"{place.stem if place.is_file() else place.name}-check")
+    with progress(STEPS, "step", "checking", quiet=args.quiet) as bar:
+        tell = _teller(args.status, bar)
+        report = check(args.capture, scale=args.scale, frames=frames_slice(args.frames), held_out=held_out, layout=args.layout,
+                       progress=tell)
+    paths = page.write(report, out)
+    if args.json:
+        print_json({**report.values(), "page": str(paths[0])})
+    else:
+        say(report.text())
+        say(f"\nThe page with pictures: {paths[0]}")
+    return PROBLEMS if report.bad else 0
+
+
+def _teller(status: str | None, bar):
+    """A function of (stage, share) that moves the bar and, from time to time, writes the status file."""
+    last = [-EVERY]
+
+    def tell(stage: str, share: float) -> None:
+        bar.note(stage)
+        bar.to(int(STEPS * share))
+        now = time.monotonic()
+        if status and now - last[0] >= EVERY:
+            last[0] = now
+            try:
+                Path(status).write_text(json.dumps({"stage": stage, "share": round(share, 4)}), "utf-8")
+            except OSError as error:
+                raise FastGSError(f"{status}: progress cannot be written there ({error.strerror}); choose another file.") from error
+
+    return tell

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""find how far the clocks of a capture's cameras are from each other
+
+For cameras that are not genlocked.  It listens to the videos' sound, looks for a flash that most cameras see, or compares how much changes
+from picture to picture in each camera; then it refines what it found by a short training on small pictures, to a few hundredths of a frame
+(a minute or two; --quick leaves it out, and a capture without poses has to do without).
+
+sync.json beside the capture gets the offsets, with which training, evaluation and everything else then place each camera's pictures in
+time; sync.png shows how much changes from picture to picture in each camera, as filmed and with the clocks set right.
+"""
+from __future__ import annotations
+
+from ..util.errors import FastGSError
+from ..util.progress import progress
+from ..util.screen import screen
+from .shared import note, print_json, say, use_threads
+
+
+def add_arguments(parser):
+    parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
+    parser.add_argument("--by", choices=("auto", "sound", "flash", "motion"), default="auto", help="what to compare first (default: sound "
+                        "where all cameras have it, else a flash, else motion)")
+    parser.add_argument("--quick", action="store_true", help="leave out the short training that refines the offsets")
+    parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def run(args):
+    from ..captures import open_capture
+    from ..captures.clocks import files
+    from ..captures.clocks.curves import curves
+    from ..captures.clocks.find import find_offsets
+    from ..captures.clocks.plot import write_plot
+    from ..captures.pixels.checks import check
+
+    use_threads(args.threads)
+    capture = open_capture(args.capture, layout=args.layout, offsets={})
+    check(capture)
+    refine = capture.posed and not args.quick
+    lost: tuple[str, ...] = ()
+    with progress(len(capture), "picture", "comparing", quiet=args.quiet) as bar:
+        try:
+            found = find_offsets(capture, args.by, bar.to)
+            clocks, shown, lost = found.clocks, found.curves, found.lost
+        except FastGSError as error:
+            if not refine or args.by != "auto" or "nothing moves" in str(error) or "one camera" in str(error):
+                raise
+            note(f"{error} The training begins with equal clocks.")
+            clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0), {}, "training"), None
+    if refine:
+        from ..training.run.clocks import STEPS, refined
+
+        with progress(STEPS, "step", "refining", quiet=args.quiet) as bar:
+            clocks, lost = refined(args.capture, clocks.offsets, args.layout, progress=bar.to)
+        if len(lost) == len(capture.views):
+            raise FastGSError(f"{capture.path}: too little moves in its pictures for clocks to be compared; film something that moves, or "
+                              "clap or flash a lamp.")
+    path = files.write_clocks(capture.path, clocks)
+    picture = path.with_suffix(".png")
+    write_plot(picture, curves(capture) if shown is None else shown, clocks.offsets)
+    if args.json:
+        print_json({"file": str(path), "picture": str(picture), "found_by": clocks.found_by, "offsets": dict(clocks.offsets),
+                    "uncertainty": dict(clocks.uncertainty), "lost": list(lost)})
+        return
+    fps = capture.clip.fps
+    rows = []
+    for view, offset in clocks.offsets.items():
+        spread = clocks.uncertainty.get(view)
+        sure = "not found, taken as 0" if view in lost else "" if spread is None else f"+- {spread:.2f}"
+        rows.append((view, f"{offset:+.2f} frames, {1000 * offset / fps:+.0f} ms  {sure}".rstrip()))
+    say(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))

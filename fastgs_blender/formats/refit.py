@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Refits a model that is being compressed: trains its remaining Gaussians on pictures of the original model, with quantisation in the loop.
+
+Many Gaussians can be left out of a model if the positions, shapes and colours of the others are adjusted.  The target pictures are
+renders of the original model; each step uses one, from a new camera and at a new time.  The quantised model, as a reader of the file would
+have it, is rendered and compared with the target.  Its gradients update the parameters before rounding, as if rounding were the identity
+(straight-through estimator, Bengio et al. 2013).  Parameters are measured in their quantisation steps: one step of any parameter changes
+the pictures by about the same amount, so one learning rate of Adam suits all.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..model.gaussians import GaussianModel
+from ..model.slicing import sigmoid
+from ..util import rotations
+from .quantising import Prepared, Steps, quantised, restored, scales, step_sizes
+from .sensitivity import BACKGROUND, OPAQUE, Shot, differentiable, parameters_of, pictures
+
+RATE = 0.03
+"""Adam's learning rate at the first pictures, in quantisation steps; it falls to END times that along half a cosine."""
+END = 0.05
+EVERY = 10
+"""Pictures between two roundings."""
+BETAS = 0.9, 0.99
+MOVED = ("position", "motion", "scale", "rotation", "opacity", "features")
+"""The arrays that are refitted."""
+STEEPEST = 0.02
+"""Opacities are clamped to this distance from 0 and 1 where their step is converted to a step of the logit."""
+
+
+def refitted(ready: Prepared, level: float, segment: int, original: GaussianModel, series: list[Shot],
+             progress: Callable[[float], None]) -> Prepared:
+    """The model refitted, so that quantised at this level its pictures are nearer to those of the original.
+
+    series    the shots to train on, in this order
+    progress  called with 0..1; exceptions that it raises pass through
+    """
+    backend, start, n = differentiable(), ready.model, len(ready.model)
+    units = _units(in_parts(ready, level, segment), start, segment)
+    moved, means, squares = ({name: backend.zeros(unit.shape) for name, unit in units.items()} for _ in range(3))
+    counts = {name: backend.zeros((n,), np.int32) for name in units}
+    rows, when = backend.rows(backend.array(np.ones(n, np.float32))), backend.zeros((n,), np.int64)
+    model, rounding = start, {}
+    for k, (camera, t) in enumerate(series):
+        if k % EVERY == 0:
+            known = as_read(in_parts(replace(ready, model=model), level, segment), model)
+            rounding = {name: known[name] - array for name, array in model.arrays.items()}
+        shown = replace(model, **{name: array + rounding[name] for name, array in model.arrays.items()})
+        shown = replace(shown, opacity=np.minimum(shown.opacity, OPAQUE))
+        gradients = _gradients(backend, shown, original, camera, t)
+        rate = RATE * (END + (1 - END) * 0.5 * (1 + np.cos(np.pi * k / len(series))))
+        tensors = [(moved[name], backend.array(gradients[name].reshape(unit.shape) * unit), means[name], squares[name], counts[name], rate,
+                    False) for name, unit in units.items()]
+        backend.adam(rows, tensors, BETAS, when, k + 1)
+        model = _after(start, {name: backend.numpy(moved[name]) * unit for name, unit in units.items()})
+        progress((k + 1) / len(series))
+    return replace(ready, model=model)
+
+
+def in_parts(ready: Prepared, level: float, segment: int) -> list[tuple[dict[str, np.ndarray], Steps]]:
+    """The model quantised at a level, in parts of at most `segment` Gaussians."""
+    return [quantised(ready.part(slice(at, at + segment)), level) for at in range(0, len(ready.model), segment)]
+
+
+def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], kinds: GaussianModel) -> dict[str, np.ndarray]:
+    """The arrays that a reader of these parts has."""
+    arrays = [restored(codes, steps, kinds) for codes, steps in parts]
+    return {name: np.concatenate([each[name] for each in arrays]).astype(np.float32) for name in kinds.arrays} if arrays else kinds.arrays
+
+
+def _units(parts: list[tuple[dict[str, np.ndarray], Steps]], model: GaussianModel, segment: int) -> dict[str, np.ndarray]:
+    """The quantisation step of each parameter of the arrays in MOVED, float32 in their shapes; of opacities, the step of the logit."""
+    units = {name: np.empty_like(model.arrays[name]) for name in MOVED if model.arrays[name].size}
+    for i, (codes, steps) in enumerate(parts):
+        sizes = step_sizes(codes, steps, scales(codes, steps))
+        for name, unit in units.items():
+            unit[i * segment:(i + 1) * segment] = sizes[name]
+    opacity = np.clip(sigmoid(model.opacity), STEEPEST, 1 - STEEPEST)
+    units["opacity"] /= opacity * (1 - opacity)
+    return units
+
+
+def _gradients(backend, model: GaussianModel, original: GaussianModel, camera, t: float) -> dict[str, np.ndarray]:
+    """Gradients of the mean squared difference between a shot's two pictures by the model's arrays."""
+    truth = pictures(original, [(camera, t)])[0]
+    picture = backend.splat(parameters_of(model, backend), model, camera, float(t))
+    rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
+    seen = rgb + BACKGROUND * (1 - alpha)[..., None]
+    slope = ((seen - truth) * ((seen >= 0) & (seen <= 1)) * (2 / rgb.size)).astype(np.float32)
+    found = backend.backward(picture, backend.array(slope), backend.array(-BACKGROUND * slope.sum(2)))
+    return {name: backend.numpy(found[name]) for name in MOVED}
+
+
+def _after(model: GaussianModel, change: dict[str, np.ndarray]) -> GaussianModel:
+    """The model with its arrays changed, and unit quaternions."""
+    arrays = {name: array + change.get(name, 0) for name, array in model.arrays.items()}
+    length = np.maximum(np.linalg.norm(arrays["rotation"].astype(np.float64), axis=1), 1e-12)
+    arrays["rotation"] = rotations.unit(arrays["rotation"].astype(np.float64))
+    arrays["rotation_motion"] = arrays["rotation_motion"] / length[:, None, None]
+    return replace(model, **arrays)

@@ -1,0 +1,27 @@
+// Fill the unused end of the tile lists, whose length was guessed, with entries of a tile after the last one, and record the length that
+// was needed.  Where the lists are too short, set `spilled`: the stages that update parameters or statistics then change nothing.
+
+//include common
+
+@group(0) @binding(0) var<uniform> job: vec4u; // room for entries, tiles, splats
+@group(0) @binding(1) var<storage, read> runs: array<u32>; // entries of the splats before each one; the last is the number of all
+@group(0) @binding(2) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(3) var<storage, read_write> values: array<u32>;
+@group(0) @binding(4) var<storage, read_write> longest: array<u32>;
+@group(0) @binding(5) var<storage, read_write> spilled: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let e = place(group, groups) * 256u + lane;
+    let entries = runs[job.z];
+    if e == 0u {
+        longest[0] = max(longest[0], entries);
+        if entries > job.x {
+            spilled[0] = 1u;
+        }
+    }
+    if e < job.x && e >= entries {
+        tiles[e] = job.y;
+        values[e] = e;
+    }
+}

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Estimates each camera's exposure and clock offset during training, and compensates for them.
+
+A camera's picture at time t is modelled as gain * model(t + late) + bias, for each channel.  Targets are converted to the model's colours,
+and the model is rendered at the camera's own time, so that the model itself contains neither exposures nor clock offsets.  Both are found
+in closed form, by least squares over the latest pictures of each camera: gain and bias by linear regression of the picture on the render,
+the clock by one Gauss-Newton step along the model's derivative by time, (model(t + d) - model(t - d)) / 2d.  Every backend can compute it.
+
+A change that all cameras share cannot be told from the model, so medians are fixed: 1 for the gains, 0 for biases and clocks.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...util.errors import FastGSError
+
+KEEP = 0.8
+"""Decay: the factor on a camera's older sums when new ones are added."""
+FIRST, LAST = 0.03, 0.95
+"""The part of a run, by its share of steps, in which exposures and clocks are estimated.  Before it the model is too coarse; after it the
+estimates stay constant."""
+SETTLED = 0.5
+"""Share of a run after which the estimation ends if cameras have not differed noticeably, where the settings say auto."""
+CLOCKS_FIRST = 0.1
+"""Share of a run after which clocks are estimated: the model must have motion."""
+EVERY = 2
+"""Steps between two estimates.  A clock needs two more renders, and a GPU must copy its pictures to the CPU."""
+FARTHER = 1.7
+"""Over-relaxation of a clock's correction: the model has already followed the camera's wrong clock a part of the way."""
+APART = 0.25
+"""Frames to either side at which the model's change in time is measured."""
+OUTLIER = 0.1
+"""Difference of colour (0..1) at which a pixel counts half."""
+SOLID = 0.9
+"""Pixels with a lower alpha of the model are not compared."""
+CLIPPED = 0.99
+"""Values above are taken for overexposed where a camera's pictures are made darker."""
+NOTICED, NOTICED_CLOCK = 0.015, 0.12
+"""Difference of middle grey (0..1), and of clocks in frames, below which cameras count as even when the settings say auto."""
+PRIOR_GAIN, PRIOR_BIAS = 1e-4, 0.1
+"""Pull towards gain 1 and bias 0, in mean squares of colour.  Exposures are gains: free biases take a part of them over (a model is never
+exact, which makes slopes too small), and gains were off by 0.07 instead of 0.02 (benchmarks/uneven.py)."""
+PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
+"""Standard deviation of clock offsets in frames, as a prior; number of pixels whose errors are correlated and count as one."""
+FARTHEST = 1.5
+"""The largest clock offset in frames that training corrects; larger ones are found before training (captures/clocks)."""
+
+
+@dataclass(eq=False)
+class Evening:
+    """The exposures and clock offsets of V cameras, and the sums that they are estimated from.
+
+    views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
+    gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
+    colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
+    clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
+    """
+
+    views: tuple[str, ...]
+    frame: float
+    exposures: str
+    clocks: str
+    gains: np.ndarray
+    biases: np.ndarray
+    late: np.ndarray
+    colour: np.ndarray
+    clock: np.ndarray
+
+    @classmethod
+    def begun(cls, views: tuple[str, ...], frame_count: int, settings) -> Evening:
+        """The state at the first step: equal exposures, no clock offsets, no sums."""
+        v = len(views)
+        several = v > 1
+        exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
+        return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
+                   np.ones((v, 3)), np.zeros((v, 3)), np.zeros(v), np.zeros((v, 3, 5)), np.zeros((v, 4)))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The arrays that a checkpoint holds."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Restore the arrays of state(); a checkpoint of an earlier version has none.  Raises FastGSError for other cameras."""
+        if not arrays:
+            return
+        if len(arrays["late"]) != len(self.views):
+            raise FastGSError(f"the checkpoint is of a run with {len(arrays['late'])} cameras, not {len(self.views)}; delete it to train "
+                              "from the beginning.")
+        for name, array in arrays.items():
+            setattr(self, name, np.array(array))
+
+    def nothing(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums of no picture, as seen() gives them."""
+        return np.zeros_like(self.colour), np.zeros_like(self.clock)
+
+    # what it does to pictures
+
+    @property
+    def colours_differ(self) -> bool:
+        """Whether colours are corrected: always, never, or (auto) where a camera's middle grey differs by more than NOTICED."""
+        off = np.abs(0.5 * self.gains + self.biases - 0.5).max()
+        return self.exposures == "on" or (self.exposures == "auto" and bool(off > NOTICED))
+
+    @property
+    def clocks_differ(self) -> bool:
+        """Whether times are corrected: always, never, or (auto) where a clock differs by more than NOTICED_CLOCK."""
+        return self.clocks == "on" or (self.clocks == "auto" and bool(np.abs(self.late).max() > NOTICED_CLOCK))
+
+    def moment(self, shot) -> float:
+        """The model's time t at which a shot was taken, with the camera's clock offset."""
+        late = self.late[self.views.index(shot.view)] if self.clocks_differ and shot.view in self.views else 0.0
+        return shot.t + float(late) * self.frame
+
+    def pixels(self, shot, pixels):
+        """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed pixels become invalid."""
+        if not self.colours_differ or shot.view not in self.views:
+            return pixels
+        rgb, valid = self.seen_as(shot.view, pixels.rgb), pixels.valid
+        if (rgb.mean() < pixels.rgb.mean()) and (full := pixels.rgb.max(-1) > CLIPPED).any():
+            valid = ~full if valid is None else valid & ~full
+        return replace(pixels, rgb=rgb, valid=valid)
+
+    def seen_as(self, view: str, rgb: np.ndarray) -> np.ndarray:
+        """Colours [..., 3] of a view's pictures as the model has them."""
+        if not self.colours_differ or view not in self.views:
+            return rgb
+        k = self.views.index(view)
+        return (rgb - self.biases[k].astype(rgb.dtype)) / self.gains[k].astype(rgb.dtype)
+
+    # how it is found
+
+    def looks(self, iteration: int, iterations: int) -> bool:
+        """Whether this step's pictures are used to estimate exposures or clocks."""
+        if iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
+            return False
+        return self._open(self.exposures, self.colours_differ, iteration, iterations) or \
+            self._open(self.clocks, self.clocks_differ, iteration, iterations)
+
+    def times(self, iteration: int, iterations: int) -> bool:
+        """Whether this step's pictures are used to estimate clocks."""
+        return iteration >= CLOCKS_FIRST * iterations and self._open(self.clocks, self.clocks_differ, iteration, iterations)
+
+    @staticmethod
+    def _open(setting: str, differ: bool, iteration: int, iterations: int) -> bool:
+        """Whether the estimation continues; with auto it ends at SETTLED if cameras have not differed noticeably until then."""
+        return setting == "on" or (setting == "auto" and (differ or iteration < SETTLED * iterations))
+
+    def seen(self, shot, goal, rgb: np.ndarray, alpha: np.ndarray, change: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """The sums of one picture, to be summed over a step's views: colour [V, 3, 5] and clock [V, 4].
+
+        goal    the Target, in the model's colours;  rgb [h, w, 3], alpha [h, w]: the model's picture over the goal's background
+        change  [h, w, 3] of the model's picture in a frame, or None
+        """
+        colour, clock = np.zeros_like(self.colour), np.zeros_like(self.clock)
+        k = self.views.index(shot.view)
+        rest = goal.rgb - rgb
+        counts = np.where(alpha > SOLID, np.float32(1), np.float32(0))
+        if goal.weight is not None:
+            counts = counts * np.minimum(goal.weight, 1)
+        weight = counts[..., None] / (1 + (rest / OUTLIER) ** 2)
+        if self.exposures != "off":
+            gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
+            q = goal.rgb * gain.astype(np.float32) + bias.astype(np.float32)
+            for i, value in enumerate((weight, weight * rgb, weight * q, weight * rgb * rgb, weight * rgb * q)):
+                colour[k, :, i] = value.sum((0, 1), dtype=np.float64)
+        if change is not None:
+            late = self.late[k] if self.clocks_differ else 0.0
+            product = weight * change
+            square, missing = float((product * change).sum(dtype=np.float64)), float((product * rest).sum(dtype=np.float64))
+            error, count = float((weight * rest * rest).sum(dtype=np.float64)), float(weight.sum(dtype=np.float64))
+            clock[k] = square, missing + square * late, error, count
+        return colour, clock
+
+    def learn(self, colour: np.ndarray, clock: np.ndarray) -> None:
+        """Add the sums of a step's pictures, over all processes, and update the estimates."""
+        for sums, new in ((self.colour, colour), (self.clock, clock)):
+            fresh = np.abs(new).reshape(len(new), -1).sum(1) > 0
+            sums[fresh] = KEEP * sums[fresh] + new[fresh]
+        if self.exposures != "off" and colour.any():
+            self._fit_colours()
+        if clock.any():
+            self._fit_clocks()
+
+    def _fit_colours(self) -> None:
+        n, p, q, pp, pq = np.moveaxis(self.colour, -1, 0)
+        known = n[:, 0] > 0
+        n = np.maximum(n, 1e-9)
+        a, b, c = pp / n + PRIOR_GAIN, p / n, 1 + PRIOR_BIAS
+        right, above = pq / n + PRIOR_GAIN, q / n
+        det = a * c - b * b
+        gains, biases = (right * c - b * above) / det, (a * above - b * right) / det
+        gains = np.clip(np.where(known[:, None], gains, 1), 0.2, 5)
+        biases = np.clip(np.where(known[:, None], biases, 0), -0.5, 0.5)
+        self.gains = gains / np.median(gains[known], axis=0)
+        self.biases = biases - np.median(biases[known], axis=0)
+        self.gains[~known], self.biases[~known] = 1, 0
+
+    def _fit_clocks(self) -> None:
+        square, missing, error, n = self.clock.T
+        pull = ALIKE_PIXELS * error / np.maximum(n, 1e-9) / PRIOR_CLOCK**2
+        known = square > 0
+        if not known.any():
+            return
+        late = missing / np.maximum(square + pull, 1e-12)
+        late = np.clip(self.late + FARTHER * (late - self.late), -FARTHEST, FARTHEST)
+        self.late = np.where(known, late - np.median(late[known]), 0.0)
+
+    def uncertainty(self) -> np.ndarray:
+        """Standard deviations [V] of the clocks, in frames; inf where nothing moves before a camera."""
+        square, _, error, n = self.clock.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(square > 0, np.sqrt(ALIKE_PIXELS * error / np.maximum(n, 1e-9) / square), np.inf)
+
+    def facts(self) -> dict:
+        """JSON values of what was found, empty where cameras are even."""
+        found: dict = {}
+        if self.clocks_differ:
+            found["clocks"] = {view: round(float(late), 4) for view, late in zip(self.views, self.late)}
+        if self.colours_differ:
+            found["exposures"] = {view: {"gain": np.round(gain, 4).tolist(), "bias": np.round(bias, 4).tolist()}
+                                  for view, gain, bias in zip(self.views, self.gains, self.biases)}
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Evened:
+    """A store of pictures whose pixels are in the model's colours."""
+
+    store: Any
+    evening: Evening
+
+    def pixels(self, shot):
+        return self.evening.pixels(shot, self.store.pixels(shot))
+
+
+ARRAYS = ("gains", "biases", "late", "colour", "clock")
+
+
+def shapes(views: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of Evening.state() by name; all are float64."""
+    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "colour": (views, 3, 5), "clock": (views, 4)}

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Refines the clock offsets of a capture's cameras by a short training on small pictures; its model is discarded."""
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ...captures import open_capture
+from ...captures.capture import Capture
+from ...captures.clocks.files import Clocks
+from ...captures.pixels.probe import picture_size
+from ...captures.pixels.store import FrameStore
+from ...util.errors import FastGSError
+from ..core.evening import FARTHEST
+from ..core.settings import settings
+from ..core.trainer import Trainer
+from ..initial.start import start
+
+SIDE, MOST_FRAMES = 200, 24
+"""Pictures are shrunk to this; frames that are trained on, from the middle of the clip."""
+STEPS, GAUSSIANS, POINTS = 1600, 10_000, 6000
+ERROR = 0.04
+"""Standard deviation of a refined clock at best, in frames (benchmarks/uneven.py)."""
+EXPECTED = 0.5
+"""Standard deviation beyond which a camera is said to show too little that moves."""
+
+
+def refined(path, first: Mapping[str, float], layout: str | None = None, steps: int = STEPS,
+            progress: Callable[[int, int], None] | None = None) -> tuple[Clocks, tuple[str, ...]]:
+    """The clocks of a posed capture, from offsets that are right within a frame or so; and the views before which too little moves.
+
+    All views are trained on, those to be held out later too: of their pictures nothing is kept but the clocks.
+    progress  called as progress(done, of) after each step
+    Raises FastGSError where the capture has no poses or nothing can be trained on.
+    """
+    capture = _small(path, first, layout)
+    if not capture.posed:
+        raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
+    with tempfile.TemporaryDirectory() as folder:
+        store = FrameStore(capture, folder=folder)
+        store.fill()
+        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, points=POINTS, clocks="on", preview_every=0)
+        began = start(capture, store, chosen, lambda text: None)
+        trainer = Trainer(capture, store, chosen, began.model, sizes=began.sizes, reach=began.reach)
+        while trainer.iteration < steps:
+            trainer.step()
+            if progress:
+                progress(trainer.iteration, steps)
+    found = trainer.evening
+    spread, late = found.uncertainty(), dict(zip(found.views, found.late))
+    known = {view for view, each in zip(found.views, spread) if each < EXPECTED and abs(late[view]) < FARTHEST}
+    offsets = {view: first.get(view, 0.0) + (float(late[view]) if view in known else 0.0) for view in found.views}
+    middle = float(np.median(list(offsets.values())))
+    clocks = Clocks({view: offset - middle for view, offset in offsets.items()},
+                    {view: float(np.hypot(ERROR, each)) for view, each in zip(found.views, spread) if view in known}, "training")
+    return clocks, tuple(view for view in found.views if view not in known)
+
+
+def _small(path, offsets: Mapping[str, float], layout: str | None) -> Capture:
+    """The capture with these offsets, small, of the middle of its clip."""
+    whole = open_capture(path, layout=layout, offsets=offsets, held_out=())
+    count = whole.clip.frame_count
+    begin = max((count - MOST_FRAMES) // 2, 0)
+    scale = min(1.0, SIDE / max(picture_size(whole.shots[0].image)))
+    capture = open_capture(path, layout=layout, offsets=offsets, held_out=(), scale=scale, frames=slice(begin, begin + MOST_FRAMES))
+    return replace(capture, points=None, model=None)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks a capture before training: what is wrong with it, as a page in the browser and a text in Blender."""
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from ..fastgs_blender.jobs import capture_check
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene.settings import BLEND_RELATIVE
+from ..scene.training import installation, watch
+from .stepwise import Stepwise
+
+TEXT = "FAST-GS Check"
+PAUSE = 0.05
+"""Seconds between two looks at the process."""
+MOST = 3
+"""Findings that are reported by themselves."""
+
+
+class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
+    """Look at a capture's pictures for a minute, and say what will make its model poor: calibration, clocks, light, focus, coverage"""
+
+    bl_idname = "fastgs.check_capture"
+    bl_label = "Check Capture"
+
+    capture: StringProperty(name="Capture", description="The capture's folder, or a file that describes it; by default the panel's",
+                            subtype='DIR_PATH', options={'SKIP_SAVE'} | BLEND_RELATIVE)
+    out: StringProperty(name="Page", description="Folder for the page; empty: a folder beside the capture", subtype='DIR_PATH',
+                        options={'SKIP_SAVE'} | BLEND_RELATIVE)
+    open_page: BoolProperty(name="Open Page", description="Show the page with pictures in the web browser", default=True,
+                            options={'SKIP_SAVE'})
+
+    doing = "Checking the capture"
+    free = True
+    interrupted = "{} was interrupted; no page was written"
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None
+
+    def invoke(self, context, event):
+        self._interactive = True
+        return self.execute(context)
+
+    def execute(self, context):
+        try:
+            return self.begin(context, self._work(context))
+        except FastGSError as error:
+            return self._fail(error)
+
+    def _work(self, context):
+        """A generator that waits for the process; closing it ends the process."""
+        settings = context.scene.fastgs.training
+        path = bpy.path.abspath(self.capture or settings.capture).rstrip("/\\")
+        if not path:
+            raise FastGSError("no capture is chosen; choose its folder.")
+        if not Path(path).exists():
+            raise FastGSError(f"{path}: there is no such capture; check the folder.")
+        options = []
+        if settings.scale:
+            options += ["--scale", f"{settings.scale:.6g}"]
+        for flag, value in (("--frames", settings.frames), ("--held-out", settings.held_out)):
+            if value.strip():
+                options += [flag, ",".join(part.strip() for part in value.split(",") if part.strip())]
+        running = capture_check.CaptureCheck(installation.python(), path, self._folder(path), options)
+        return self._steps_of(running)
+
+    def _folder(self, path: str) -> str:
+        """Where the page goes: as asked, beside the capture (""), or into the extension's folder where nothing can be written there."""
+        if self.out:
+            return bpy.path.abspath(self.out)
+        parent = Path(path).resolve().parent
+        return "" if os.access(parent, os.W_OK) else str(installation.folder("checks") / Path(path).name)
+
+    @staticmethod
+    def _steps_of(running):
+        try:
+            while not running.wait(PAUSE):
+                stage, share = running.progress
+                yield share, 1, stage
+        finally:
+            running.stop()
+        if running.values is None:
+            raise FastGSError(running.trouble)
+        return running.values
+
+    def finish(self, context, values):
+        text = bpy.data.texts.get(TEXT) or bpy.data.texts.new(TEXT)
+        text.use_fake_user = False
+        text.from_string(capture_check.text_of(values))
+        text.cursor_set(0)
+        for area in context.screen.areas if context.screen else ():
+            if area.type == 'TEXT_EDITOR':
+                area.spaces.active.text, area.spaces.active.top = text, 0
+        watch.redraw()
+        for finding in values["findings"][:MOST]:
+            if finding["severity"] != "note":
+                self.report({'WARNING'}, finding["sentence"])
+        self.report({'INFO'}, f"{values['verdict']} The text {TEXT} and the page {values['page']} tell more")
+        if self.open_page and not bpy.app.background:
+            bpy.ops.wm.url_open(url=Path(values["page"]).resolve().as_uri())
+        return {'FINISHED'}
+
+
+CLASSES = (FASTGS_OT_check_capture,)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Long work that needs no Blender, in a thread of its own, while Blender is asked for the next step."""
+from __future__ import annotations
+
+import threading
+
+WAIT = 0.1
+"""Seconds between two looks at the thread that works."""
+NAME = "FAST-GS work"
+"""Of the thread."""
+
+
+def in_background(work):
+    """Yields the share 0..1 that is done while work(progress) runs, and returns its result; what it raises passes through.
+
+    Closing the generator cancels the work, at its next call of progress(share).
+    """
+    state = {"done": 0.0}
+    cancelled = threading.Event()
+
+    def progress(share):
+        state["done"] = share
+        if cancelled.is_set():
+            raise InterruptedError
+
+    def target():
+        try:
+            state["result"] = work(progress)
+        except BaseException as error:
+            state["error"] = error
+
+    thread = threading.Thread(target=target, name=NAME, daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(WAIT)
+            yield state["done"]
+    finally:
+        cancelled.set()
+        thread.join()
+    if "error" in state:
+        raise state["error"]
+    return state["result"]

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which GPUs there are, and which one a scene is rendered and trained on.
+
+GPUs are tested in a process of their own (jobs/examination.py): a driver that crashes takes no Blender along, and nothing waits for it
+but a render that needs to know.
+"""
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import bpy
+
+from ..fastgs_blender.jobs.examination import Examination
+from ..fastgs_blender.util import backends
+from . import settings
+
+EVERY = 0.2
+"""Seconds between two looks at a test."""
+_listing: threading.Thread | None = None
+_listed: dict | None = None
+_examination: Examination | None = None
+_reported = False
+"""Whether the list has been made anew since the last test."""
+_turn = threading.Lock()
+
+
+def wanted(scene) -> str:
+    """The device of a scene, as `--device` takes it."""
+    return "cpu" if scene.fastgs.device == 'CPU' else settings.gpu or "auto"
+
+
+def found() -> dict | None:
+    """What is known of the GPUs (backends.describe_devices(): a verdict is None where there was no test); None while it is looked for."""
+    if _listing is None:
+        look()
+    return _listed
+
+
+def look() -> None:
+    """Look for the GPUs and at their verdicts, in a thread.  Where there is a user, what has not been tested is, but for software."""
+    global _listing
+    _listing = threading.Thread(target=_list, name="FAST-GS GPUs", daemon=True)
+    _listing.start()
+    _begin_to_watch()
+
+
+def _list():
+    global _listed
+    try:
+        _listed = backends.describe_devices(test=False)
+    except Exception as error:  # a driver's, or numba is missing
+        _listed = {"devices": [], "auto": None, "reason": f"no GPU can be used ({error}): the CPU is used."}
+    untested = next((each["name"] for each in _listed["devices"] if each["self_test"] is None and not each["software"]), None)
+    if untested and not bpy.app.background and not trouble():
+        with _turn:
+            _examine(untested)
+
+
+def line() -> str:
+    """What a test that is under way is doing, "" where there is none."""
+    running = _examination
+    return "" if running is None or running.done else running.line
+
+
+def trouble() -> str:
+    """Why the last test could not be done, in a sentence, or ""."""
+    return "" if _examination is None or not _examination.done else _examination.trouble
+
+
+def test() -> Examination:
+    """Begin to test all GPUs, those that have been tested too; those that have failed may be used again."""
+    with _turn:
+        if _examination is None or _examination.done:
+            backends.try_again()
+        running = _examine("", again=True)
+    _begin_to_watch()
+    return running
+
+
+def _examine(part: str, again: bool = False) -> Examination:
+    """The examination under way, or a new one."""
+    global _examination, _reported
+    if _examination is None or _examination.done:
+        _examination, _reported = Examination(part, again), False
+    return _examination
+
+
+def backend(device: str, progress: Callable[[float], None] | None = None) -> tuple[str, str]:
+    """(the backend's name, why it is not the GPU's or "") of a device as wanted() gives it.
+
+    progress  called again and again while the GPU is being tested, which it is where that has not been done; what it raises passes
+              through.  None: what has not been tested is not used
+    To be called from any thread.
+    """
+    def examine(adapter):
+        verdict = backends.known_verdict(adapter)
+        if verdict is None and progress is not None:
+            verdict = _verdict_of(adapter, progress)
+        return verdict
+
+    try:
+        return backends.choose_device(device, examine)
+    except backends.FastGSError as error:
+        return "auto", str(error).removesuffix("; use the device cpu.").rstrip(".") + ": the CPU is used."
+
+
+def _verdict_of(adapter, progress) -> str | None:
+    """The verdict of a test of one adapter."""
+    verdict = running = None
+    for _ in range(2):  # one that is under way may be another's
+        with _turn:
+            running = _examine(adapter.name)
+        while not running.wait(EVERY):
+            progress(0.0)
+        told = running.found["devices"] if running.found else ()
+        verdict = next((each["self_test"] for each in told if (each["name"], each["driver"]) == (adapter.name, adapter.driver)), None)
+        if verdict is not None:
+            return verdict
+    return running.trouble.rstrip(".") or None
+
+
+def _begin_to_watch():
+    if not bpy.app.background and not bpy.app.timers.is_registered(_watch):
+        bpy.app.timers.register(_watch, first_interval=EVERY, persistent=True)
+
+
+def _watch():
+    """Redraw the preferences and the properties until the list and the test have come to their end."""
+    global _reported
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in {'PREFERENCES', 'PROPERTIES'}:
+                area.tag_redraw()
+    if _listing is not None and _listing.is_alive():
+        return EVERY
+    if _examination is not None and not _reported:
+        if _examination.done:
+            _reported = True
+            look()
+        return EVERY
+    return None
+
+
+def register():
+    pass
+
+
+def unregister():
+    global _listing, _listed, _examination
+    if bpy.app.timers.is_registered(_watch):
+        bpy.app.timers.unregister(_watch)
+    if _examination is not None:
+        _examination.stop()
+    _listing = _listed = _examination = None

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras whose clocks differ: sync.json, the moments of their pictures, and the offsets found by motion, by a flash and by sound."""
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import mutations
+import numpy as np
+import pytest
+import tiny_captures
+from PIL import Image
+from toy_captures import toy_scene
+from uneven_captures import write_uneven
+
+from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.clocks import alignment
+from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
+from fastgs_blender.captures.clocks.find import find_offsets
+from fastgs_blender.evaluation.evaluate import evaluate
+from fastgs_blender.evaluation.training_record import record
+from fastgs_blender.training.core.schedule import Views
+from fastgs_blender.training.run.segments import Span, part
+from fastgs_blender.util.errors import FastGSError
+
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory):
+    """A capture with two clocks that are wrong."""
+    return write_uneven(tmp_path_factory.mktemp("shifted"), FRAMES, 5, {"cam02": 7.3, "cam03": -3.6})
+
+
+def times(capture, view):
+    """{picture's file number: (frame, t in frames)} of a view."""
+    return {int(shot.image.path.stem): (shot.frame, shot.t * capture.clip.frame_count) for shot in capture.shots if shot.view == view}
+
+
+def test_offsets_are_found_by_motion(shifted):
+    found = find_offsets(open_capture(shifted, offsets={}))
+    assert found.clocks.found_by == "motion" and not found.lost
+    assert found.clocks.offsets == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 7.3, "cam03": -3.6, "cam04": 0}, abs=0.25)
+    assert found.curves.change.shape == (5, FRAMES - 1)
+
+
+@pytest.mark.parametrize("frames", [16, FRAMES])
+def test_a_genlocked_capture_stays_as_it_is(frames, tmp_path):
+    found = find_offsets(open_capture(write_uneven(tmp_path, frames, 4)))
+    assert set(found.clocks.offsets.values()) == {0.0}
+
+
+def test_pictures_are_placed_at_their_moments(shifted, tmp_path):
+    bare = open_capture(shifted, offsets={})
+    assert times(bare, "cam02")[1] == (0, 0)
+    capture = open_capture(shifted, offsets={"cam02": 7.3, "cam03": -3.6})
+    late, early = times(capture, "cam02"), times(capture, "cam03")
+    assert late[1] == (7, pytest.approx(7.3)) and max(late) == FRAMES - 7 and len(late) == FRAMES - 7
+    assert min(early) == 5 and early[5] == (0, pytest.approx(0.4)) and early[FRAMES] == (FRAMES - 5, pytest.approx(FRAMES - 4.6))
+    assert times(capture, "cam01") == times(bare, "cam01")
+    assert [note for note in capture.notes if "cam02 +7.3, cam03 -3.6" in note] and not capture.faults
+    groups = Views(capture.training, 0).moments
+    assert len(groups) == FRAMES and {capture.training[i].frame for i in groups[9]} == {9}
+    segment = part(capture, Span(10, 20))
+    assert times(segment, "cam02")[4] == (0, pytest.approx(0.3))
+
+
+def test_a_part_of_the_clip_takes_the_pictures_of_its_moments(shifted):
+    capture = open_capture(shifted, frames=slice(10, 20, 2), offsets={"cam02": 7.3})
+    assert times(capture, "cam02") == {4: (0, pytest.approx(0.15)), 6: (1, pytest.approx(1.15)), 8: (2, pytest.approx(2.15)),
+                                       10: (3, pytest.approx(3.15)), 12: (4, pytest.approx(4.15))}
+
+
+def test_stated_times_move_too(tmp_path):
+    write_uneven(tmp_path, 6, 2)
+    (tmp_path / "cameras.json").unlink()
+    pose = np.diag([1.0, -1, -1, 1])
+    frames = [{"file_path": f"cam{v:02}/{f + 1:04}.png", "time": f / 6} for v in range(2) for f in range(6)]
+    for frame in frames:
+        matrix = pose.copy()
+        matrix[0, 3] = 0.2 * int(frame["file_path"][4])
+        frame["transform_matrix"] = matrix.tolist()
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 45, "fl_y": 45, "cx": 24, "cy": 18, "w": 48, "h": 36, "frames": frames}))
+    write_clocks(tmp_path, Clocks({"cam01": 1.25}))
+    capture = open_capture(tmp_path)
+    assert times(capture, "cam01") == {n: (n, pytest.approx(n + 0.25)) for n in range(1, 6)}
+    assert times(capture, "cam00")[1] == (0, 0)
+
+
+def test_the_file_beside_the_capture_is_used(shifted, tmp_path):
+    folder = write_uneven(tmp_path / "capture", 6, 2)
+    assert read_clocks(folder) is None
+    path = write_clocks(folder / "cameras.json", Clocks({"cam01": 0.5}, {"cam01": 0.02}, "sound"))
+    assert path == folder / FILE and read_clocks(folder) == Clocks({"cam01": 0.5}, {"cam01": 0.02}, "sound")
+    assert times(open_capture(folder), "cam01")[1] == (1, pytest.approx(0.5))
+    assert times(open_capture(folder, offsets={}), "cam01")[1] == (0, 0)
+
+
+@pytest.mark.parametrize(("text", "wrong"), [
+    ("{}", "format"), ('{"format": "fast-gs sync", "version": 9, "offsets": {}}', "newer"), ('{"format": "fast-gs sync"}', "offsets"),
+    ('{"format": "fast-gs sync", "offsets": {"a": "x"}}', "'a'"), ('{"format": "fast-gs sync", "offsets": {"a": 1e9}}', "between"),
+    ("[", "JSON")])
+def test_a_file_that_cannot_be_understood_is_told(text, wrong, tmp_path):
+    write_uneven(tmp_path, 2, 2)
+    (tmp_path / FILE).write_text(text)
+    with pytest.raises(FastGSError, match=wrong) as error:
+        open_capture(tmp_path)
+    assert FILE in str(error.value)
+
+
+def test_damaged_files(tmp_path):
+    folder = write_uneven(tmp_path / "made", 2, 2)
+    write_clocks(folder, Clocks({"cam00": 0.5, "cam01": -1.25}, {"cam00": 0.1}, "motion"))
+    seed = tiny_captures.contents(folder)
+
+    def read(folder):
+        capture = open_capture(folder)
+        assert len(capture) and np.isfinite([shot.t for shot in capture.shots]).all()
+
+    mutations.campaign("sync.json", read, {"two cameras": seed}, tmp_path, fixed=set(seed) - {FILE})
+
+
+def test_nothing_that_moves_and_one_camera_are_told(tmp_path):
+    folder = write_uneven(tmp_path, 14, 3, speed=0.0)
+    with pytest.raises(FastGSError, match="nothing moves"):
+        find_offsets(open_capture(folder))
+    capture = open_capture(folder)
+    with pytest.raises(FastGSError, match="one camera"):
+        find_offsets(replace(capture, shots=[shot for shot in capture.shots if shot.view == "cam01"]))
+    with pytest.raises(FastGSError, match="no sound"):
+        find_offsets(capture, "sound")
+    with pytest.raises(FastGSError, match="no flash"):
+        find_offsets(capture, "flash")
+
+
+def test_a_flash_aligns_cameras_that_see_nothing_else_alike(tmp_path):
+    folder = write_uneven(tmp_path, 30, 4, speed=0.0)
+    for v, late in enumerate((0, 0, 4, -3)):
+        path = folder / f"cam{v:02}" / f"{15 - late:04}.png"
+        Image.fromarray(np.uint8(np.minimum(np.asarray(Image.open(path)) + 90.0, 255))).save(path)
+    found = find_offsets(open_capture(folder))
+    assert found.clocks.found_by == "flash"
+    assert found.clocks.offsets == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 4, "cam03": -3}, abs=0.3)
+
+
+def film(path, seconds, late, clicks, rate=16_000):
+    """A video of 25 frames a second with sound: clicks at these seconds of an event that the film joins `late` seconds after its begin."""
+    import av
+
+    rng = np.random.default_rng(ord(path.name[0]))
+    sound = rng.normal(0, 0.01, int(seconds * rate))
+    for at in clicks:
+        first = round((at - late) * rate)
+        if 0 <= first < len(sound) - 400:
+            sound[first:first + 400] += 0.5 * rng.normal(0, 1, 400) * np.exp(-np.arange(400) / 80)
+    with av.open(str(path), "w") as container:
+        pictures = container.add_stream("libx264", rate=25)
+        pictures.width, pictures.height, pictures.pix_fmt = 32, 24, "yuv420p"
+        audio = container.add_stream("aac", rate=rate, layout="mono")
+        for _ in range(int(seconds * 25)):
+            container.mux(pictures.encode(av.VideoFrame.from_ndarray(np.full((24, 32, 3), 90, np.uint8), format="rgb24")))
+        container.mux(pictures.encode(None))
+        for k in range(0, len(sound) - 1023, 1024):
+            frame = av.AudioFrame.from_ndarray(np.float32(sound[None, k:k + 1024]), format="fltp", layout="mono")
+            frame.sample_rate, frame.pts = rate, k
+            container.mux(audio.encode(frame))
+        container.mux(audio.encode(None))
+
+
+def test_sound_aligns_videos(tmp_path):
+    pytest.importorskip("av")
+    clicks = np.random.default_rng(3).uniform(0.5, 5.5, 12)
+    for name, late in (("a", 0.0), ("b", 0.212), ("c", 0.0)):
+        film(tmp_path / f"{name}.mp4", 6, late, clicks)
+    found = find_offsets(open_capture(tmp_path))
+    assert found.clocks.found_by == "sound"
+    assert found.clocks.offsets == pytest.approx({"a": 0, "b": 0.212 * 25, "c": 0}, abs=0.05)
+
+
+def test_videos_without_sound_in_common_are_told(tmp_path):
+    pytest.importorskip("av")
+    for name in "ab":
+        tiny_captures.video(tmp_path / f"{name}.mp4", 14)
+    with pytest.raises(FastGSError, match="no sound"):
+        find_offsets(open_capture(tmp_path), "sound")
+
+
+def test_labels_of_evaluation_do_not_depend_on_clocks(shifted):
+    """A picture was trained on whatever the time is that its camera's clock gives it."""
+    capture = open_capture(shifted, offsets={"cam02": 0.4}, frames=slice(0, 3))
+    model = replace(toy_scene(3), clip=capture.clip, provenance=record(capture))
+    result = evaluate(model, capture, views=["cam00", "cam02"], lpips=False)
+    assert [row["trained_on"] for row in result["rows"]] == [False] * 3 + [True] * 3
+    assert result["rows"][3]["t"] == pytest.approx(0.4 / 3)
+    whole = open_capture(shifted, offsets={"cam02": 0.4})
+    result = evaluate(model, whole, views=["cam02"], frames=[0, 2, 3], lpips=False)
+    assert [row["trained_on"] for row in result["rows"]] == [True, True, False]
+
+
+def test_one_wrong_pair_does_no_harm():
+    pairs = [alignment.Pair(i, j, (0.0, 1.0, -2.0, 0.0)[j] - (0.0, 1.0, -2.0, 0.0)[i], 0.9, 0.5) for i in range(4) for j in range(i + 1, 4)]
+    pairs[0] = replace(pairs[0], lag=9.0)
+    offsets, _ = alignment.settled(5, pairs)
+    assert offsets[:4] == pytest.approx([0, 1, -2, 0], abs=0.01) and np.isnan(offsets[4])
+
+
+def test_values_between_samples():
+    values = np.arange(6.0) ** 2
+    assert alignment.between(values, np.array([2.5, 3.0])) == pytest.approx([6.25, 9.0])

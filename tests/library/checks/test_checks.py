@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""fastgs check on a room whose faults are known: each is found in the camera that has it, and a good capture has none."""
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from filmed_room import texture, write_room
+from PIL import Image, ImageFilter
+from uneven_captures import write_uneven
+
+from fastgs_blender import cli
+from fastgs_blender.captures import open_capture
+from fastgs_blender.checks import CHECKS, blur, check, page, timing
+from fastgs_blender.checks.samples import Looked
+from fastgs_blender.util import rotations
+from fastgs_blender.util.errors import FastGSError
+
+
+def blurred(image, frame, sigma=2.0):
+    shown = Image.fromarray(np.uint8(np.clip(image, 0, 1) * 255 + 0.5)).filter(ImageFilter.GaussianBlur(sigma))
+    return np.asarray(shown) / 255
+
+
+def turned(matrix, degrees=2.0):
+    """The pose of a camera that was bumped after it was calibrated: turned about its own upward axis."""
+    half = np.radians(degrees) / 2
+    turn = np.eye(4)
+    turn[:3, :3] = rotations.to_matrices(np.array([np.cos(half), 0, np.sin(half), 0]))
+    return turn @ matrix
+
+
+FAULTS = dict(change={1: blurred, 3: lambda image, frame: 0.7 * image, 6: lambda image, frame: image * (1, 0.88, 0.8)[frame]},
+              calibrated={5: turned})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    pytest.importorskip("pycolmap")
+    return tmp_path_factory.mktemp("checks")
+
+
+@pytest.fixture(scope="module")
+def good(folder):
+    return check(write_room(folder / "good", 8, 3))
+
+
+@pytest.fixture(scope="module")
+def faulty(folder):
+    stages = []
+    report = check(write_room(folder / "faulty", 8, 3, **FAULTS), progress=lambda stage, share: stages.append((stage, share)))
+    shares = [share for _, share in stages]
+    assert shares == sorted(shares) and shares[-1] == 1 and {"reading pictures", "comparing pictures"} <= {stage for stage, _ in stages}
+    return report
+
+
+def told(report, name, grades=("wrong", "poor")):
+    return {view: finding for section, finding in report.findings if section == name and finding.severity in grades
+            for view in finding.views or [""]}
+
+
+def test_a_good_capture_has_no_findings(good):
+    assert not good.findings and not good.bad and "nothing was found" in good.verdict
+    measures = good.values()["measures"]
+    assert set(measures) == set(CHECKS) and measures["calibration"]["median_pixels"] < 0.5
+    assert max(measures["sharpness"]["blur_pixels"].values()) < 1
+    assert all(abs(value - 1) < 0.02 for value in measures["exposure"]["brightness"].values())
+
+
+def test_a_bumped_camera_is_named_and_its_turn_measured(faulty):
+    found = told(faulty, "calibration")
+    assert set(found) == {"cam05"} and found["cam05"].severity == "wrong" and faulty.bad
+    assert abs(faulty.sections["calibration"].measures["turned_degrees"]["cam05"] - 2) < 0.2 and "turned by 2" in found["cam05"].sentence
+    assert faulty.findings[0][1].views == ("cam05",), "the worst comes first"
+
+
+def test_a_blurred_camera_is_named(faulty):
+    found = told(faulty, "sharpness")
+    assert set(found) == {"cam01"}
+    assert 1.3 < found["cam01"].figure[1] < 2.8
+
+
+def test_a_darker_camera_and_a_changing_exposure_are_named(faulty):
+    found = told(faulty, "exposure")
+    assert set(found) == {"cam03", "cam06"} and abs(found["cam03"].figure[1] - 0.7) < 0.02
+    assert "changes its exposure" in found["cam06"].sentence and 0.15 < found["cam06"].figure[1] < 0.25
+
+
+def test_all_cameras_changing_together_is_the_light(folder):
+    lamp = {i: lambda image, frame: image * (1, 0.85, 0.95)[frame] for i in range(4)}
+    report = check(write_room(folder / "lamp", 4, 3, spread=0.6, change=lamp, detail=1))
+    (finding,) = {id(f): f for f in told(report, "exposure").values()}.values()
+    assert "The light changes" in finding.sentence and len(finding.views) == 4
+
+
+def test_few_cameras_and_a_held_out_view_far_away(folder):
+    """The check says beforehand that a view far from three cameras will be poor, and why, and shows what is seen from there."""
+    report = check(write_room(folder / "few", 4, 3, spread=2.0, held_out=(3,), detail=1))
+    found = told(report, "outlook")
+    assert set(found) == {"", "cam03"} and "3 training cameras are few" in found[""].sentence
+    assert re.search(r"stands [2-4]\d degrees from the nearest training camera, cam02, and \d+% of its picture", found["cam03"].sentence)
+    held = next(p for p in report.sections["coverage"].pictures if p.pixels is not None)
+    assert held.caption.startswith("cam03 (held out")
+    assert report.sections["coverage"].measures["seen_by_fewer_than_3"]["cam03"] > 0.25
+
+
+def test_clocks_that_differ_are_found(tmp_path):
+    late = write_uneven(tmp_path / "late", 48, 5, {"cam02": 3.0}, speed=1.5)
+    section = timing.run(Looked(open_capture(late), late))
+    assert [finding.views for finding in section.findings if finding.severity == "wrong"] == [("cam02",)]
+    assert abs(section.measures["offsets_frames"]["cam02"] - 3) < 0.3
+    (late / "sync.json").write_text(json.dumps({"format": "fast-gs sync", "version": 1, "offsets": {"cam02": 3.0}}))
+    section = timing.run(Looked(open_capture(late), late))
+    assert not section.findings, "what training knows already is no fault"
+
+
+@pytest.mark.parametrize("sigma", [0, 1, 2])
+def test_blur_is_measured_in_pixels(sigma):
+    image = blurred(texture(1), 0, sigma) if sigma else texture(1)
+    assert abs(blur.blur_of(np.uint8(image * 255)) - sigma) < 0.5
+    assert np.isnan(blur.blur_of(np.full((256, 256, 3), 90, np.uint8)))
+
+
+def test_the_page_stands_alone(faulty, tmp_path):
+    """Its pictures are inside, they can be read, and nothing is fetched."""
+    paths = page.write(faulty, tmp_path / "out")
+    text = paths[0].read_text("utf-8")
+    assert not re.search(r'(?:src|href)="(?!data:)', text) and "<script" not in text
+    images = re.findall(r"data:image/jpeg;base64,([^\"]+)", text)
+    assert len(images) >= 16 and Image.open(io.BytesIO(base64.b64decode(images[0]))).size == (320, 240)
+    for finding in (finding for _, finding in faulty.findings):
+        assert finding.sentence.replace("'", "&#x27;") in text
+    assert page.html(faulty) == page.html(faulty) and json.loads(paths[1].read_text("utf-8")) == json.loads(json.dumps(faulty.values()))
+
+
+def test_names_from_files_do_no_harm(good, tmp_path):
+    good.capture = "/a/<script>alert(1)</script>\x1b"
+    assert "<script" not in page.html(good) and "\x1b" not in page.html(good) and "\x1b" not in good.text()
+
+
+def test_captures_without_poses_and_with_missing_files(folder, tmp_path):
+    """What cannot be known is said; missing files are told as training would refuse them."""
+    made = write_room(tmp_path / "bare", 3, 2, spread=0.4, detail=1)
+    (made / "cameras.json").unlink()
+    (made / "cam01" / "0002.png").unlink()
+    report = check(made)
+    assert "does not say where its cameras are" in report.sections["coverage"].summary
+    assert [f.sentence for _, f in report.findings if f.severity == "wrong"] == ["Cam01 lacks the frame 2."]
+    for image in made.rglob("*.png"):
+        image.write_bytes(b"no picture")
+    with pytest.raises(FastGSError, match="none of its pictures can be read"):
+        check(made)
+
+
+def test_the_command(tmp_path, capsys):
+    """The exit code tells, --json is the page's values, --status says how far the check is."""
+    pytest.importorskip("pycolmap")
+    made = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    flags = [str(made), "--out", str(tmp_path / "out"), "--quiet"]
+    assert cli.main(["check", *flags]) == 0 and "check.html" in capsys.readouterr().out
+    (made / "cam01" / "0002.png").unlink()
+    assert cli.main(["check", *flags, "--json", "--status", str(tmp_path / "status.json")]) == 1
+    values = json.loads(capsys.readouterr().out)
+    assert values["findings"][0]["severity"] == "wrong" and values["page"] == str(tmp_path / "out" / "check.html")
+    assert 0 <= json.loads((tmp_path / "status.json").read_text())["share"] <= 1
+    assert cli.main(["check", str(tmp_path / "none")]) == 2
+
+
+def test_the_text_is_as_wide_as_a_terminal(faulty):
+    lines = faulty.text().splitlines()
+    assert max(map(len, lines[1:])) <= 80 and lines[lines.index("") + 1].startswith("wrong  What cam05 shows")

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""fastgs sync: offsets by motion and by a short training, into sync.json and a picture."""
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from uneven_captures import write_uneven
+
+from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.clocks.files import FILE, read_clocks
+from fastgs_blender.cli import main
+from fastgs_blender.training.run import clocks
+
+OFFSETS = {"cam02": 3.4}
+
+
+@pytest.fixture
+def shifted(tmp_path):
+    return write_uneven(tmp_path / "capture", 36, 4, OFFSETS)
+
+
+def test_quick(shifted, capsys):
+    assert main(["sync", str(shifted), "--quick", "--quiet"]) == 0
+    found = read_clocks(shifted)
+    assert found.found_by == "motion" and found.offsets == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 3.4, "cam03": 0}, abs=0.25)
+    text = capsys.readouterr().out
+    assert "cam02" in text and "+3." in text and max(map(len, text.splitlines()[:5])) <= 80
+    picture = np.asarray(Image.open(shifted / "sync.png"))
+    assert picture.shape == (620, 1100, 3) and (picture < 100).any(-1).mean() > 0.001
+    assert max(shot.t for shot in open_capture(shifted).shots if shot.view == "cam02") > 35 / 36
+
+
+def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypatch, capsys):
+    pytest.importorskip("pycolmap")
+    seen = []
+
+    def few(path, first, layout=None, steps=0, progress=None):
+        found = refined(path, first, layout, 240, lambda done, of: seen.append((done, of)))
+        return found
+
+    refined = clocks.refined
+    monkeypatch.setattr(clocks, "refined", few)
+    assert main(["sync", str(shifted), "--quiet", "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["found_by"] == "training" and values["offsets"].keys() == {"cam00", "cam01", "cam02", "cam03"}
+    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=1.6) and seen[-1] == (240, 240)
+    assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
+
+
+def test_what_cannot_be_found_is_told(tmp_path, capsys):
+    folder = write_uneven(tmp_path / "still", 14, 3, speed=0.0)
+    assert main(["sync", str(folder), "--quiet"]) == 2
+    assert "nothing moves" in capsys.readouterr().err and not (folder / FILE).exists()

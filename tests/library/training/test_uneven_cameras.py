@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras that are neither equally exposed nor genlocked: what training finds, takes out and keeps in its checkpoint."""
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from toy_captures import Pixels, toy_capture
+from uneven_captures import uneven_capture
+
+import fastgs_blender as fg
+from fastgs_blender.evaluation import halves
+from fastgs_blender.evaluation.evaluate import evaluate
+from fastgs_blender.evaluation.metrics import psnr
+from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
+from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
+from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.dense import evening_of
+from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.run import checkpoint
+
+FEW = dict(points=80, max_gaussians=160, densify_every=10, warm_up=(), start_opacity=0.1, start_size=1.0, preview_every=0)
+VIEWS = ("a", "b", "c")
+
+
+def trainer(made, **choices):
+    capture, store, points = made
+    chosen = settings(**{**FEW, **choices})
+    return Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent))
+
+
+def train(who):
+    while who.iteration < who.settings.iterations:
+        who.step()
+    return who
+
+
+def shot(view):
+    return SimpleNamespace(view=view, t=0.25)
+
+
+def goal(rgb):
+    return SimpleNamespace(rgb=np.float32(rgb), weight=None)
+
+
+def evening(**choices):
+    return Evening.begun(VIEWS, 10, settings(**choices))
+
+
+def test_gains_and_offsets_are_found_and_taken_out():
+    """Pictures that are the model's, but for a gain and an offset: what is found is about these, and the pixels become the model's."""
+    rng = np.random.default_rng(0)
+    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), evening()
+    gains, biases = {"a": 1.0, "b": 1.3, "c": 0.8}, {"a": 0.0, "b": 0.02, "c": -0.03}
+    filmed = {view: Pixels(model * np.float32(gains[view]) + np.float32(biases[view])) for view in VIEWS}
+    for _ in range(30):
+        for view in VIEWS:
+            pixels = found.pixels(shot(view), filmed[view])
+            found.learn(*found.seen(shot(view), goal(pixels.rgb), model, np.ones(model.shape[:2], np.float32), None))
+    assert found.colours_differ and not found.clocks_differ
+    for k, view in enumerate(VIEWS):
+        np.testing.assert_allclose(found.gains[k], gains[view], atol=0.05)
+        np.testing.assert_allclose(found.pixels(shot(view), filmed[view]).rgb, model, atol=0.02)
+    assert found.facts().keys() == {"exposures"}
+    unknown = Pixels(model)
+    assert found.pixels(shot("held out"), unknown) is unknown
+
+
+def test_even_cameras_stay_as_they_are():
+    rng = np.random.default_rng(1)
+    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), evening()
+    for view in VIEWS:
+        noisy = model + np.float32(rng.normal(0, 0.02, model.shape))
+        found.learn(*found.seen(shot(view), goal(noisy), model, np.ones(model.shape[:2], np.float32), None))
+    pixels = Pixels(model)
+    assert not found.colours_differ and found.pixels(shot("b"), pixels) is pixels and found.facts() == {}
+    assert found.moment(shot("b")) == 0.25
+
+
+def test_overexposed_pixels_do_not_count_in_pictures_that_are_darkened():
+    found = evening(exposures="on")
+    found.gains[1] = 1.3
+    rgb = np.full((4, 4, 3), 0.5, np.float32)
+    rgb[0, 0] = 1.0
+    assert not found.pixels(shot("b"), Pixels(rgb)).valid[0, 0] and found.pixels(shot("b"), Pixels(rgb)).valid[1:].all()
+    assert found.pixels(shot("a"), Pixels(rgb)).valid is None
+
+
+def test_a_clock_is_found_along_the_models_change():
+    rng = np.random.default_rng(2)
+    model, change = (np.float32(rng.uniform(low, 0.6, (24, 32, 3))) for low in (0.1, -0.6))
+    found, late = evening(exposures="off"), {"a": 0.0, "b": 0.4, "c": 0.0}
+    for _ in range(40):
+        for view in VIEWS:
+            drawn = model + change * np.float32(found.late[VIEWS.index(view)] if found.clocks_differ else 0)
+            target = goal(model + change * np.float32(late[view]) + np.float32(rng.normal(0, 0.01, model.shape)))
+            found.learn(*found.seen(shot(view), target, drawn, np.ones(model.shape[:2], np.float32), change))
+    assert found.late == pytest.approx([0, 0.4, 0], abs=0.02) and found.uncertainty().max() < 0.02
+    assert found.moment(shot("b")) == pytest.approx(0.25 + 0.04, abs=0.002)
+    assert found.facts()["clocks"]["b"] == pytest.approx(0.4, abs=0.02)
+
+
+def test_where_nothing_moves_no_clock_is_found():
+    found = evening()
+    rgb = np.full((8, 8, 3), 0.5, np.float32)
+    found.learn(*found.seen(shot("b"), goal(rgb), rgb, np.ones((8, 8), np.float32), np.zeros_like(rgb)))
+    assert not found.late.any() and np.isinf(found.uncertainty()).all() and ALIKE_PIXELS > 1
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """A short run on cameras that differ, and the same run without evening."""
+    made = uneven_capture(6, 5, {"cam02": 0.4}, {"cam01": 1.25, "cam02": 0.75, "cam04": 1.1}, terms=2)
+    return [train(trainer(made, iterations=400, **options)) for options in ({"clocks": "on"}, {"exposures": "off", "clocks": "off"})]
+
+
+def test_evening_makes_the_held_out_view_better(uneven):
+    with_it, without = uneven
+    shots = with_it.capture.held_out
+    fitted = [np.mean([psnr(*halves.right(halves.fitted(picture, truth), truth)) for picture, truth in who.measure(shots)[2]])
+              for who in uneven]
+    assert fitted[0] > fitted[1] + 0.5
+    grey = 0.5 * with_it.evening.gains[:, 1] + with_it.evening.biases[:, 1]
+    assert grey == pytest.approx(0.5 * np.array([1.25, 0.75, 1, 1.1]) / 1.05, abs=0.04)
+    assert np.argmax(with_it.evening.late) == 1
+    model = with_it.final_model({})
+    assert evened(model)["exposures"].keys() == {"cam01", "cam02", "cam03", "cam04"} and "cam02" in sentence(evened(model))
+    assert evened(without.final_model({})) == {}
+
+
+def test_evaluation_fits_colours_of_such_a_model_and_says_so(uneven):
+    with_it, without = uneven
+    capture, store = with_it.capture, with_it.store
+    result = evaluate(with_it.final_model({}), capture, store, lpips=False)
+    assert result["fit_colours"] and halves.NOTE in result["notes"]
+    assert result["average"]["psnr"] == pytest.approx(with_it.measure(capture.held_out)[0], abs=0.01)
+    assert not evaluate(without.final_model({}), capture, store, lpips=False)["fit_colours"]
+
+
+def test_a_fit_on_the_left_half_is_judged_on_the_right_one():
+    truth = np.random.default_rng(3).random((20, 30, 3))
+    picture = (truth - 0.1) / 1.4
+    assert psnr(*halves.right(halves.fitted(picture, truth), truth)) > 50 > psnr(*halves.right(picture, truth))
+    wrong = picture.copy()
+    wrong[:, 15:] = 0.5  # the right half is not looked at
+    np.testing.assert_allclose(halves.fitted(wrong, truth)[:, :15], truth[:, :15], atol=0.01)
+    assert halves.fitted(picture, truth, np.zeros((20, 30))) is picture
+
+
+def test_a_restored_run_goes_on_exactly(tmp_path):
+    made = uneven_capture(4, 4, {"cam02": 0.4}, {"cam01": 1.3}, terms=2)
+    straight = trainer(made, iterations=60, exposures="on", clocks="on")
+    for _ in range(25):
+        straight.step()
+    checkpoint.save(tmp_path, *straight.state())
+    train(straight)
+    again = Trainer(made[0], made[1], straight.settings)
+    again.restore(*checkpoint.load(tmp_path))
+    train(again)
+    assert again.evening.gains.std() > 0.01 and np.abs(again.evening.late).max() > 0
+    for name, array in straight.state()[0].items():
+        assert np.array_equal(array, again.state()[0][name], equal_nan=True), name
+
+
+@pytest.mark.parametrize("wrong", ["gains", "late", "colour"])
+def test_damaged_numbers_of_a_checkpoint_are_refused(wrong):
+    made = toy_capture(frames=2, views=4)
+    who = trainer(made, iterations=20)
+    arrays, about = who.state()
+    for array in (np.full_like(arrays[f"evening.{wrong}"], np.nan), arrays[f"evening.{wrong}"][:-1]):
+        with pytest.raises(fg.FastGSError, match="evening|cameras"):
+            Trainer(made[0], made[1], who.settings).restore({**arrays, f"evening.{wrong}": array}, about)
+    older = {name: array for name, array in arrays.items() if not name.startswith("evening.")}
+    Trainer(made[0], made[1], who.settings).restore(older, about)
+
+
+def test_records_that_cannot_be_understood_say_nothing():
+    model = toy_capture(frames=2, views=3)[0]
+    assert evened(SimpleNamespace(provenance={"evened": "["})) == {} and evened(SimpleNamespace(provenance={"evened": "[]"})) == {}
+    assert evened_entry({}) == {} and model is not None and replace(model, notes=[]).notes == []
+
+
+def test_colours_of_points_tell_gains_before_training():
+    capture, _, _ = uneven_capture(2, 5)
+    rng = np.random.default_rng(0)
+    gains = rng.uniform(0.7, 1.3, (4, 3))
+    gains /= np.median(gains, 0)
+    points = rng.uniform(0.1, 0.7, (200, 3))
+    for true in (gains, np.ones((4, 3))):
+        looks = [{f"cam{v + 1:02}": point * true[v] * rng.normal(1, 0.05, 3) for v in rng.choice(4, 3, replace=False)} for point in points]
+        found = evening_of(capture, settings(), looks)
+        assert found.views == ("cam01", "cam02", "cam03", "cam04") and found.gains == pytest.approx(true, abs=0.03)
+    assert (found.gains == 1).all(), "nearly even cameras are left as they are"
+    assert (evening_of(capture, settings(), looks[:10]).gains == 1).all(), "a few points tell nothing"
