@@ -49,7 +49,7 @@ def _stages() -> list[str]:
     """How long the stages of a viewport's picture take here; a viewport must have drawn splats."""
     try:
         lines = spaces.timed()
-    except Exception as error:  # a driver's, which is what such a report is about
+    except Exception as error:  # noqa: BLE001 (a driver raises anything, which is what such a report is about)
         return [f"viewport: could not be timed ({type(error).__name__}: {error})"]
     return lines or ["viewport: has not drawn splats"]
 

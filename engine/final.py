@@ -27,7 +27,7 @@ def render(engine, depsgraph):
         notices.fail(engine, str(error))
     except MemoryError:
         notices.fail(engine, "there is not enough memory for this frame; lower the resolution or show fewer objects.")
-    except Exception as error:  # the boundary: Blender would call what passes it a finished render
+    except Exception as error:  # noqa: BLE001 (the boundary: Blender would call what passes it a finished render)
         notices.log.exception("unexpected error on frame %s", depsgraph.scene.frame_current)
         notices.fail(engine, f"FAST-GS could not render frame {depsgraph.scene.frame_current} ({type(error).__name__}: {error}); "
                              "the log holds the details.")

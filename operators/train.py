@@ -228,7 +228,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
             self._found = work()
         except FastGSError as error:
             self._found = error
-        except Exception as error:  # in a thread nobody else would tell
+        except Exception as error:  # noqa: BLE001 (in a thread nobody else would tell)
             self._found = FastGSError(f"the capture could not be checked ({error}).")
 
     def _report(self, found):

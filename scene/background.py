@@ -26,7 +26,7 @@ def in_background(work):
     def target():
         try:
             state["result"] = work(progress)
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001 (handed over: the generator raises it)
             state["error"] = error
 
     thread = threading.Thread(target=target, name=NAME, daemon=True)

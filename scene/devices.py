@@ -49,7 +49,7 @@ def _list():
     global _listed
     try:
         _listed = backends.describe_devices(test=False)
-    except Exception as error:  # a driver's, or numba is missing
+    except Exception as error:  # noqa: BLE001 (drivers raise anything, and in a thread nobody else would tell)
         _listed = {"devices": [], "auto": None, "reason": f"no GPU can be used ({error}): the CPU is used."}
     untested = next((each["name"] for each in _listed["devices"] if each["self_test"] is None and not each["software"]), None)
     if untested and not bpy.app.background and not trouble():

@@ -102,7 +102,7 @@ def _draw_pictures(context, depsgraph):
         return
     try:
         frusta.draw(context, depsgraph)
-    except Exception as error:  # a driver's, or an image's
+    except Exception as error:  # noqa: BLE001 (drivers and Blender's images raise anything; the window must go on)
         _say_once(f"The cameras' pictures cannot be shown in viewports ({error}).")
 
 
@@ -161,7 +161,7 @@ def scene_depth(width: int, height: int, depths) -> SceneDepth | None:
     """What the active framebuffer has drawn, as depth; None where nothing is there to hide splats, or it cannot be read."""
     try:
         values = flat(gpu.state.active_framebuffer_get().read_depth(0, 0, width, height)).reshape(height, width)
-    except Exception as error:  # a driver's
+    except Exception as error:  # noqa: BLE001 (drivers raise anything; the window must go on)
         _say_once(f"The viewport's depth cannot be read ({error}): meshes do not hide splats in it.")
         return None
     return None if values.min(initial=1.0) >= 1.0 else SceneDepth(values, depths)

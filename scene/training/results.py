@@ -51,7 +51,7 @@ class Reading:
             self._path = path
         except FastGSError as error:
             self._error = error
-        except Exception as error:  # in a thread nobody else would tell
+        except Exception as error:  # noqa: BLE001 (in a thread nobody else would tell)
             self._error = FastGSError(f"{self._out}: its model could not be read ({error}).")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 
 import addon_utils
 import bpy
@@ -33,10 +32,9 @@ def environment():
 
 def enabling():
     """Enabling the installed extension in a Blender that has just begun."""
-    before, start = set(sys.modules), time.process_time()
+    before = set(sys.modules)
     module = addon_utils.enable(ADDON)
-    seconds = time.process_time() - start
-    return {"enabled": module is not None, "seconds": seconds, "heavy": sorted(set(HEAVY) & (set(sys.modules) - before))}
+    return {"enabled": module is not None, "heavy": sorted(set(HEAVY) & (set(sys.modules) - before))}
 
 
 def going():
@@ -98,12 +96,10 @@ def picture(model, output, width, height, frame):
     camera = look(scene, width, height)
     scene.frame_set(int(frame), subframe=frame % 1)
     scene.render.filepath = os.path.abspath(output)
-    start = time.time()
     bpy.ops.render.render(write_still=True)
-    seconds = time.time() - start
     bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath(f"{output}.blend"))
     obj = next(o for o in scene.objects if o.type == 'MESH')
-    return {"camera": camera, "seconds": seconds, "range": [scene.frame_start, scene.frame_end], "fps": scene.render.fps,
+    return {"camera": camera, "range": [scene.frame_start, scene.frame_end], "fps": scene.render.fps,
             "engine": scene.render.engine, "path": obj.fastgs.filepath, "count": obj.fastgs.gaussian_count,
             "start": obj.fastgs.start_frame}
 

@@ -77,7 +77,7 @@ class User:
         facts       the story's arguments
         Returns the story's facts.  Python errors in Blender's log fail the story, whoever makes them.
         """
-        for file in (*HERE.glob("*.py"), HERE / "window.sh"):
+        for file in (*HERE.glob("*.py"), HERE / "window.sh", HERE.parent / "shared" / "held_runs.py"):
             shutil.copy(file, self.folder)
         given, answer = f"{name}-arguments.json", f"{name}-answer.json"
         (self.folder / given).write_text(json.dumps(facts))

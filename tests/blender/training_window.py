@@ -8,6 +8,7 @@ from importlib import import_module
 import addon_utils
 import bpy
 from background import ADDON, look
+from held_runs import Barrier
 from mathutils import Euler
 from window import area_of, f12, press, settled, shot, sidebar, until, within
 
@@ -107,9 +108,31 @@ def click(area, command, across=0.5):
     yield 0.2
 
 
+def held_filming():
+    """Film a picture at a time, and none after the second until the function that is returned has been called."""
+    stepwise, progress, released = part("operators.stepwise").Stepwise, part("scene.filming.progress"), []
+    go_on = stepwise._go_on
+
+    def until_released(self, context, seconds):
+        held = not released and progress.current is not None and progress.current.made > 1
+        return None if held else go_on(self, context, 0.0)
+
+    def release():
+        released.append(True)
+        stepwise._go_on = go_on
+
+    stepwise._go_on = until_released
+    return release
+
+
 def from_scene_to_shot(environment, cache):
-    """The panel's Train button on the open scene; screenshots while it trains and of what it brings; F12 of that, and of the truth."""
+    """The panel's Train button on the open scene; screenshots while it trains and of what it brings; F12 of that, and of the truth.
+
+    Filming and training are held while they are looked at: a quick machine would have finished them.
+    """
     os.environ["FASTGS_CACHE_DIR"] = cache
+    barrier = Barrier(os.path.abspath("training-barrier"))
+    os.environ.update(barrier.variables)
     scene = toy()
     yield 0.5
     area = yield from set_the_table()
@@ -121,6 +144,9 @@ def from_scene_to_shot(environment, cache):
     watch, displays, progress = part("scene.training.watch"), part("scene.training.displays"), part("scene.filming.progress")
     yield 0.5
     shot("train-panel")
+    half = settings.iterations // 2
+    barrier.hold_at(f"step {half}")
+    release = held_filming()
     yield from click(area, "fastgs.train")
     yield from until(lambda: progress.current and progress.current.made > 1)
     filming = [progress.current.done, progress.current.whole]
@@ -128,9 +154,10 @@ def from_scene_to_shot(environment, cache):
     before = view.view_rotation.copy()
     yield from press('NUMPAD_6', area)  # the view turns meanwhile
     moved = lambda: before.rotation_difference(view.view_rotation).angle > 0.1  # noqa: E731
-    yield from until(lambda: moved() or progress.current is None)
+    yield from until(moved)
     turned = moved() and progress.current is not None
     shot("filming")
+    release()
     if not (yield from until(watch.found)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
@@ -149,7 +176,10 @@ def from_scene_to_shot(environment, cache):
         return kind
 
     area_of('TEXT_EDITOR').spaces.active.text = None
-    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or images.image is not None)
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or barrier.reached.exists())
+    yield part("fastgs_blender.training.core.settings").Settings.checkpoint_seconds + 1  # so that a checkpoint is due after this step
+    barrier.hold_at(f"step {half + 1}")
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or (barrier.reached.exists() and images.image and "left" in watch.line()))
     log = area_of('TEXT_EDITOR').spaces.active
     log.text, log.top = bpy.data.texts.get(displays.LOG), 0
     with within(area_of('IMAGE_EDITOR')):
@@ -160,6 +190,7 @@ def from_scene_to_shot(environment, cache):
         bpy.ops.fastgs.train_import('INVOKE_DEFAULT')
     so_far = yield from until(lambda: next((obj for obj in scene.objects if "fastgs_job" in obj), None))
     seen = so_far is not None and so_far.fastgs.filepath.endswith("so-far.safetensors")
+    barrier.release()
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED'))
     state = watch.found()[0][1]
     if state.kind == 'FAILED':
@@ -201,13 +232,13 @@ def from_scene_to_shot(environment, cache):
     shot("trained-f12")
     bpy.data.images["Render Result"].save_render(os.path.abspath("toy-model.png"))
     report = bpy.data.texts["FAST-GS Report"].as_string()
-    again = yield from train_again(area, settings, job)
+    again = yield from train_again(area, settings, job, barrier)
     return {"kinds": kinds, "lines": sorted(texts), "camera": camera, "matrix": [list(row) for row in model.matrix_world],
             "gaussians": model.fastgs.gaussian_count, "python": job.python, "report": report, "checked": checked, "filming": filming,
             "turned": turned, "seen": seen, "hidden": hidden, "again": again}
 
 
-def train_again(area, settings, job):
+def train_again(area, settings, job, barrier):
     """The Train button once more, into the folder of the finished run, which is begun anew: the states that the new job goes through."""
     watch = part("scene.training.watch")
     area.type = 'VIEW_3D'  # F12 has put the picture there
@@ -215,15 +246,21 @@ def train_again(area, settings, job):
     settings.out, settings.existing, settings.iterations = job.out, 'OVERWRITE', 60
     yield from sidebar(area)
     shot("train-again")
+    barrier.hold_at("step 30")
     yield from click(area, "fastgs.train", 0.8)
     kinds = []
-    for _ in range(1000):
-        new, state = watch.look()[-1]
-        if not kinds or kinds[-1] != state.kind:
-            kinds.append(state.kind)
-        if state.kind in ('FINISHED', 'FAILED'):
-            break
-        yield 0.1
+
+    def look_at():
+        kind = watch.look()[-1][1].kind
+        if kinds[-1:] != [kind]:
+            kinds.append(kind)
+        return kind
+
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or barrier.reached.exists())
+    look_at()
+    barrier.release()
+    yield from until(lambda: look_at() in ('FINISHED', 'FAILED'))
+    new, state = watch.look()[-1]
     yield from until(lambda: bpy.context.window_manager.windows[0].modal_operators or new.reported, 2)
     yield from press('ESC', area)  # the popup that tells of the end
     yield from click(area, "fastgs.train_forget", 0.81)

@@ -163,7 +163,7 @@ def _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures
                     pipe.flush()
 
                 _batch(name, read, seeds, folder, work, begin, fixed, tell)
-        except BaseException:
+        except BaseException:  # noqa: BLE001 (a forked child must not run the parent's tests)
             traceback.print_exc()
             os._exit(1)
         os._exit(0)
@@ -221,7 +221,7 @@ def _batch(name, read, seeds, folder, work, begin, fixed, tell) -> int:
             signal.setitimer(signal.ITIMER_PROF, CPU if number != UNCHANGED else CPU_OF_ATTACKS)
         try:
             text = "accepted" if _one(name, read, seeds, folder, seed, number, fixed) else "refused"
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 (any other error than FastGSError is a failure to be told of)
             place = traceback.extract_tb(error.__traceback__)[-1]
             text = (f'FASTGS_MUTATION="{name}/{seed}/{number}" {type(error).__name__}: {printable(error)[:300]} '
                     f"({Path(place.filename).name}:{place.lineno})")

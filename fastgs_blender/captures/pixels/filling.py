@@ -38,7 +38,7 @@ def fill(shots: list[Shot], scale: float, is_there: Callable[[Shot], bool], keep
                 else:
                     keep(shot, found)
                     results.put((shot, None))
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001 (handed over: fill() raises it)
             stop.set()
             results.put(error)
         finally:

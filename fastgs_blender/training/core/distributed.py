@@ -85,7 +85,7 @@ class Group:
         if self.first:
             try:
                 result = work()
-            except (Exception, KeyboardInterrupt) as raised:
+            except (Exception, KeyboardInterrupt) as raised:  # noqa: BLE001 (raised below, once all processes know of it)
                 error = raised
         text = self.share(None if error is None else str(error) or type(error).__name__)
         if error is not None:

@@ -8,10 +8,8 @@ import bpy
 import by_hand
 import numpy as np
 import pytest
+from held_runs import GUARD
 from panel_recorder import Layout
-
-PATIENCE = 240
-"""Seconds; only a guard."""
 
 
 @pytest.fixture
@@ -121,7 +119,7 @@ def test_preferences_list_and_choose_gpus(card, devices, module):
     card("")
     draw, preferences = module("ui.preferences").draw_gpus, module("scene.settings").preferences()
     devices.found()
-    devices._listing.join(PATIENCE)
+    devices._listing.join(GUARD)
 
     def lines(chosen):
         layout = Layout()

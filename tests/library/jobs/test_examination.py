@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 
 import pytest
+from held_runs import GUARD, until
 
 from fastgs_blender.jobs.examination import TRIES, Examination
-
-PATIENCE = 240
-"""Seconds; only a guard."""
 
 
 @pytest.fixture
@@ -31,22 +28,20 @@ def python(tmp_path):
 def test_a_driver_that_crashes_ends_one_process_alone(python):
     program = python("echo 'fastgs: testing Arc (1 of 2)' >&2; [ $N -lt 3 ] && kill -SEGV $$\necho '{\"devices\": [], \"auto\": null}'")
     found = Examination("ar", again=True, python=program)
-    assert found.wait(PATIENCE) and found.found == {"devices": [], "auto": None} and not found.trouble
+    assert found.wait(GUARD) and found.found == {"devices": [], "auto": None} and not found.trouble
     assert found.line == "testing Arc (1 of 2)"
     assert [call.endswith("--device ar --again") for call in python.calls()] == [True, False, False], "what crashed is not tested again"
     hopeless = Examination(python=python("kill -SEGV $$"))
-    assert hopeless.wait(PATIENCE) and hopeless.found is None and "could not be tested" in hopeless.trouble
+    assert hopeless.wait(GUARD) and hopeless.found is None and "could not be tested" in hopeless.trouble
     assert len(python.calls()) == 3 + TRIES
     gone = Examination(python="/nowhere/python")
-    assert gone.wait(PATIENCE) and "No such file" in gone.trouble
+    assert gone.wait(GUARD) and "No such file" in gone.trouble
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the program that stands for Python is a shell script")
 def test_it_can_be_stopped(python):
     running = Examination(python=python("echo 'fastgs: testing Arc (1 of 1)' >&2; exec sleep 600"))
-    began = time.monotonic()
-    while running.line != "testing Arc (1 of 1)" and time.monotonic() - began < PATIENCE:
-        running.wait(0.05)
+    until(lambda: running.line == "testing Arc (1 of 1)")
     assert not running.done
     running.stop()
     assert running.done and running.found is None and len(python.calls()) == 1
@@ -56,5 +51,5 @@ def test_it_is_the_command(tmp_path, monkeypatch):
     """The real process: no GPU has this name, so none is tested."""
     monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path))
     found = Examination("no such name")
-    assert found.wait(PATIENCE) and found.found["devices"] == [] and found.found.keys() == {"devices", "auto", "reason"}, found.trouble
+    assert found.wait(GUARD) and found.found["devices"] == [] and found.found.keys() == {"devices", "auto", "reason"}, found.trouble
     assert json.dumps(found.found)
