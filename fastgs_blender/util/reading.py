@@ -26,8 +26,9 @@ DAMAGED = "the file is damaged or of another kind, so copy or export it again"
 def reading(path: str | os.PathLike, advice: str = DAMAGED) -> Iterator[None]:
     """Turn whatever fails in the block into FastGSError that names `path`, gives the reason and ends with the advice.
 
-    A FastGSError passes through as it is: it says more.  Libraries that parse files raise nearly anything on damaged ones, which
-    is why everything but an interruption is caught here, and nowhere else.
+    A FastGSError passes through as it is: it says more.  Libraries that parse files raise nearly anything on damaged ones, so
+    everything but an interruption is caught here.  (captures/pixels/video.py also catches all that its decoder raises, because
+    decoding from the film's beginning may succeed.)
     """
     try:
         yield

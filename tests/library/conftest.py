@@ -49,3 +49,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the folder of real inputs is absent")
     return folder
+
+
+@pytest.fixture
+def run(capsys):
+    """run(*arguments): (exit code, standard output, standard error) of fastgs."""
+    from fastgs_blender import cli
+
+    def run(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        return code, *capsys.readouterr()
+
+    return run

@@ -18,6 +18,7 @@ DOORS = {
     "fastgs_blender/jobs/child.py": "starts the command line in a process of its own",
 }
 """Modules that load another by its name, against the order, and why.  They are no exception from the rule against circles."""
+BACKENDS = ("fastgs_blender/kernels/cpu/", "fastgs_blender/kernels/gpu/")
 BACKEND_USERS = {
     "fastgs_blender/captures/pixels/framefiles.py": {"cache"},  # decoded frames are kept beside compiled kernels
     "fastgs_blender/formats/lz4.py": {"jit"},  # unpacks byte by byte, which Python alone is too slow for
@@ -52,7 +53,7 @@ def beside_the_protocol(path: str, source: str, files: dict[str, str]) -> set[st
     """A backend's own modules that a module outside kernels/ imports, and that BACKEND_USERS does not allow it."""
     if path.startswith("fastgs_blender/kernels/") or path in DOORS:
         return set()
-    used = {other for other in targets(path, source, files) if other.startswith("fastgs_blender/kernels/cpu/")}
+    used = {other for other in targets(path, source, files) if other.startswith(BACKENDS)}
     return {f"{path}: {other}" for other in used if PurePosixPath(other).stem not in BACKEND_USERS.get(path, ())}
 
 
@@ -87,7 +88,8 @@ def test_imports_and_operators_follow_the_order(files):
 def test_a_backend_is_reached_through_its_protocol_alone(files):
     assert not set().union(*(beside_the_protocol(path, source, files) for path, source in files.items()))
     for path, source in (("fastgs_blender/training/core/a.py", "def f():\n    from ...kernels.cpu import loss"),
-                         ("engine/a.py", "from ..fastgs_blender.kernels.cpu.backend import BACKEND")):
+                         ("engine/a.py", "from ..fastgs_blender.kernels.cpu.backend import BACKEND"),
+                         ("fastgs_blender/training/core/a.py", "from ...kernels.gpu import lists")):
         assert beside_the_protocol(path, source, {**files, path: source})
 
 

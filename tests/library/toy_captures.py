@@ -88,6 +88,15 @@ def toy_capture(frames: int = 6, views: int = 5, mask: bool = False):
 def write_capture(folder: Path, frames: int = 6, views: int = 5) -> Path:
     """The same capture as files as a FAST-GS capture."""
     capture, store, points = toy_capture(frames, views)
+    write_shots(folder, capture, store)
+    rows = "".join("{:.6f} {:.6f} {:.6f} {} {} {}\n".format(*p, *np.uint8(np.clip(c, 0, 1) * 255)) for p, c in zip(points.xyz, points.rgb))
+    header = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    (folder / "points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{header}end_header\n{rows}", "utf-8")
+    return folder
+
+
+def write_shots(folder: Path, capture: Capture, store: MemoryStore) -> None:
+    """The pictures and cameras of a capture as files of a FAST-GS capture."""
     cameras = []
     for shot in capture.at_frame(0):
         c = shot.camera
@@ -98,9 +107,5 @@ def write_capture(folder: Path, frames: int = 6, views: int = 5) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.uint8(np.round(store.pixels(shot).rgb * 255))).save(path)
     (folder / "cameras.json").write_text(json.dumps({
-        "format": "fast-gs capture", "version": 1, "fps": 24, "start_frame": 1, "frame_count": frames, "axes": "RDF", "held_out": ["cam00"],
-        "cameras": cameras}), "utf-8")
-    rows = "".join("{:.6f} {:.6f} {:.6f} {} {} {}\n".format(*p, *np.uint8(np.clip(c, 0, 1) * 255)) for p, c in zip(points.xyz, points.rgb))
-    header = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
-    (folder / "points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{header}end_header\n{rows}", "utf-8")
-    return folder
+        "format": "fast-gs capture", "version": 1, "fps": 24, "start_frame": 1, "frame_count": capture.clip.frame_count, "axes": "RDF",
+        "held_out": ["cam00"], "cameras": cameras}), "utf-8")

@@ -2,14 +2,12 @@
 """A small capture whose cameras are neither genlocked nor equally exposed, with the truth known."""
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
-from toy_captures import MemoryStore, Pixels, toy_cameras, toy_scene
+from toy_captures import MemoryStore, Pixels, toy_cameras, toy_scene, write_shots
 
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Capture, Points, Shot
@@ -48,16 +46,5 @@ def write_uneven(folder: Path, frames: int, views: int, offsets: Mapping[str, fl
                  speed: float = 1.0) -> Path:
     """The same as files of a FAST-GS capture."""
     capture, store, _ = uneven_capture(frames, views, offsets, gains, speed)
-    cameras = []
-    for shot in capture.at_frame(0):
-        c = shot.camera
-        cameras.append({"name": shot.view, "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
-                        "world_to_camera": c.world_to_camera.tolist()})
-    for shot in capture.shots:
-        path = folder / shot.view / f"{shot.frame + 1:04d}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.uint8(np.round(store.pixels(shot).rgb * 255))).save(path)
-    (folder / "cameras.json").write_text(json.dumps({
-        "format": "fast-gs capture", "version": 1, "fps": 24, "start_frame": 1, "frame_count": frames, "axes": "RDF", "held_out": ["cam00"],
-        "cameras": cameras}), "utf-8")
+    write_shots(folder, capture, store)
     return folder

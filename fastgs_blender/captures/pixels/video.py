@@ -138,7 +138,7 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
                 want = next(left, None)
                 if want is None:
                     return
-        except Exception as error:  # the decoder's: whatever it is, the frame cannot be had this way
+        except Exception as error:  # a decoder raises anything on damaged films; frames() then decodes from the beginning
             if from_start:
                 raise _undecodable(path, want) from error
     if from_start:

@@ -12,25 +12,12 @@ import pytest
 from PIL import Image
 from toy_captures import write_capture
 
-from fastgs_blender import cli
-
 ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
 def capture(tmp_path):
     return write_capture(tmp_path / "capture")
-
-
-@pytest.fixture
-def run(capsys):
-    """run(*arguments): (exit code, standard output, standard error) of fastgs."""
-
-    def run(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_for_people(run, capture):

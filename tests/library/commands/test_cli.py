@@ -34,17 +34,6 @@ def file(model, tmp_path):
     return path
 
 
-@pytest.fixture
-def run(capsys):
-    """run(*arguments): (exit code, standard output, standard error) of fastgs."""
-
-    def run(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        return code, *capsys.readouterr()
-
-    return run
-
-
 def test_help_and_version_import_nothing_heavy():
     program = """
 import sys
