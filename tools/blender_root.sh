@@ -17,7 +17,7 @@ roots=${FASTGS_BLENDER_ROOTS:-${XDG_CACHE_HOME:-$HOME/.cache}/fastgs-blender/roo
 # Debian's blender names only what it links; its add-ons import the Python modules.
 packages=(
     blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
-    python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
+    mesa-vulkan-drivers python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
 )
 recipe=1  # to be raised when something below changes what is in a root
 digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)

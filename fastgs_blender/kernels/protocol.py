@@ -2,8 +2,9 @@
 """The interface of a backend: all operations that rendering, viewports, training and its preparation call.
 
 Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
-them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a training
-step but a few numbers at its end, with one read(), and the pictures of steps that look at how cameras differ (training/core/evening.py).
+them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a
+training step but a few numbers, which end_step() need not wait for, and the pictures of steps that look at how cameras differ
+(training/core/evening.py).
 
 Rendering and viewports use PictureBackend, which the oracle (rendering/oracle.py) implements too; training uses TrainingBackend.
 Same inputs, same bytes: on one device, for any number of threads, without atomic sums of floats.
@@ -143,6 +144,9 @@ class TrainingBackend(PictureBackend, Protocol):
     def read(self, *arrays: Array) -> list[np.ndarray]:
         """The values of several small arrays at once."""
 
+    def picture(self, rgb: np.ndarray, stored: np.ndarray | None) -> Array:
+        """A target [h, w, 3] float32 for compare(); stored: the same as uint8, in 255ths, where there is such a one: less to upload."""
+
     # one view, forward and backward
 
     def splat(self, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
@@ -178,12 +182,15 @@ class TrainingBackend(PictureBackend, Protocol):
 
     # one step
 
-    def begin_step(self) -> None:
-        """From here to end_step() the backend may guess how large the things are that splat() makes, so that it need not wait for them."""
+    def begin_step(self) -> int:
+        """From here to end_step() the backend may guess how large the things are that splat() makes, so that it need not wait for them.
+        Returns how many further steps had better begin before this one's end is asked for."""
 
-    def end_step(self, *arrays: Array) -> list[np.ndarray] | None:
-        """read(), the one time that a step waits for the device.  None where a guess was wrong: backward() has then left the statistics,
-        and adam() everything, as they were, and the step has to be taken again.  All splat() of a step come before its first backward()."""
+    def end_step(self, *arrays: Array) -> Callable[[], list[np.ndarray] | None]:
+        """A function that gives read() of the arrays and waits for the device as far as it has to; further steps may begin before it is
+        called.  It gives None where a guess was wrong: this step and those after it have then left the statistics, the parameters and
+        Adam's moments as they were, and have to be taken again.  The functions are called in the order of their steps; after None those
+        that were made before are not called any more.  All splat() of a step come before its first backward()."""
 
     def rows(self, seen: Array) -> Rows:
         """The Gaussians whose value in seen [N] is not 0."""

@@ -3,58 +3,21 @@
 from __future__ import annotations
 
 import os
-from importlib import import_module
 
 import addon_utils
 import bpy
 from background import ADDON, look
 from held_runs import Barrier
 from mathutils import Euler
+from on_gpu import build, part
 from window import area_of, f12, press, settled, shot, sidebar, until, within
 
 
-def part(name):
-    """A module of the extension."""
-    return import_module(f"{ADDON}.{name}")
-
-
-def matter(name, colour):
-    """A material of one colour."""
-    material = bpy.data.materials.new(name)
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*colour, 1)
-    return material
-
-
 def toy():
-    """A head that turns and rises over a plate, for six frames; saved beside the tests."""
+    """on_gpu.build() in a window."""
     bpy.ops.wm.read_homefile(use_empty=True)
-    scene = bpy.context.scene
-    scene.frame_start, scene.frame_end = 1, 6
-    scene.render.engine = 'CYCLES'
-    scene.cycles.use_denoising = False  # not every build can
-    scene.view_settings.view_transform = 'Standard'
     with within(area_of()):
-        bpy.ops.mesh.primitive_cylinder_add(radius=1.5, depth=0.2, location=(0, 0, -0.1), vertices=48)
-        bpy.context.object.data.materials.append(matter("Plate", (0.1, 0.3, 0.5)))
-        bpy.ops.mesh.primitive_monkey_add(size=1.6)
-        head = bpy.context.object
-        head.data.materials.append(matter("Head", (0.9, 0.4, 0.1)))
-        bpy.ops.object.shade_smooth()
-        for frame, turn, height in ((1, -0.5, 0.9), (6, 0.4, 1.2)):
-            head.rotation_euler.z, head.location.z = turn, height
-            head.keyframe_insert("rotation_euler", frame=frame)
-            head.keyframe_insert("location", frame=frame)
-        bpy.ops.object.light_add(type='SUN', rotation=(0.6, 0.2, 0.3))
-        bpy.context.object.data.energy = 2.5
-    scene.world = bpy.data.worlds.new("World")
-    scene.world.color = (0.05, 0.05, 0.05)
-    look(scene, 320, 240, eye=(2.4, -3.4, 2.4), target=(0, 0, 0.6), lens=40)
-    scene.render.film_transparent = False
-    scene.camera.data.display_size = 0.3
-    bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath("toy.blend"))
-    return scene
+        return build()
 
 
 def set_the_table():

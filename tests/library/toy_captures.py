@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Capture, Points, Shot
+from fastgs_blender.captures.pixels.store import Pixels
 
 SIZE = (48, 36)
 
@@ -43,14 +43,6 @@ def toy_cameras(views: int) -> list[fg.Camera]:
         matrix[2, 3] = 4.0
         cameras.append(fg.Camera(*SIZE, 45.0, 45.0, SIZE[0] / 2, SIZE[1] / 2, matrix))
     return cameras
-
-
-@dataclass(frozen=True, eq=False)
-class Pixels:
-    rgb: np.ndarray
-    mask: np.ndarray | None = None
-    valid: np.ndarray | None = None
-    alpha: np.ndarray | None = None
 
 
 class MemoryStore:

@@ -37,12 +37,14 @@ MOST_THREADS = 8
 class Pixels:
     """rgb [h, w, 3] float32 in 0..1, display sRGB, straight; mask [h, w] float32 in 0..1 (alpha channel x mask file) or None;
     valid [h, w] bool, False where the lens has no picture, or None: it has one everywhere;
-    alpha [h, w] float32, the picture's own where there is a mask file besides, or None."""
+    alpha [h, w] float32, the picture's own where there is a mask file besides, or None;
+    stored [h, w, 3] uint8, what rgb is 255ths of, or None: other numbers."""
 
     rgb: np.ndarray
     mask: np.ndarray | None = None
     valid: np.ndarray | None = None
     alpha: np.ndarray | None = None
+    stored: np.ndarray | None = None
 
 
 class FrameStore:
@@ -115,7 +117,7 @@ class FrameStore:
         most = np.float32(255 if stored.dtype == np.uint8 else 65535)
         rgb = stored[..., :3] / most
         mask, alpha = (stored[..., k] / most if stored.shape[2] > k else None for k in (3, 4))
-        return Pixels(rgb, mask, self._valid_of(shot), alpha)
+        return Pixels(rgb, mask, self._valid_of(shot), alpha, stored[..., :3] if stored.dtype == np.uint8 else None)
 
     def stored(self, shot: Shot) -> np.ndarray:
         """The pixels [h, w, 3 to 5] as they are kept: uint8 or uint16, not to be written to."""

@@ -115,6 +115,9 @@ class GPU(CPU):
     def read(self, *arrays):
         return self.device.read_all(arrays)
 
+    def picture(self, rgb, stored):
+        return self.device.array(rgb) if stored is None else training.picture(self.device, stored)
+
     def splat(self, parameters, template, camera, t, depth=False, band=0.0):
         return training.splat(self.device, parameters, template, camera, t, depth, band)
 
@@ -125,7 +128,7 @@ class GPU(CPU):
         return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)
 
     def begin_step(self):
-        steps.begin(self.device)
+        return steps.begin(self.device)
 
     def end_step(self, *arrays):
         return steps.end(self.device, arrays)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -150,6 +151,11 @@ class Device:
         usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
         return self._try(lambda: self.native.create_buffer(size=size, usage=usage))
 
+    def _mappable(self, size: int):
+        import wgpu
+
+        return self.native.create_buffer(size=size, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST)
+
     def take_back(self, buffer: Buffer, most: int = SPARE) -> None:
         """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (An argument, because buffers may outlive this module's
         names when Python ends.)"""
@@ -204,15 +210,27 @@ class Device:
         data = self._try(lambda: self.native.queue.read_buffer(buffer.native, 4 * begin, 4 * count))
         return np.frombuffer(data, dtype, count)
 
-    def read_all(self, arrays: list[Array]) -> list[np.ndarray]:
-        """The values of several small arrays at once, which are no columns of others."""
+    def read_later(self, arrays: list[Array]) -> Callable[[], list[np.ndarray]]:
+        """A function that gives the values that several small arrays, no columns of others, have now: it waits only as far as the GPU has
+        not come to this place yet."""
         sizes = [math.prod(array.shape) for array in arrays]
-        together, at = self.buffer(sum(sizes)), 0
-        for array, size in zip(arrays, sizes):
-            self.copy(array.buffer, together, size, 0, at)
-            at += size
-        values = np.split(self.read(together, np.uint32, sum(sizes)), np.cumsum(sizes)[:-1])
-        return [part.view(stored(array.dtype)).reshape(array.shape).astype(array.dtype) for part, array in zip(values, arrays)]
+        coming = Buffer(self, self._try(lambda: self._mappable(4 * max(sum(sizes), 1))), SPARE + 1)  # never kept
+        for array, at, size in zip(arrays, np.cumsum([0, *sizes]).tolist(), sizes):
+            self.copy(array.buffer, coming, size, 0, at)
+        self.submit()
+        mapping = self._try(lambda: coming.native.map_async("READ"))
+
+        def arrive():
+            self._try(mapping.sync_wait)
+            values = np.frombuffer(self._try(coming.native.read_mapped), np.uint32)
+            parts = np.split(values[:sum(sizes)], np.cumsum(sizes)[:-1])
+            return [part.view(stored(array.dtype)).reshape(array.shape).astype(array.dtype) for part, array in zip(parts, arrays)]
+
+        return arrive
+
+    def read_all(self, arrays: list[Array]) -> list[np.ndarray]:
+        """The values of several small arrays at once, which are no columns of others; waits for all work."""
+        return self.read_later(arrays)()
 
     # work
 

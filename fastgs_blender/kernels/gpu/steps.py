@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,9 @@ from ..protocol import MotionNorm
 from .device import Array, Device
 from .lists import room_for
 from .training import total
+
+AHEAD = 8
+"""Steps that a GPU may have before it when the values of the first are asked for: by then they are there."""
 
 
 def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
@@ -64,7 +68,7 @@ def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) 
     n = len_(parameters["opacity"])
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
     device.run("shake", n, [[n, *seeds, 0], [reach, GATE, SHARPNESS, NEGLIGIBLE]], parameters["opacity"], parameters["rotation"],
-               parameters["scale"], parameters["position"])
+               parameters["scale"], parameters["position"], device.spilled)
 
 
 def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
@@ -81,22 +85,28 @@ def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved
     device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, device.spilled)
 
 
-def begin(device: Device) -> None:
+def begin(device: Device) -> int:
     """TrainingBackend.begin_step()."""
     device.guessing = True
+    return AHEAD
 
 
-def end(device: Device, arrays) -> list[np.ndarray] | None:
+def end(device: Device, arrays) -> Callable[[], list[np.ndarray] | None]:
     """TrainingBackend.end_step()."""
     device.guessing = False
-    rooms = list(device.rooms.values())
-    *found, spilled = device.read_all([*arrays, *(room.longest for room in rooms), device.spilled])
-    for room, longest in zip(rooms, found[len(arrays):]):
-        room.entries = max(room.entries, room_for(int(longest[0])))
-    if not spilled[0]:
-        return found[:len(arrays)]
-    device.clear(device.spilled.buffer)
-    return None
+    rooms, count = list(device.rooms.values()), len(arrays)
+    arrive = device.read_later([*arrays, *(room.longest for room in rooms), device.spilled])
+
+    def values():
+        *found, spilled = arrive()
+        for room, longest in zip(rooms, found[count:]):
+            room.entries = max(room.entries, room_for(int(longest[0])))
+        if not spilled[0]:
+            return found[:count]
+        device.clear(device.spilled.buffer)  # the steps that have been begun meanwhile came before this, and did nothing
+        return None
+
+    return values
 
 
 @cache

@@ -93,6 +93,15 @@ def _decoded(device: Device, band: Band, layout: Layout, camera: Camera, matrice
     return rgb
 
 
+def picture(device: Device, stored: np.ndarray) -> Array:
+    """TrainingBackend.picture() of bytes."""
+    words = np.pad(stored.ravel(), (0, -stored.size % 4)).view(np.uint32)
+    packed, out = device.buffer(len(words)), device.empty(stored.shape)
+    device.write(packed, words)
+    device.run("bytes", stored.size, [[stored.size, 0, 0, 0]], packed, out)
+    return out
+
+
 def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
             share: float) -> Comparison:
     """TrainingBackend.compare()."""

@@ -121,7 +121,7 @@ class Evening:
         rgb, valid = self.seen_as(shot.view, pixels.rgb), pixels.valid
         if (rgb.mean() < pixels.rgb.mean()) and (full := pixels.rgb.max(-1) > CLIPPED).any():
             valid = ~full if valid is None else valid & ~full
-        return replace(pixels, rgb=rgb, valid=valid)
+        return replace(pixels, rgb=rgb, valid=valid, stored=None)
 
     def seen_as(self, view: str, rgb: np.ndarray) -> np.ndarray:
         """Colours [..., 3] of a view's pictures as the model has them."""

@@ -14,11 +14,13 @@ FIXED = {"black": 0.0, "white": 1.0}
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """rgb [h, w, 3] over `background`; weight [h, w] or None; opaque: the picture shows something in every pixel."""
+    """rgb [h, w, 3] over `background`; stored: the same as uint8, in 255ths, where it is one of the files' own pictures; weight [h, w] or
+    None; opaque: the picture shows something in every pixel."""
 
     camera: Camera
     t: float
     rgb: np.ndarray
+    stored: np.ndarray | None
     weight: np.ndarray | None
     background: np.ndarray | None
     opaque: bool
@@ -64,6 +66,7 @@ def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
         inside = smaller(pixels.valid.astype(np.float32), reduction)
         weight = inside if weight is None else weight * inside
     return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
+                  pixels.stored if reduction == 1 and cover is None else None,
                   None if weight is None else np.ascontiguousarray(weight, np.float32),
                   background if background is not None and background.any() else None, cover is None and use in ("off", "weight"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +48,7 @@ class Trainer:
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
-        self.iteration, self._ahead = 0, (-1, [])
+        self.iteration, self._ahead, self._begun = 0, (-1, []), deque()
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
@@ -74,33 +75,65 @@ class Trainer:
         return len(self.optimiser)
 
     def step(self) -> dict:
-        """One step; returns its values for the log."""
+        """One step, to its end; returns its values for the log."""
+        goal, found = self.iteration + 1, []
+        while self.iteration < goal:
+            found = self.advance() + self.settle()
+        return found[-1]
+
+    def advance(self) -> list[dict]:
+        """Begin the next step, and finish those that began some steps ago, or all where this one needs that; returns the values for the
+        log of those that are finished.  Where one of them has to be taken again, `iteration` goes back to it."""
         s, i = self.settings, self.iteration
+        guess = self.group.size == 1 and not self.evening.looks(i, s.iterations)
+        done = [] if guess else self.settle()  # what others are sent, or is learnt, has to be right at once
+        if self.iteration < i:
+            return done
+        ahead = self.backend.begin_step() if guess else 0
         rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis)
         rates |= dict.fromkeys(self.fixed, 0.0)
-        found = None
-        while found is None:
-            found = self._attempt(rates)
-        drawn, penalty, *values = found
+        self._begun.append((i, len(self), self._begin(rates)))
         self.iteration += 1
+        acts = self.strategy.acts(self.iteration)
+        done += self.settle(0 if acts else ahead)
+        if self.iteration == i + 1:
+            self._control_density(rates)
+            if acts:
+                done[-1]["gaussians"] = len(self)
+        return done
+
+    def settle(self, keep: int = 0) -> list[dict]:
+        """Finish the steps that have begun, but for the last `keep`; otherwise as advance()."""
+        done = []
+        while len(self._begun) > keep:
+            i, count, ending = self._begun.popleft()
+            found = ending()
+            if found is None:
+                self.optimiser.steps -= 1 + len(self._begun)
+                self.iteration = i
+                self._begun.clear()
+            else:
+                done.append(self._values(i, count, *found))
+        return done
+
+    def _values(self, i: int, count: int, drawn, penalty, *values) -> dict:
+        """The values for the log of step i, with so many Gaussians; what _begin() gave."""
+        s = self.settings
         loss, l1, ssim, error = (float(value) for value in np.sum(values, 0) / (s.batch * self.group.size))
         if not np.isfinite(loss):
-            raise FastGSError(f"training diverged at step {self.iteration}: the loss is no number; use lower learning rates.")
-        self._control_density(rates)
+            raise FastGSError(f"training diverged at step {i + 1}: the loss is no number; use lower learning rates.")
         penalty = s.motion_weight * float(penalty[0])
-        return {"iteration": self.iteration, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
-                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": len(self), "seen": int(drawn[0]),
+        return {"iteration": i + 1, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
+                "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": count, "seen": int(drawn[0]),
                 "reduction": schedule.reduction(s, i)}
 
-    def _attempt(self, rates):
-        """The views of a step, forward and backward, and Adam's; returns (number of the Gaussians seen, motion penalty, values of each
-        view), None where the backend wants it taken again."""
+    def _begin(self, rates):
+        """The views of a step, forward and backward, and Adam's; returns what end_step() gives for the number of the Gaussians seen, the
+        motion penalty and the values of each view."""
         s, i, group, backend, n = self.settings, self.iteration, self.group, self.backend, len(self)
         statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
         seen, gradients, views = backend.zeros((n,)), None, []
         learnt = self.evening.nothing() if self.evening.looks(i, s.iterations) else None
-        if group.size == 1 and learnt is None:  # what others are sent, or is learnt, has to be right at once
-            backend.begin_step()
         for shot, goal, rgb, weight in self._targets(i):
             picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
             difference = backend.compare(picture, rgb, weight, goal.background, s.dssim, s.opaque_weight if goal.opaque else 0.0,
@@ -120,13 +153,10 @@ class Trainer:
         rows = backend.rows(seen)
         penalty = self._penalise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
-        last = backend.count(rows), penalty, *values
+        ending = backend.end_step(backend.count(rows), penalty, *values)
         if i + 1 < s.iterations:
             self._targets(i + 1)  # while the device works
-        found = backend.end_step(*last)
-        if found is None:
-            self.optimiser.steps -= 1
-        return found
+        return ending
 
     def _targets(self, i: int) -> list[tuple]:
         """This process' (shot, Target, its colours, its weight or None) of a step, the arrays on the backend; one step's are kept."""
@@ -136,7 +166,7 @@ class Trainer:
             for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
                 shot = self.shots[chosen[place]]
                 goal = replace(target(self.capture, store, shot, s, reduction, i, place), t=self.evening.moment(shot))
-                found.append((shot, goal, array(goal.rgb), None if goal.weight is None else array(goal.weight)))
+                found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), None if goal.weight is None else array(goal.weight)))
             self._ahead = i, found
         return self._ahead[1]
 
@@ -230,6 +260,7 @@ class Trainer:
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.evening.restore(part("evening"))
         self._ahead = -1, []
+        self._begun.clear()
 
 
 def measure(model, capture, store, settings, shots, backend: str = "cpu", fit_colours: bool = False):
@@ -274,18 +305,28 @@ def run(trainer: Trainer, reporter, save, stop, preview=(), before: int = 0) -> 
     s = trainer.settings
     saved = time.monotonic()
     pause = s.checkpoint_seconds
+
+    def report(finished):
+        for values in finished:
+            reporter.step({**values, "iteration": before + values["iteration"]})
+
     while trainer.iteration < s.iterations:
-        values = trainer.step()
-        reporter.step({**values, "iteration": before + values["iteration"]})
+        report(trainer.advance())
         i = trainer.iteration
-        if preview and trainer.group.first and s.preview_every and (i % s.preview_every == 0 or i == s.iterations):
+        stopped = _agreed(trainer.group, stop())
+        last = stopped or i == s.iterations
+        look = preview and trainer.group.first and s.preview_every and (i % s.preview_every == 0 or i == s.iterations)
+        keep = trainer.group.first and (last or time.monotonic() - saved > pause)
+        if look or keep or last:
+            report(trainer.settle())
+            if trainer.iteration < i:
+                continue
+        if look:
             whole, part, pictures = trainer.measure(preview)
             kind = "held_out" if preview[0].held_out else "preview"
             measured = {f"{kind}_psnr": whole} | ({} if part is None else {f"{kind}_foreground_psnr": part})
             reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
-        stopped = _agreed(trainer.group, stop())
-        last = stopped or i == s.iterations
-        if trainer.group.first and (last or time.monotonic() - saved > pause):
+        if keep:
             began = time.monotonic()
             save(last)
             saved = time.monotonic()

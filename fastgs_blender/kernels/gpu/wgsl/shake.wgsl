@@ -13,6 +13,7 @@ struct Job {
 @group(0) @binding(2) var<storage, read> rotation: array<f32>;
 @group(0) @binding(3) var<storage, read> scale: array<f32>;
 @group(0) @binding(4) var<storage, read_write> position: array<f32>;
+@group(0) @binding(5) var<storage, read> spilled: array<u32>; // not 0: the step has to be taken again
 
 fn pcg(x: u32) -> u32 {
     let state = x * 747796405u + 2891336453u;
@@ -23,7 +24,7 @@ fn pcg(x: u32) -> u32 {
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let row = place(group, groups) * 256u + lane;
-    if row >= job.size.x {
+    if row >= job.size.x || spilled[0] != 0u {
         return;
     }
     let o = 1.0 / (1.0 + exp(-opacity[row]));
