@@ -80,6 +80,8 @@ class FakeBackend:
         if name in ("numpy", "read", "end_step"):
             assert all(isinstance(array, Buffer) for array in args), "what is no array of the backend was read from it"
             copies = [array._values.copy() for array in args]
+            if name == "end_step":
+                return lambda: copies
             return copies[0] if name == "numpy" else copies
         result = getattr(load_backend("cpu"), name)(*unwrapped(args), **unwrapped(options))
         return result if name in ON_HOST else wrapped(result)
