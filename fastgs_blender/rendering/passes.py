@@ -93,6 +93,11 @@ class Blended:
         """A quantity's mean over what covers each pixel, weighted by how much each splat is seen; 0 where alpha is 0."""
         return np.divide(self.sums[name], self.alpha[..., None], out=np.zeros_like(self.sums[name]), where=self.alpha[..., None] > 0)
 
+    def at_pixels(self, name: str) -> np.ndarray:
+        """The same of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3]."""
+        (a, b, c), (x, y) = np.split(self.mean(name), 3, -1), self.camera.from_middle()
+        return a + b * x[:, None] + c * y[:, None, None]
+
 
 @dataclass(frozen=True)
 class Pass:
@@ -158,8 +163,7 @@ class Pass:
 
 
 def _expected_depth(blended: Blended) -> np.ndarray:
-    depth, (x, y) = blended.mean("plane"), blended.camera.from_middle()
-    return np.where(blended.alpha > 0, depth[..., 0] + depth[..., 1] * x + depth[..., 2] * y[:, None], np.inf)
+    return np.where(blended.alpha > 0, blended.at_pixels("plane")[..., 0], np.inf)
 
 
 def _position(blended: Blended) -> np.ndarray:
@@ -230,7 +234,7 @@ PASSES = {entry.name: entry for entry in (
     Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
          blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", look=false_colour.directions,
          shows="Red, green and blue are x, y and z; -1 is dark, 1 is bright"),
-    Pass("vector", lambda b: b.mean("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
+    Pass("vector", lambda b: b.at_pixels("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
          blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", look=false_colour.motion,
          shows="The hue is the direction of motion to the next frame, the brightness its speed"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",

@@ -16,6 +16,10 @@ from ..util import rotations
 from .instances import LIMIT, Instance, Moment, ViewedInstance
 
 
+THIN = 1e-3
+"""Variance in pixels^2 that a Gaussian at least has when its motion is told apart along its width: seen edge-on it has none."""
+
+
 class Shown:
     """The M Gaussians `index` of an instance before its camera, at its time.  What is asked for is computed then, in float64."""
 
@@ -43,19 +47,33 @@ class Shown:
 
         As a normal it is transformed by the inverse of the placement's transpose.
         """
-        model, i, placement = self.instance.model, self.index, self.instance.placement[:3, :3]
-        turn, _ = model.rotation_basis.evaluate(model.rotation_motion[i], self.instance.t, model.mu_tau[i].astype(np.float64))
-        axes = rotations.to_matrices(rotations.unit(model.rotation[i] + turn))
-        shortest = np.take_along_axis(axes, model.scale[i].argmin(1)[:, None, None], 2)[..., 0]
+        model, placement = self.instance.model, self.instance.placement[:3, :3]
+        axes = self._axes_at(self.instance.t, model)
+        shortest = np.take_along_axis(axes, model.scale[self.index].argmin(1)[:, None, None], 2)[..., 0]
         normal = shortest @ np.linalg.pinv(placement)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         camera_to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
         forward = camera_to_world[:3, 2] if self.instance.camera.orthographic else self.world - camera_to_world[:3, 3]
         return np.where((normal * forward).sum(1, keepdims=True) > 0, -normal, normal)
 
-    def pixels(self, instance: ViewedInstance) -> np.ndarray:
-        """[M, 2] where the same Gaussians of another instance of the model lie in its camera's picture."""
-        return instance.camera.pixels(_transformed(instance.model_to_camera, self._position_at(instance.t, instance.model)))
+    def pixels(self, instance: ViewedInstance) -> tuple[np.ndarray, np.ndarray]:
+        """The same Gaussians of another instance of the model in its camera's picture: their centres [M, 2], and their standard deviations
+        along their own axes [M, 2, 3], in pixels."""
+        camera, to_camera = instance.camera, instance.model_to_camera
+        view = _transformed(to_camera, self._position_at(instance.t, instance.model))
+        scale = np.exp(instance.model.scale[self.index].astype(np.float64))[:, None]
+        spread = to_camera[:3, :3] @ (self._axes_at(instance.t, instance.model) * scale)
+        flat = spread[:, :2]
+        if not camera.orthographic:
+            depth = np.where(view[:, 2] > 0, view[:, 2], np.nan)[:, None, None]
+            flat = (flat - view[:, :2, None] / depth * spread[:, 2:]) / depth
+        return camera.pixels(view), flat * np.array([[camera.fx], [camera.fy]])
+
+    def _axes_at(self, t: float, model: GaussianModel) -> np.ndarray:
+        """Each Gaussian's axes in the model's space, as columns [M, 3, 3]."""
+        i = self.index
+        turn, _ = model.rotation_basis.evaluate(model.rotation_motion[i], t, model.mu_tau[i].astype(np.float64))
+        return rotations.to_matrices(rotations.unit(model.rotation[i] + turn))
 
     def _position_at(self, t: float, model: GaussianModel) -> np.ndarray:
         i = self.index
@@ -104,15 +122,28 @@ def vector(instances: list[ViewedInstance], before: Moment | None, after: Moment
 
     The places at the other frames come from the model's motion as a function of time, at those very times, and from the moments'
     placements and cameras.  Without moments, cameras and placements stand still and the time moves by a frame of each model's clip.
+
+    A Gaussian that turns, or grows in the picture, moves differently at each of its pixels, so its vector is a plane, as its depth is
+    (oracle.plane): 12 numbers a, b, c of four each, with which it is a + b x + c y, x and y counted from the image's middle.
     """
     moved = {instance: (_moved(instance, before, -1), _moved(instance, after, 1)) for instance in instances}
 
     def values(shown: Shown) -> np.ndarray:
-        previous, following = (shown.pixels(other) for other in moved[shown.instance])
-        now = shown.pixels(shown.instance)
-        return np.concatenate([previous - now, now - following], 1) * [1, -1, 1, -1]
+        now, spread = shown.pixels(shown.instance)
+        (xx, xy), (_, yy) = np.einsum("mik,mjk->ijm", spread, spread) + THIN * np.eye(2)[..., None]
+        towards = np.stack([np.stack([yy, -xy], -1), np.stack([-xy, xx], -1)], 1) / (xx * yy - xy * xy)[:, None, None]
+        towards = np.einsum("mik,mij->mkj", spread, towards)  # from pixels to the Gaussian's own axes
+        shift, slope = np.empty((len(now), 4)), np.empty((len(now), 4, 2))
+        for i, other in enumerate(moved[shown.instance]):
+            there, wide = shown.pixels(other)
+            sign = (1 - 2 * i) * np.array([1, -1])
+            shift[:, 2 * i:2 * i + 2] = sign * (there - now)
+            slope[:, 2 * i:2 * i + 2] = sign[:, None] * np.einsum("mik,mkj->mij", wide - spread, towards)
+        camera = shown.instance.camera
+        shift -= np.einsum("mck,mk->mc", slope, now - np.array([camera.width, camera.height]) / 2)
+        return np.concatenate([shift, slope[..., 0], slope[..., 1]], 1)
 
-    return Quantity(4, values)
+    return Quantity(12, values)
 
 
 def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> ViewedInstance:

@@ -92,7 +92,7 @@ def test_position_and_normal_are_in_the_world(backend):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_vectors_have_blenders_sign(backend):
     """The model moves right and the object down between frames, the camera not: previous minus here, here minus next, y up."""
-    model = sheet(4.0, basis=fg.Polynomial(1), motion=np.array([[[0.4, 0, 0]]]), clip=fg.Clip(4), scale=np.log([[1, 1, 1]]))
+    model = sheet(4.0, basis=fg.Polynomial(1), motion=np.array([[[0.4, 0, 0]]]), clip=fg.Clip(4), scale=np.log([[1, 1, 1e-3]]))
     here = of(model, t=0.25, place="it")
     settings = PassSettings(before=Moment({"it": of(model, placement=moved(y=-0.2), t=0.0)}, CAMERA),
                             after=Moment({"it": of(model, placement=moved(y=0.5), t=0.5)}, CAMERA))
@@ -104,6 +104,31 @@ def test_vectors_have_blenders_sign(backend):
     turned = replace(CAMERA, cx=20)  # the camera's picture moves, the object is not there in the frame after: it stands still
     out = fg.render([here], CAMERA, passes=("vector",), backend=backend, settings=PassSettings(after=Moment({}, turned)))
     np.testing.assert_allclose(out["vector"][12, 16], [-shift, 0, -4, 0], atol=1e-4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turning_gaussian_moves_differently_at_each_of_its_pixels(backend, axis):
+    """One disc that turns about each axis of the camera: every pixel's vector is that of the point of the disc that the pixel shows."""
+    camera, angle, tilt = fg.Camera(64, 48, 60, 60, 32, 24, np.eye(4)), 0.05, np.array([0.94, 0.24, 0.24, 0.0])
+    model = sheet(0.0, rotation=[tilt], scale=np.log([[0.25, 0.2, 1e-4]]))
+
+    def turned(frames):
+        a, (i, j) = frames * angle, [each for each in range(3) if each != axis]
+        matrix = moved(0.3, -0.2, 4.0)
+        matrix[[i, i, j, j], [i, j, i, j]] = np.cos(a), -np.sin(a), np.sin(a), np.cos(a)
+        return matrix
+
+    here, before, after = (of(model, placement=turned(frames), place="it") for frames in (0, -1, 1))
+    settings = PassSettings(before=Moment({"it": before}, camera), after=Moment({"it": after}, camera))
+    out = fg.render([here], camera, passes=("alpha", "vector", "position"), backend=backend, settings=settings)
+    solid = out["alpha"] > 0.3
+    assert solid.sum() > 40
+    shown = np.c_[out["position"][solid], np.ones(solid.sum())]
+    now, previous, following = (camera.pixels((shown @ np.linalg.inv(turned(0)).T @ turned(frames).T)[:, :3]) for frames in (0, -1, 1))
+    wanted = np.concatenate([previous - now, now - following], 1) * [1, -1, 1, -1]
+    assert np.ptp(wanted, axis=0).max() > 0.2, "it does not move as a whole"
+    assert np.abs(out["vector"][solid] - wanted).mean() < 0.01
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
