@@ -15,7 +15,6 @@ from ..model.gaussians import GaussianModel
 from ..util import rotations
 from .instances import LIMIT, Instance, Moment, ViewedInstance
 
-
 THIN = 1e-3
 """Variance in pixels^2 that a Gaussian at least has when its motion is told apart along its width: seen edge-on it has none."""
 
