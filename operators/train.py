@@ -179,10 +179,10 @@ def progress(job, state) -> str:
 
 
 class FASTGS_OT_train_check(bpy.types.Operator):
-    """Check before training: the training Python, the capture's poses, pictures and synchronisation, disk space and memory"""
+    """Read what the capture holds (cameras, frames, sizes of pictures) and whether all its files are there, for the estimate of the time"""
 
     bl_idname = "fastgs.train_check"
-    bl_label = "Check"
+    bl_label = "Read Capture"
 
     capture: StringProperty(name="Capture", description="The capture's folder; by default the panel's", subtype='DIR_PATH',
                             options={'SKIP_SAVE'} | BLEND_RELATIVE)
@@ -197,7 +197,7 @@ class FASTGS_OT_train_check(bpy.types.Operator):
         self._thread.start()
         self._timer = context.window_manager.event_timer_add(0.2, window=context.window)
         context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set("Checking the training Python and the capture")
+        context.workspace.status_text_set("Reading the capture")
         return {'RUNNING_MODAL'}
 
     def modal(self, context, event):

@@ -30,7 +30,7 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
     elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
         pixels, pictures = found.width * found.height, found.views * found.frames
     if not pixels:
-        return [("Estimate", "Check first" if settings.source == 'FOLDER' else "Not known yet")]
+        return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
     iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
     seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
@@ -60,23 +60,33 @@ def draw_start(layout, context, settings, place):
         row = layout.row(align=True)
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
         row.operator("preferences.addon_show", text="Preferences", icon='PREFERENCES').module = EXTENSION
-    if settings.source == 'FOLDER':
-        row = layout.row()
-        row.enabled = not (unable or source)
-        row.operator("fastgs.check_capture", icon='VIEWZOOM')
     row = layout.row(align=True)
-    if settings.source != 'CAMERAS':
+    if settings.source == 'SCENE':
         other = row.row(align=True)
-        if settings.source == 'FOLDER':
-            other.enabled = not (unable or source)
-            other.operator("fastgs.train_check", icon='INFO')
-            other.operator("fastgs.sync_cameras", text="", icon='TIME')
-        else:
-            other.enabled = not source
-            other.operator("fastgs.capture_scene", text="Capture Only", icon='OUTLINER_OB_CAMERA')
+        other.enabled = not source
+        other.operator("fastgs.capture_scene", text="Capture Only", icon='OUTLINER_OB_CAMERA')
     sub = row.row(align=True)
     sub.enabled = not reason
     sub.operator("fastgs.train", icon='PLAY')
+
+
+def draw_capture(layout, context, settings):
+    """Draw the capture's folder, what can be done with it before training, in the order of use, and what that has found."""
+    layout.prop(settings, "capture")
+    col = layout.column(align=True)
+    col.enabled = not (installation.trouble() or readiness.source_trouble(context))
+    col.operator("fastgs.train_check", icon='FILE_REFRESH')
+    col.operator("fastgs.sync_cameras", icon='TIME')
+    col.operator("fastgs.check_capture", icon='VIEWZOOM')
+    capture = bpy.path.abspath(settings.capture).rstrip("/\\")
+    if (found := checks.latest) and found.capture == capture:
+        size = f"{found.width} x {found.height}"
+        draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])
+        for problem in found.problems[:3]:
+            draw_trouble(layout.column(align=True), context, problem)
+    draw_verdict(layout, context, capture)
+    if wish := installation.wish():
+        draw_sentence(layout, context, wish, 'INFO')
 
 
 def draw_verdict(layout, context, capture):
@@ -111,16 +121,7 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "source")
         if settings.source == 'FOLDER':
-            layout.prop(settings, "capture")
-            found = checks.latest
-            if found and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
-                size = f"{found.width} x {found.height}"
-                draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])
-                for problem in found.problems[:3]:
-                    draw_trouble(layout.column(align=True), context, problem)
-            draw_verdict(layout, context, bpy.path.abspath(settings.capture).rstrip("/\\"))
-            if wish := installation.wish():
-                draw_sentence(layout, context, wish, 'INFO')
+            draw_capture(layout, context, settings)
         elif settings.source == 'CAMERAS':
             draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
         else:

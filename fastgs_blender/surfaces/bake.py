@@ -19,7 +19,7 @@ from ..util.arguments import numbers, real, whole
 from ..util.errors import FastGSError
 from .colours import Colours, Painted
 from .sampling import SurfaceSamples
-from .trajectories import MovingSurface, fit_paths, fit_turning
+from .trajectories import PROBES, MovingSurface, choose_paths, fit_paths, fit_turning
 
 THICKNESS = 0.1
 """Standard deviation across the surface, as a share of the smaller one within it."""
@@ -86,12 +86,12 @@ class BakeReport:
         """One sentence where a tolerance is not reached, or where a few places are far off, else None."""
         advice = "sample more times per frame, allow a higher order, or bake fewer frames at once."
         limit = f"with the highest order that is safe or allowed ({self.motion})"
-        if self.mean_residual > self.tolerance * self.size:
-            return (f"the motion is followed to {self._percent(self.mean_residual)} of the object's size instead of"
-                    f" {100 * self.tolerance:.3g} %, {limit}, worst at {self.worst}: {advice}")
-        if not self.reached:
-            return (f"1 % of the Gaussians are off by more than {self._percent(self.tail_residual)} of the object's size instead of"
-                    f" {100 * self.tail_tolerance:.3g} %, {limit}, worst at {self.worst}: {advice}")
+        mean = (f"the motion is followed to {self._percent(self.mean_residual)} of the object's size instead of"
+                f" {100 * self.tolerance:.3g} %") if self.mean_residual > self.tolerance * self.size else ""
+        tail = (f"1 % of the Gaussians are off by more than {self._percent(self.tail_residual)} of the object's size instead of"
+                f" {100 * self.tail_tolerance:.3g} %") if self.tail_residual > self.tail_tolerance * self.size else ""
+        if mean or tail:
+            return f"{' and '.join(filter(None, (mean, tail)))}, {limit}, worst at {self.worst}: {advice}"
         if self.max_residual > FAR * self.tail_tolerance * self.size:
             return f"a few Gaussians do not follow the motion, worst at {self.worst}: lower the tolerance of 99 %, or {advice}"
         return None
@@ -189,6 +189,14 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     if report.warning:
         warnings.warn(report.warning, stacklevel=2)
     return model, report
+
+
+def followed(positions: np.ndarray, triangles: np.ndarray, *, frames: np.ndarray, frame_count: int, tolerance: float = 0.005,
+             tail_tolerance: float = 0.01, max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None) -> bool:
+    """Whether a bake() of these arguments would keep to its tolerances, judged by few places; if not, more times per frame may help."""
+    surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part)
+    t = frames / frame_count
+    return choose_paths(surface, surface.spread(PROBES), t, basis, tolerance, tail_tolerance, max_order)[1]
 
 
 def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 100_000) -> SurfaceSamples:

@@ -153,22 +153,23 @@ class Turning:
     residual: float
 
 
-def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, basis: str, tolerance: float, tail: float, max_order: int,
-              progress: Callable[[float], None]) -> Paths:
-    """Positions by least squares, in the smallest basis that keeps every part within the tolerances of the mean and of the percentile."""
-    part = surface.part[samples.triangle]
+def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, basis: str, tolerance: float, tail: float,
+                 max_order: int) -> tuple[Basis, bool]:
+    """The smallest basis of positions that keeps every part within the tolerances of the mean and of the percentile, else the closest one;
+    and whether it keeps to them.
+    """
+    part, sizes = surface.part[samples.triangle], surface.sizes
     probes = _probes(part, PROBES)
-    probe_paths, probe_part = surface.follow(samples, probes), part[probes]
-    sizes = surface.sizes
+    paths, part = surface.follow(samples, probes), part[probes]
 
     def distances(fit):
-        return lengths(fit(probe_paths)[1] - probe_paths)
+        return lengths(fit(paths)[1] - paths)
 
     def means(distance):
-        return np.bincount(probe_part, distance.mean(0), len(sizes)) / np.maximum(np.bincount(probe_part, minlength=len(sizes)), 1)
+        return np.bincount(part, distance.mean(0), len(sizes)) / np.maximum(np.bincount(part, minlength=len(sizes)), 1)
 
     def tails(distance):
-        return np.array([np.percentile(distance[:, probe_part == p], TAIL) if (probe_part == p).any() else 0.0 for p in range(len(sizes))])
+        return np.array([np.percentile(distance[:, part == p], TAIL) if (part == p).any() else 0.0 for p in range(len(sizes))])
 
     def error(fit):
         distance = distances(fit)
@@ -177,7 +178,15 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, ba
     motion = means(distances(Fit.of(Static(), t)))
     allowed = np.maximum(np.minimum(MARGIN * tolerance * sizes, FOLLOW * motion), min(STILL, tolerance) * sizes)
     chosen = choose(motion_families(basis, t) if len(t) > 1 else [], t, error, max_order)
+    distance = distances(Fit.of(chosen, t))
+    return chosen, bool((means(distance) <= MARGIN * tolerance * sizes).all() and (tails(distance) <= MARGIN * tail * sizes).all())
 
+
+def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, basis: str, tolerance: float, tail: float, max_order: int,
+              progress: Callable[[float], None]) -> Paths:
+    """Positions by least squares, in the basis of choose_paths()."""
+    part, sizes = surface.part[samples.triangle], surface.sizes
+    chosen, _ = choose_paths(surface, samples, t, basis, tolerance, tail, max_order)
     fit = Fit.of(chosen, t)
     constant = np.empty((len(samples), 3), np.float32)
     coefficients = np.empty((len(samples), chosen.terms, 3), np.float32)

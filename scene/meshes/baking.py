@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...fastgs_blender.surfaces.bake import bake, surface_colours, surface_samples
+from ...fastgs_blender.surfaces.bake import bake, followed, surface_colours, surface_samples
 from ..background import in_background
 from . import baked_light
 from .material_colour import MaterialColours
 from .surface import Recorder, frame_kept, go_to, whole_frames_only
+
+PER_FRAME = 2, 4
+"""Number of times per frame at which surfaces are sampled by default, and where these do not suffice to follow the motion."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,7 @@ class Settings:
     tolerance       mean distance from the true motion that is allowed, as a share of the objects' size
     tail_tolerance  the same of the 99th percentile
     max_order       most terms of motion; 0: as many as the number of frames safely carries
+    samples_per_frame  number of times per frame; 0: PER_FRAME
     """
 
     frame_start: int
@@ -31,7 +35,7 @@ class Settings:
     tail_tolerance: float = 0.01
     max_order: int = 0
     basis: str = "auto"
-    samples_per_frame: int = 2
+    samples_per_frame: int = 0
     lighting: str = 'NONE'
     light_samples: int = 64
     light_frames: int = 8
@@ -55,8 +59,8 @@ class Stage:
         return self.begin + (self.end - self.begin) * done, self.doing
 
 
-RECORD, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
-    ("recording the surface", 0.0, 0.3), ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5),
+RECORD, LOOK, AGAIN, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
+    ("recording the surface", 0.0, 0.2), ("recording the surface", 0.2, 0.22), ("recording fast motion", 0.22, 0.3), ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5),
     ("measuring the light", 0.5, 0.6), ("fitting the motion", 0.6, 1.0)))
 
 
@@ -71,15 +75,22 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
     with frame_kept(scene):
         recorder = Recorder(context, objects)
         simulated = any(whole_frames_only(obj) for obj in objects)
-        times = frame_times(settings.frame_start, settings.frame_end, 1 if simulated else settings.samples_per_frame)
+        few, many = (1, 1) if simulated else (settings.samples_per_frame,) * 2 if settings.samples_per_frame else PER_FRAME
+        times = frame_times(settings.frame_start, settings.frame_end, few)
         if simulated:  # a simulation has no frame to which it was not played
             for frame in range(scene.frame_start, settings.frame_start):
                 go_to(scene, frame)
                 yield RECORD.at(0.0)
-        for number, frame in enumerate(times):
-            recorder.record(frame)
-            yield RECORD.at((number + 1) / len(times))
-        positions, triangles = np.stack(recorder.positions), recorder.triangles()
+        yield from _record(recorder, times, RECORD)
+        positions, triangles, part = np.stack(recorder.positions), recorder.triangles(), recorder.parts()
+        fitting = dict(frame_count=settings.frame_end - settings.frame_start + 1, tolerance=settings.tolerance,
+                       tail_tolerance=settings.tail_tolerance, max_order=settings.max_order, basis=settings.basis, part=part)
+        if few < many and not (yield from _run(lambda _: followed(positions, triangles, frames=np.array(times) - settings.frame_start,
+                                                                  **fitting), apart, LOOK)):
+            known, times = times, frame_times(settings.frame_start, settings.frame_end, many)
+            yield from _record(recorder, sorted(set(times) - set(known)), AGAIN)
+            recorder.sort()
+            positions = np.stack(recorder.positions)
         samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), apart, SPREAD)
         yield COLOUR.at(0.0)
         materials = MaterialColours(recorder.pieces)
@@ -88,21 +99,26 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
             lit = yield from _during(LIGHT, baked_light.apply(context, recorder, times, painted.rgba, samples, settings.light_samples,
                                                               settings.light_frames))
             painted = replace(painted, rgba=lit)
-    part, patch, fps = recorder.parts(), recorder.patches(), scene.render.fps / scene.render.fps_base
+    patch, fps = recorder.patches(), scene.render.fps / scene.render.fps_base
     provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
 
     def fit(progress):
         with warnings.catch_warnings():  # what they say stands in the report too, and Blender's user reads that
             warnings.simplefilter("ignore", UserWarning)
             return bake(
-                positions, triangles, painted, frames=np.array(times) - settings.frame_start,
-                frame_count=settings.frame_end - settings.frame_start + 1, fps=fps,
-                start_frame=settings.frame_start, count=settings.count, tolerance=settings.tolerance,
-                tail_tolerance=settings.tail_tolerance, max_order=settings.max_order,
-                basis=settings.basis, part=part, patch=patch, samples=samples, provenance=provenance, progress=progress)
+                positions, triangles, painted, frames=np.array(times) - settings.frame_start, fps=fps,
+                start_frame=settings.frame_start, count=settings.count, patch=patch, samples=samples, provenance=provenance,
+                progress=progress, **fitting)
 
     model, report = yield from _run(fit, apart, FIT)
     return model, replace(report, worst_place=recorder.place(report.worst_triangle)), materials.notes
+
+
+def _record(recorder, times, stage):
+    """Yields progress while the surface is recorded at these times."""
+    for number, frame in enumerate(times):
+        recorder.record(frame)
+        yield stage.at((number + 1) / len(times))
 
 
 def _during(stage, steps):

@@ -49,7 +49,7 @@ class Recorder:
     """Follows the surfaces of objects through the frames of a scene.
 
     pieces      what was found on the first frame, in a fixed order
-    positions   one array [V, 3] float32, world space, for each recorded time
+    positions   one array [V, 3] float32, world space, for each recorded time, in the order of recording
     """
 
     def __init__(self, context, objects: list[bpy.types.Object]):
@@ -59,6 +59,7 @@ class Recorder:
         self._keys: list[tuple] = []
         self.pieces: list[Piece] = []
         self.positions: list[np.ndarray] = []
+        self._times: list[float] = []
 
     def record(self, frame: float) -> None:
         """Go to a frame, whole or not, and add its surface.  Raises FastGSError where it is not the surface of the first frame."""
@@ -82,6 +83,12 @@ class Recorder:
             raise FastGSError(f'"{min(missing)[0]}" has not the same parts on frame {frame:g} as on frame {self._first:g}: a surface '
                               "that appears or vanishes cannot be followed; bake a range of frames in which it does not.")
         self.positions.append(np.concatenate([found[key] for key in self._keys]))
+        self._times.append(frame)
+
+    def sort(self) -> None:
+        """Put the positions into the order of their times."""
+        order = np.argsort(self._times)
+        self.positions, self._times = ([values[i] for i in order] for values in (self.positions, self._times))
 
     def _measure(self, obj, owner, matrix, key, frame):
         if not np.isfinite(matrix).all():

@@ -5,6 +5,7 @@ import pytest
 from moving_meshes import CUBE, CUBE_TRIANGLES, grid, normals, sphere, turn
 
 import fastgs_blender as fg
+from fastgs_blender.surfaces.bake import followed
 
 FRAMES = 24
 
@@ -99,6 +100,9 @@ def test_half_frames_allow_twice_the_order():
     assert report.order == getattr(model.basis, "order", None)
     _, finer = baked(fast, triangles, frames=12, step=0.25, count=50)
     assert finer.reached and finer.warning is None
+    for step, good in ((1, False), (0.25, True)):
+        frames = np.arange(0, 11 + step / 2, step)
+        assert followed(np.stack([fast(f / 12) for f in frames]), triangles, frames=frames, frame_count=12) is good
 
 
 def test_a_hand_that_the_mean_hides():
