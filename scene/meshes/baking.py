@@ -60,8 +60,9 @@ class Stage:
 
 
 RECORD, LOOK, AGAIN, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
-    ("recording the surface", 0.0, 0.2), ("recording the surface", 0.2, 0.22), ("recording fast motion", 0.22, 0.3), ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5),
-    ("measuring the light", 0.5, 0.6), ("fitting the motion", 0.6, 1.0)))
+    ("recording the surface", 0.0, 0.2), ("recording the surface", 0.2, 0.22), ("recording fast motion", 0.22, 0.3),
+    ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5), ("measuring the light", 0.5, 0.6),
+    ("fitting the motion", 0.6, 1.0)))
 
 
 def bake_steps(context, objects, settings: Settings, apart: bool):
