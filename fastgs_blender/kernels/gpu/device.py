@@ -26,6 +26,8 @@ SLOT = 256
 """Alignment of a stage's parameters in their buffer (WebGPU's largest)."""
 PARAMETERS = 1 << 18
 """Bytes of parameters that are handed over with one piece of work."""
+SUBGROUPS = "subgroup"
+"""The feature's name."""
 SPARE = 1 << 30
 """Bytes of buffers that are kept to be used again."""
 
@@ -109,7 +111,23 @@ class Device:
     def native(self):
         """wgpu's GPUDevice."""
         raised = ("max-storage-buffer-binding-size", "max-buffer-size")
-        return self._try(lambda: self.adapter.request_device_sync(required_limits={name: self.adapter.limits[name] for name in raised}))
+        return self._try(lambda: self.adapter.request_device_sync(
+            required_limits={name: self.adapter.limits[name] for name in raised},
+            required_features=[name for name in self.adapter.features if name == SUBGROUPS]))
+
+    @cached_property
+    def subgroups(self) -> bool:
+        """Whether shaders may use subgroups, and these are as wgsl/subgroups.wgsl wants them."""
+        if SUBGROUPS not in self.native.features:
+            return False
+        self.__dict__["subgroups"] = False  # for the shader that asks
+        try:
+            orderly = self.zeros((GROUP,), np.uint32)
+            self.run("subgroups", 1, [[0, 0, 0, 0]], orderly)
+            return bool(orderly.numpy().all())
+        except Failure:  # a driver that refuses them can do without; one that is lost fails again
+            self.broken = False
+            return False
 
     @cached_property
     def binding(self) -> int:
@@ -272,7 +290,7 @@ class Device:
     def _pipeline(self, stage: str, constants: dict):
         key = stage, *sorted(constants.items())
         if key not in self._pipelines:
-            module = self.native.create_shader_module(code=shaders.source(stage, **constants), label=stage)
+            module = self.native.create_shader_module(code=shaders.source(stage, self.subgroups, **constants), label=stage)
             self._pipelines[key] = self.native.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
         return self._pipelines[key]
 

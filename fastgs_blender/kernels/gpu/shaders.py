@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Assembles the text of a shader: wgsl/<stage>.wgsl with the files that it includes, and with its constants filled in.
 
-A line `//include NAME` is replaced by wgsl/NAME.wgsl.  {NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each
-number is written in one place only.
+A line `//include NAME` is replaced by wgsl/NAME.wgsl, or, for a device with subgroups, by wgsl/NAME_subgroups.wgsl where there is one.
+{NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each number is written in one place only.
 """
 from __future__ import annotations
 
@@ -34,11 +34,16 @@ CONSTANTS = {
 
 
 @cache
-def source(stage: str, **constants) -> str:
+def source(stage: str, subgroups: bool = False, **constants) -> str:
     """The shader of a stage."""
     values = CONSTANTS | constants
-    text = re.sub(r"(?m)^//include (\w+)$", lambda found: _text(found[1]), _text(stage))
+    text = re.sub(r"(?m)^//include (\w+)$", lambda found: _text(_version(found[1], subgroups)), _text(stage))
     return re.sub(r"\{([A-Z][A-Z0-9_]*)\}", lambda found: _literal(values[found[1]]), text)
+
+
+def _version(name: str, subgroups: bool) -> str:
+    other = f"{name}_subgroups"
+    return other if subgroups and (FOLDER / f"{other}.wgsl").is_file() else name
 
 
 @cache

@@ -13,7 +13,8 @@
 @group(0) @binding(5) var<storage, read_write> values_out: array<u32>;
 
 var<workgroup> tally: array<u32, 2048>;
-var<workgroup> sixteen: array<u32, 128>;
+
+//include tally_before
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -28,25 +29,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         tally[digit / 2u * 256u + lane] += 1u << (16u * (digit & 1u));
     }
     workgroupBarrier();
-    if lane < 128u {
-        var sum = 0u;
-        for (var i = 0u; i < 16u; i++) {
-            sum += tally[16u * lane + i];
-        }
-        sixteen[lane] = sum;
-    }
-    workgroupBarrier();
-    var before = array<u32, 8>();
-    for (var word = 0u; word < 8u; word++) {
-        var sum = 0u;
-        for (var i = 0u; i < lane / 16u; i++) {
-            sum += sixteen[16u * word + i];
-        }
-        for (var i = lane / 16u * 16u; i < lane; i++) {
-            sum += tally[word * 256u + i];
-        }
-        before[word] = sum;
-    }
+    var before = tally_before(lane);
     workgroupBarrier();
     for (var word = 0u; word < 8u; word++) {
         tally[word * 256u + lane] = before[word];

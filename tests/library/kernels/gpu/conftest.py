@@ -43,7 +43,7 @@ def gpu(shared_gpu):
 def fresh(shared_gpu, monkeypatch):
     """A backend of its own, which a test may break: fresh.backend, and fresh.name to render with.  It has the other one's shaders."""
     device = Device(shared_gpu.device.adapter, _pipelines=shared_gpu.device._pipelines)
-    device.__dict__["native"] = shared_gpu.device.native
+    device.__dict__ |= {name: getattr(shared_gpu.device, name) for name in ("native", "subgroups")}
     backend = GPU(lambda: device)
     monkeypatch.setitem(backends.loaded, "gpu:fresh", backend)
     return SimpleNamespace(backend=backend, name="gpu:fresh")

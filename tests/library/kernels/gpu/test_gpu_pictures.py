@@ -192,7 +192,7 @@ def test_what_fails_is_drawn_by_the_cpu_and_told_in_a_line(fresh, crowd, monkeyp
 
 def test_a_refused_shader_is_told(fresh, crowd, monkeypatch, caplog):
     fresh.backend.device._pipelines = {}
-    monkeypatch.setattr(device.shaders, "source", lambda stage, **constants: "fn main( {")
+    monkeypatch.setattr(device.shaders, "source", lambda stage, *given, **constants: "fn main( {")
     instances, camera = crowd
     assert np.array_equal(fg.render(instances, camera, backend=fresh.name)["rgb"], fg.render(instances, camera, backend="cpu")["rgb"])
     assert "expected" in caplog.messages[0]

@@ -147,12 +147,12 @@ def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
     chosen = settings.settings(iterations=100, density="mcmc", densify_from=0.0, preview_every=0, motion_weight=0.1, backdrop_hold=1.0,
                                regulariser="group")
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
-    native, pipelines, pipeline = gpu.device.native, gpu.device._pipelines, Device._pipeline
+    native, subgroups, pipelines, pipeline = gpu.device.native, gpu.device.subgroups, gpu.device._pipelines, Device._pipeline
     broken, used = [], set()
 
     def steps():
         device = Device(gpu.device.adapter, _pipelines=pipelines)
-        device.__dict__["native"] = native
+        device.__dict__ |= {"native": native, "subgroups": subgroups}
         monkeypatch.setitem(backends.loaded, "gpu:fresh", GPU(lambda: device))
         trainer = Trainer(capture, store, chosen, model, sizes=np.full(len(points), 0.3), backend="gpu:fresh")
         for _ in range(2):
