@@ -151,9 +151,9 @@ def undistortion_map(lens: Lens, source: Intrinsics, camera: Camera) -> np.ndarr
     """
     fx, fy, cx, cy = source[:4]
     xy = np.empty((camera.height, camera.width, 2))
-    xy[..., 0] = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    xy[..., 1] = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # a lens may throw rays as far as it likes
+        xy[..., 0] = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+        xy[..., 1] = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
         return (lens.distort(xy) * [fx, fy] + [cx, cy]).astype(np.float32)
 
 
@@ -182,6 +182,7 @@ def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera, scale: float = 
 
 
 @lru_cache(maxsize=256)  # many pictures are taken through one lens
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _without_border(lens, source):
     """fx, fy, cx, cy of a pinhole of the source's size that shows the largest rectangle between the edges of the lens' picture."""
     fx, fy, cx, cy, width, height = source

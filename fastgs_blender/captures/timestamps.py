@@ -80,7 +80,8 @@ def _timed(path: Path, known: dict[str, np.ndarray], numbered: bool) -> Times:
         moments = {name: rows[:, 1] for name, rows in known.items()}
     else:  # the camera with most frames gives the beat, and each frame belongs to the nearest one
         beat = next(rows[:, 0] for rows in known.values() if len(rows) == most)
-        moments = {name: np.abs(rows[:, :1] - beat).argmin(1).astype(float) for name, rows in known.items()}
+        between = (beat[:-1] + beat[1:]) / 2
+        moments = {name: np.searchsorted(between, rows[:, 0]).astype(float) for name, rows in known.items()}
     whole = np.concatenate(list(moments.values()))
     first, last = whole.min(), whole.max()
     if last - first > 2 * len(whole) + 1000:

@@ -33,13 +33,21 @@ def evened_entry(facts: dict) -> dict[str, str]:
     return {EVENED: json.dumps(facts)} if facts else {}
 
 
+MOST = 1e6
+"""The largest number that an entry may hold."""
+
+
 def evened(model) -> dict:
-    """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say."""
+    """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say it understandably."""
     try:
         facts = parse_json(model.provenance[EVENED])
-    except (KeyError, ValueError):
+        exposures = facts.get("exposures", {}).values()
+        numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for key in ("gain", "bias") for value in each[key])]
+        shapes = [len(each[key]) for each in exposures for key in ("gain", "bias")]
+    except (KeyError, TypeError, AttributeError, ValueError):
         return {}
-    return facts if isinstance(facts, dict) else {}
+    usable = all(type(value) in (int, float) and abs(value) <= MOST for value in numbers) and set(shapes) <= {3}
+    return facts if usable else {}
 
 
 def sentence(found: dict) -> str:

@@ -31,8 +31,8 @@ def read(path: Path) -> dict:
         call = ast.parse(data.decode("utf-8").strip(), mode="eval").body
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Namespace" and not call.args):
             raise ValueError("no Namespace")
-    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
-        raise FastGSError(f"{path} is not the printed Namespace(...) that trainers write") from error
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError):  # Python's parser says MemoryError of deep brackets
+        raise FastGSError(f"{path} is not the printed Namespace(...) that trainers write") from None
     return {k.arg: value[0] for k in call.keywords if k.arg and (value := _literal(k.value))}
 
 

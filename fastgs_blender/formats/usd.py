@@ -24,6 +24,7 @@ from ..util import rotations
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from ..util.outputs import replacing
+from ..util.reading import reading
 from .base import OPAQUE, generator, usable
 from .scenes import placed, together
 from .static import StaticFormat
@@ -65,8 +66,9 @@ class Usd(StaticFormat):
         clip = Clip(int(at[-1]) + 1, rate if 0 < rate < 1e6 else 24.0)
 
         def read(i):
-            again, found = _opened(path)
-            return usable(_model(again, found, float(times[i])), path)
+            with reading(path):  # what is damaged in USD's own files may show only where a frame is read
+                again, found = _opened(path)
+                return usable(_model(again, found, float(times[i])), path)
 
         return Sequence(clip, at, read, lambda i: status_of(str(path)), str(path))
 

@@ -57,7 +57,7 @@ class CaptureCheck:
         try:
             values = read_json(self._status, LARGEST_STATUS)
             return str(values["stage"]), min(max(float(values["share"]), 0.0), 1.0)
-        except (FastGSError, LookupError, TypeError, ValueError):  # not written yet, or just now
+        except (FastGSError, LookupError, TypeError, ValueError, OverflowError):  # not written yet, or just now
             return "starting", 0.0
 
     def wait(self, seconds: float | None = None) -> bool:

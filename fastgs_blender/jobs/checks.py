@@ -6,13 +6,14 @@ import json
 import os
 import shutil
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..captures.layouts import fastgs
 from ..training.core.settings import PRESETS, Settings
 from ..util.errors import FastGSError
-from ..util.reading import read_json
+from ..util.reading import read_json, reading
 from . import causes
 from . import environment as pythons
 
@@ -81,12 +82,11 @@ def picture_size(capture: str) -> tuple[int, int, int]:
     if latest and latest.capture == capture:
         return latest.width * latest.height, latest.views, latest.frames
     path = Path(capture)
-    try:
+    with suppress(FastGSError), reading(path):
         values = read_json(path / fastgs.FILE if path.is_dir() else path)
-        sizes = [camera["width"] * camera["height"] for camera in values["cameras"]]
-        return int(max(sizes)), len(sizes), int(values["frame_count"])
-    except (FastGSError, ValueError, KeyError, TypeError):
-        return 0, 0, 0
+        sizes = [int(camera["width"]) * int(camera["height"]) for camera in values["cameras"]]
+        return max(sizes), len(sizes), int(values["frame_count"])
+    return 0, 0, 0
 
 
 def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:

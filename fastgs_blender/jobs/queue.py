@@ -29,6 +29,7 @@ from ..training.run.files import CONSOLE, LOCK, RUN, STATUS
 from ..util import locks
 from ..util.errors import FastGSError, printable
 from ..util.outputs import replacing
+from ..util.reading import open_file
 from . import causes
 from .environment import environment
 from .job import ENDED, LATEST, RUNNING, Job, State, job_values, read_job, read_status
@@ -186,7 +187,7 @@ class Jobs:
 
     def console_end(self, job: Job, limit: int = 20_000) -> str:
         """The end of what its last process printed."""
-        with contextlib.suppress(OSError), (Path(job.out) / CONSOLE).open("rb") as file:
+        with contextlib.suppress(OSError, FastGSError), open_file(Path(job.out) / CONSOLE) as file:
             file.seek(0, os.SEEK_END)
             file.seek(max(min(job.console, file.tell()), file.tell() - limit))
             return printable(file.read(limit).decode(errors="replace"))

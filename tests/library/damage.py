@@ -282,3 +282,23 @@ STRUCTURES = ((_is_text, _lines), (_is_json, _json_mutated), (_is_json, _json_mu
               (_is_safetensors, _safetensors), (_is_splatv, _splatv), (_is_ply, _ply), (_is_ply, _ply), (_is_zip, _zip), (_is_zip, _zip),
               (_is_gzip, _gzip), (_is_gzip, _gzip), (_is_gzip, _gzip), (_is_png, _png))
 """(does it know the content, change it): those that matter most stand twice."""
+
+
+class _AnyNumber(int):
+    """Equals every number."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other):
+        return True
+
+    def __ne__(self, other):
+        return False
+
+
+class Unchecked:
+    """For a reader in place of the module zlib: every checksum is right, so that damage gets past them."""
+
+    @staticmethod
+    def crc32(data):
+        return _AnyNumber()

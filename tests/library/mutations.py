@@ -75,6 +75,7 @@ def campaign(name: str, read: Callable[[Path], object], seeds: Mapping[str, Seed
     at = 0
     while at < len(work) and len(failures) < MOST:
         at = _child(name, read, seeds, folder, work, at, fixed, memory, told, failures)
+    print(f"campaign of {name}: {told['accepted']} accepted, {told['refused']} refused, {len(failures)} failed")
     assert not failures, f"{len(failures)} failures of {name}:\n" + "\n".join(failures)
     return told
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...cameras import poses
 from ...cameras.camera import Camera
 from ...cameras.lens import Lens
 from ...captures.posing import with_cameras
@@ -35,7 +36,7 @@ def with_poses(capture, store, out, say=print):
     if capture.posed:
         return capture
     path = Path(out) / FILE
-    known = _read(path, capture) if path.exists() else None
+    known = kept(path, capture) if path.exists() else None
     if known:
         return with_cameras(capture, *known)
     cameras, lenses, frame = calibrated(capture, store)
@@ -126,13 +127,20 @@ def keep(path, capture, cameras, lenses):
         part.write_text(json.dumps({"capture": str(Path(capture.path).resolve()), "cameras": values}, indent=1), "utf-8")
 
 
-def _read(path, capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
+def kept(path, capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
     """The cameras and lenses in a file, None if they are another capture's; raises FastGSError."""
     again = "delete it to find the poses again"
     with reading(path, again):
         values = read_json(path, advice=again)
         if values["capture"] != str(Path(capture.path).resolve()):
             return None
-        lenses = {view: Lens(**{name: tuple(v) if isinstance(v, list) else v for name, v in entry.pop("lens").items()})
-                  for view, entry in values["cameras"].items()}
-        return {view: Camera(**entry) for view, entry in values["cameras"].items()}, lenses
+        cameras, lenses = {}, {}
+        for view, entry in values["cameras"].items():
+            where = f"{path}: the camera of {view}"
+            lens = entry["lens"]
+            lenses[view] = Lens(lens["model"], *(tuple(poses.numbers(v, (len(v),), where)) for v in (lens["k"], lens["p"])),
+                                poses.number(lens["skew"], where))
+            known = poses.intrinsics(where, *(entry[name] for name in ("fx", "fy", "cx", "cy", "width", "height")))
+            cameras[view] = Camera(known.width, known.height, known.fx, known.fy, known.cx, known.cy,
+                                   poses.rigid(entry["world_to_camera"], where))
+        return cameras, lenses

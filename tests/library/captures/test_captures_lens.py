@@ -158,3 +158,12 @@ def test_wrong_lenses_are_said_plainly():
     with pytest.raises(FastGSError, match="finite"):
         Lens.named("opencv", {"k1": float("nan")})
     assert Lens.named("opencv", {"k2": 0.5, "p1": 1}) == Lens("opencv", (0, 0.5), (1, 0))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_focal_length_next_to_nothing_is_no_warning():
+    """A damaged file may say 1e-308 pixels: rays are then as far out as numbers go, and nothing is in the picture."""
+    for lens in (Lens(), Lens("opencv", (0.1,))):
+        source = Intrinsics(1e-308, 1e-308, 16.0, 12.0, 32, 24)
+        camera = pinhole_for(lens, source, np.eye(4))
+        assert undistortion_map(lens, source, camera).shape == (24, 32, 2)

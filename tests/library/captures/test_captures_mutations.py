@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import tiny_captures
 from PIL import Image
+from test_clocks import film
 
 from fastgs_blender.captures import open_capture, recognised
+from fastgs_blender.captures.clocks.sound import MOST_SECONDS, onsets
 from fastgs_blender.captures.describe import describe, text
 from fastgs_blender.captures.pixels import decoding, pictures, probe, video
 from fastgs_blender.captures.points import load_points
@@ -109,6 +111,20 @@ def test_damaged_videos(tmp_path):
             assert pixels.ndim == 3 and pixels.dtype == np.uint8
 
     mutations.campaign("videos", read, seeds, tmp_path)
+
+
+def test_damaged_sound(tmp_path):
+    pytest.importorskip("av")
+    for name in ("a.mp4", "a.mkv"):
+        film(tmp_path / name, 1.0, 0.0, [0.3, 0.7])
+    seeds = {name[2:]: {name: (tmp_path / name).read_bytes()} for name in ("a.mp4", "a.mkv")}
+
+    def read(folder):
+        (file,) = folder.iterdir()
+        heard = onsets(file)
+        assert heard is None or (heard.ndim == 1 and len(heard) <= 1000 * MOST_SECONDS and np.isfinite(heard).all())
+
+    mutations.campaign("sound", read, seeds, tmp_path)
 
 
 def test_damaged_points(tmp_path):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import sys
+import zipfile
 from pathlib import Path
 
 import mutations
@@ -99,13 +101,35 @@ def test_other_files_are_told_apart(tmp_path):
         fg.load(tmp_path / "broken.usda")
 
 
-@pytest.mark.parametrize("extension", [".usda", ".usdc"])
+@pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
 def test_mutated_files(tmp_path, extension):
-    fg.save(random_model(np.random.default_rng(2), 3, appearance="sh1"), tmp_path / f"m{extension}")
-    (tmp_path / "seeds").mkdir()
-    seeds = {"still": {"m" + extension: (tmp_path / f"m{extension}").read_bytes()}}
-    told = mutations.campaign(f"usd {extension}", lambda folder: fg.load(folder / f"m{extension}"), seeds, tmp_path / "seeds")
+    inner = extension.replace("usdz", "usdc")
+    fg.save(random_model(np.random.default_rng(2), 3, appearance="sh1"), tmp_path / f"still{inner}")
+    models = [random_model(np.random.default_rng(i), 2, appearance="sh0", axes="RFU") for i in range(2)]
+    usd.write_frames(tmp_path / f"frames{inner}", inner, [(float(i), model) for i, model in enumerate(models)], 30.0)
+    seeds = {name: {"m" + extension: (tmp_path / f"{name}{inner}").read_bytes()} for name in ("still", "frames")}
+    seeds |= {"by hand": {"m.usda": EXAMPLE.encode()}} if extension == ".usda" else {}
+    if extension == ".usdz":
+        seeds = {name: {"m.usdz": packaged(files["m.usdz"])} for name, files in seeds.items()}
+
+    def read(folder):
+        source = fg.open_source(folder / f"m{extension}")
+        for t in (0.0, 0.7):
+            s = fg.slice_model(*source.moment(t), cull=False)
+            assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
+
+    told = mutations.campaign(f"usd {extension}", read, seeds, tmp_path / "seeds")
     assert min(told.values(), default=1) > 0
+
+
+def packaged(layer: bytes) -> bytes:
+    """A .usdz: a zip file of plain members that begin at multiples of 64 bytes."""
+    name, out = "scene.usdc", io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        info = zipfile.ZipInfo(name)
+        info.extra = b"\x86\x19" + (64 - 30 - len(name) - 4).to_bytes(2, "little") + bytes(64 - 30 - len(name) - 4)
+        archive.writestr(info, layer)
+    return out.getvalue()
 
 
 def test_a_model_of_no_gaussians_is_loaded_again(rng, tmp_path):

@@ -2,6 +2,7 @@
 """Mutated files of the static formats: a model of finite numbers, or one FastGSError."""
 from __future__ import annotations
 
+import json
 import warnings
 from pathlib import Path
 
@@ -75,7 +76,17 @@ def glb(folder):
             "short": {"m.glb": random_file(short=True)[0]}}
 
 
-SEEDS = {"m.glb": glb, "m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat, "m.spz": spz}
+def gltf(folder):
+    """A .gltf whose numbers lie in a file beside it."""
+    data = saved(folder, "m.glb", appearance="sh1")
+    size = int.from_bytes(data[12:16], "little")
+    values = json.loads(data[20:20 + size])
+    values["buffers"][0]["uri"] = "m.bin"
+    return {"beside": {"m.gltf": json.dumps(values).encode(), "m.bin": data[28 + size:]}}
+
+
+SEEDS = {"m.glb": glb, "m.gltf": gltf, "m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat,
+         "m.spz": spz}
 
 
 @pytest.mark.parametrize("name", SEEDS)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mutated small files: plans and poses of runs, frames' times, journals, verdicts on GPUs, hidden Gaussians, sizes of captures."""
+from __future__ import annotations
+
+import json
+import shutil
+
+import mutations
+import numpy as np
+import tiny_captures
+
+from fastgs_blender.cameras.camera import Camera
+from fastgs_blender.cameras.lens import Lens
+from fastgs_blender.captures import open_capture
+from fastgs_blender.captures.posing import with_cameras
+from fastgs_blender.captures.timestamps import FILE as TIMES
+from fastgs_blender.captures.timestamps import read_times
+from fastgs_blender.commands.info import describe_run, run_text
+from fastgs_blender.jobs import checks
+from fastgs_blender.kernels.gpu import choice
+from fastgs_blender.rendering.masks import pack_mask, unpack_mask
+from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.initial import calibrate
+from fastgs_blender.training.run.files import RUN, STATUS
+from fastgs_blender.training.run.plan import Plan, Source, read_plan
+from fastgs_blender.util import outputs
+from fastgs_blender.util.errors import FastGSError, printable
+
+
+def test_the_plan_of_a_run(tmp_path):
+    """run.json and status.json, as `fastgs info` shows them and as a resumed run takes them."""
+    source = Source("/capture", "fastgs", 0.5, (0, 20, 2), ("cam00",))
+    status = {"state": "training", "process": 5, "iteration": 20, "iterations": 100, "gaussians": 30, "held_out_psnr": 20.5}
+    seed = {RUN: json.dumps(Plan(settings(iterations=100), source).to_dict()).encode(), STATUS: json.dumps(status).encode()}
+
+    def read(folder):
+        plan = read_plan(folder)
+        assert plan.settings.iterations >= 1 and (plan.source.scale is None or 0 < plan.source.scale <= 1)
+        facts = describe_run(folder)
+        json.dumps(facts, allow_nan=False)
+        assert all(printable(text) == text for text in (run_text(facts, True), run_text(facts, False)))
+
+    mutations.campaign("plan", read, {"run": seed}, tmp_path)
+
+
+def test_poses_that_were_found(tmp_path):
+    tiny_captures.pictures(tmp_path / "capture")
+    capture = open_capture(tmp_path / "capture")
+    cameras = {view: Camera(64, 48, 60.0, 60.0, 32.0, 24.0, tiny_captures.pose(i)) for i, view in enumerate(capture.views)}
+    calibrate.keep(tmp_path / calibrate.FILE, capture, cameras, {view: Lens("opencv", (0.1,)) for view in cameras})
+
+    def read(folder):
+        known = calibrate.kept(folder / calibrate.FILE, capture)
+        if known is not None:
+            for shot in with_cameras(capture, *known).shots:
+                assert np.isfinite(shot.camera.world_to_camera).all() and shot.camera.fx > 0 and shot.camera.fy > 0
+
+    told = mutations.campaign("poses", read, {"two": {calibrate.FILE: (tmp_path / calibrate.FILE).read_bytes()}}, tmp_path / "seeds")
+    assert min(told.values(), default=1) > 0
+
+
+def test_times_without_numbers_of_moments(tmp_path):
+    rows = [f"{i},{10 + frame / 6 + 0.01 * i}" for frame in range(3) for i in range(2)]
+    seeds = {"port": {TIMES: "\n".join(["port,frame_time", *rows, ""]).encode()}}
+
+    def read(folder):
+        times = read_times(folder / TIMES)
+        assert times.count >= 1 and np.isfinite(times.fps) and times.fps > 0
+        assert all(0 <= frame < times.count and 0 <= t <= 1 for taken in times.frames.values() for frame, t in taken)
+
+    told = mutations.campaign("timestamps", read, seeds, tmp_path)
+    assert min(told.values(), default=1) > 0
+    many = "camera,frame_time\n" + "".join(f"a,{i}\nb,{i}.2\n" for i in range(20_000))
+    mutations.attacks("timestamps", read, {"many": {TIMES: many.encode()}}, tmp_path, memory=256 << 20)
+
+
+def test_journals(tmp_path):
+    """A journal replaces and removes what it is of, and nothing else, whatever it says."""
+    model = tmp_path / "made" / "m.pt"
+    model.parent.mkdir()
+    aside = outputs._aside(model)
+    files = {"m.pt": b"old", "kept.txt": b"kept", aside.name: b"new"}
+    for name, content in files.items():
+        (model.parent / name).write_bytes(content)
+    journal = outputs._journal(model)
+    steps = {"steps": [[aside.name, "m.pt", outputs._state(model)]], "leftovers": [aside.name]}
+    seed = {**files, journal.name: json.dumps(steps).encode()}
+
+    def read(folder):
+        work = tmp_path / "work"
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(folder, work)
+        outputs.complete(work / "m.pt")
+        assert (work / "kept.txt").read_bytes() == b"kept" and (work / "m.pt").read_bytes() in (b"old", b"new")
+        assert not outputs._journal(work / "m.pt").exists()
+
+    told = mutations.campaign("journal", read, {"one": seed}, tmp_path / "seeds", fixed=list(files))
+    assert told.get("refused", 0) == 0
+
+
+def test_verdicts_on_gpus(tmp_path, monkeypatch):
+    seed = {choice.VERDICTS: json.dumps({"llvmpipe | 1 | Vulkan | abc": "", "other": "its pictures are wrong"}).encode()}
+
+    def read(folder):
+        monkeypatch.setattr(choice, "user_folder", lambda: folder)
+        assert all(isinstance(text, str) for pair in choice._kept().items() for text in pair)
+
+    mutations.campaign("verdicts", read, {"two": seed}, tmp_path)
+
+
+def test_hidden_gaussians(tmp_path):
+    """The text of a mask, which an object in a .blend holds."""
+    seed = {"mask": pack_mask(np.arange(500) % 3 == 0).encode()}
+
+    def read(folder):
+        bits = unpack_mask((folder / "mask").read_bytes().decode("utf-8", "surrogateescape"), 500)
+        assert bits.shape == (500,) and bits.dtype == bool
+
+    told = mutations.campaign("mask", read, {"third": seed}, tmp_path)
+    assert told.get("refused", 0) == 0
+
+
+def test_the_size_of_a_capture_that_nobody_looked_at(tmp_path):
+    tiny_captures.fastgs(tmp_path / "made")
+
+    def read(folder):
+        sizes = checks.picture_size(str(folder))
+        assert all(type(number) is int for number in sizes)
+        if sizes == (0, 0, 0):
+            raise FastGSError("nothing is known.")
+
+    seed = {"cameras.json": (tmp_path / "made" / "cameras.json").read_bytes()}
+    told = mutations.campaign("size", read, {"two": seed}, tmp_path / "seeds")
+    assert min(told.values(), default=1) > 0
