@@ -18,7 +18,7 @@ from ...rendering.instances import ViewedInstance
 from ...rendering.layout import PROBES, Buffers, ChannelGroup, Layout
 from ...rendering.quantities import Shown
 from .device import Array, Buffer, Device, TooLarge
-from .lists import ENTRIES, TileLists, grid_of, list_tiles
+from .lists import ENTRIES, TileLists, grid_of, list_tiles, scan
 from .scene import Pack, View, packs
 from .shaders import TILE
 
@@ -44,11 +44,10 @@ class Bands:
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """The splats of all instances, a row for each Gaussian (wgsl/project.wgsl).
+    """Splats of instances, in rows (wgsl/project.wgsl).
 
     rows     their number
     quads    4 channels each, of a splat
-    firsts   the row of each instance's first splat
     """
 
     a: Buffer
@@ -57,7 +56,16 @@ class Splats:
     depths: Buffer
     rows: int
     quads: int
-    firsts: list[int]
+
+    @property
+    def arrays(self) -> tuple[Buffer, ...]:
+        """The buffers."""
+        return self.a, self.b, self.channels, self.depths
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The numbers of a row in each of them."""
+        return 4, 4, 4 * self.quads, 1
 
 
 class Models:
@@ -79,32 +87,71 @@ class Models:
         return found
 
 
-def project(device: Device, instances: list[ViewedInstance], camera: Camera, layout: Layout, found: list[list[Pack]]) -> Splats:
-    """The splats of all instances; found: the packs of each one's model."""
-    rows, quads = sum(pack.count for parts in found for pack in parts), -(-layout.channels // 4)
-    splats = Splats(device.buffer(4 * rows), device.buffer(4 * rows), device.buffer(4 * quads * rows), device.buffer(rows), rows, quads, [])
-    done = 0
-    for instance, parts in zip(instances, found, strict=True):
-        view = View(device, instance, camera, layout)
-        splats.firsts.append(done)
-        for pack in parts:
-            device.run("project", pack.count, view.parameters(pack, done, 4 * quads), pack.buffer, view.extra, view.hidden,
-                       splats.a, splats.b, splats.channels, splats.depths, BENDS=bool(instance.settings.bends))
-            done += pack.count
+def project(device: Device, instances: list[ViewedInstance], camera: Camera, layout: Layout, found: list[list[Pack]],
+            every: bool = False) -> Splats:
+    """The splats of all instances, in the order of their Gaussians; found: the packs of each one's model.
+
+    There is a row for each Gaussian; where these would be more than the device can use at once, for each that is drawn.
+    every  a row for each Gaussian in any case, as the backward pass needs
+    """
+    quads, views = -(-layout.channels // 4), [View(device, instance, camera, layout) for instance in instances]
+    parts = [(view, pack) for view, packs_ in zip(views, found, strict=True) for pack in packs_]
+    rows = sum(pack.count for _, pack in parts)
+    if every or 16 * quads * rows <= device.binding:
+        return _projected(device, parts, layout, quads)
+    return _joined(device, [_squeezed(device, _projected(device, [part], layout, quads)) for part in parts], quads)
+
+
+def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int) -> Splats:
+    """The splats of packs, each before its view: a row for each Gaussian."""
+    splats, done = _room(device, sum(pack.count for _, pack in parts), quads), 0
+    for view, pack in parts:
+        device.run("project", pack.count, view.parameters(pack, done, 4 * quads), pack.buffer, view.extra, view.hidden,
+                   splats.a, splats.b, splats.channels, splats.depths, BENDS=bool(view.instance.settings.bends))
+        done += pack.count
     if layout.quantities:
-        _fill(device, splats, instances, layout)
+        _fill(device, splats, parts, layout)
     return splats
 
 
-def _fill(device: Device, splats: Splats, instances, layout: Layout) -> None:
+def _room(device: Device, rows: int, quads: int) -> Splats:
+    """Splats that are not initialised."""
+    return Splats(device.buffer(4 * rows), device.buffer(4 * rows), device.buffer(4 * quads * rows), device.buffer(rows), rows, quads)
+
+
+def _squeezed(device: Device, splats: Splats) -> Splats:
+    """Those of the splats that are drawn."""
+    places = device.buffer(splats.rows + 1)
+    device.clear(places)
+    device.run("present", splats.rows, [[splats.rows, 0, 0, 0]], splats.depths, places)
+    scan(device, places, splats.rows + 1)
+    drawn = _room(device, int(device.read(places, np.uint32, 1, splats.rows)[0]), splats.quads)
+    for values, copies, numbers in zip(splats.arrays, drawn.arrays, splats.numbers):
+        device.run("squeeze", splats.rows, [[splats.rows, numbers, 0, 0]], splats.depths, places, values, copies)
+    return drawn
+
+
+def _joined(device: Device, parts: list[Splats], quads: int) -> Splats:
+    """Splats of several packs one after the other."""
+    splats, done = _room(device, sum(part.rows for part in parts), quads), 0
+    for part in parts:
+        for values, copies, numbers in zip(part.arrays, splats.arrays, splats.numbers):
+            device.copy(values, copies, numbers * part.rows, 0, numbers * done)
+        done += part.rows
+    return splats
+
+
+def _fill(device: Device, splats: Splats, parts: list[tuple[View, Pack]], layout: Layout) -> None:
     """Write the layout's quantities into the channels: they are computed in array code, for every backend."""
     seen = device.read(splats.depths, np.uint32, splats.rows) != NOWHERE
     channels = device.read(splats.channels, np.float32, 4 * splats.quads * splats.rows).reshape(splats.rows, -1).copy()
-    for instance, first in zip(instances, splats.firsts):
-        index = np.flatnonzero(seen[first:first + len(instance.model)])
-        shown = Shown(instance, index)
+    done = 0
+    for view, pack in parts:
+        index = np.flatnonzero(seen[done:done + pack.count])
+        shown = Shown(view.instance, pack.first + index)
         for name, quantity in layout.quantities.items():
-            channels[first + index, layout.places[name]] = quantity.of(shown)
+            channels[done + index, layout.places[name]] = quantity.of(shown)
+        done += pack.count
     device.write(splats.channels, channels)
 
 

@@ -50,7 +50,7 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
     """TrainingBackend.splat()."""
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
     layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
-    splats = project(device, [instance], camera, layout, [found])
+    splats = project(device, [instance], camera, layout, [found], every=True)
     order = front_to_back(device, splats.depths, splats.rows)
     bands = blend_all(device, order, splats, camera, [], lambda share: None, True, band)
     alpha = _bands([_columns(band.flat, 0) for band in bands])

@@ -158,6 +158,23 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     assert np.array_equal(cut, whole["rgb"][15:38, 19:36])
 
 
+def test_splats_that_are_too_many_are_squeezed_to_those_that_are_drawn(gpu, fresh, adapter):
+    """With bindings of 64 KiB the rows of all Gaussians do not fit, and those of the ones before the camera do; no byte changes."""
+    rng = np.random.default_rng(4)
+    instances = [Instance(random_model(rng, n, "fourier", "line", "radial", "rgb", size=0.05), random_pose(rng, 0.0), 0.3, name=str(n))
+                 for n in (900, 600)]
+    camera = fg.Camera(40, 30, 90, 90, 20, 15, random_pose(rng, 3.0))
+    passes = ("rgb", "alpha", "depth", "normal", "object_index")
+    whole = fg.render(instances, camera, passes=passes, backend=name_of(adapter))
+    fresh.backend.device.__dict__["binding"] = 1 << 16
+    ran, run = [], device.Device.run
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(device.Device, "run", lambda self, stage, *rest, **more: ran.append(stage) or run(self, stage, *rest, **more))
+        found = fg.render(instances, camera, passes=passes, backend=fresh.name)
+    assert fresh.backend.failed is None and "squeeze" in ran and whole["alpha"].mean() > 0.05
+    assert all(np.array_equal(whole[name], found[name], equal_nan=True) for name in whole)
+
+
 @pytest.mark.parametrize("stage", ["project", "sort_scatter", "raster", "colour", "read", "buffer"])
 def test_what_fails_is_drawn_by_the_cpu_and_told_in_a_line(fresh, crowd, monkeypatch, caplog, stage):
     import wgpu
