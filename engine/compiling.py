@@ -39,7 +39,7 @@ def has_numba() -> bool:
 
 
 def command() -> list[str]:
-    """What compiles the kernels as this Blender imports them: same names, same files."""
+    """The command line that compiles the kernels under the module names and files with which this Blender imports them."""
     return [sys.executable, "-c", _CHILD, __package__.rpartition(".")[0], str(Path(__file__).parents[1])]
 
 

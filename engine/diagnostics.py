@@ -55,7 +55,7 @@ def _stages() -> list[str]:
 
 
 def _gpus() -> str:
-    """Those that could render and train, and what their self-test said."""
+    """The GPUs of this machine on one line, each with the result of its self-test."""
     known = devices.found()
     if known is None:
         return "not looked for yet"

@@ -100,12 +100,12 @@ def _background(engine, scene, layer, status):
     if more is None:
         return lambda eye: plain
     status("Rendering the world")
-    wish = sky.Wish(more, (scene.frame_current, scene.frame_subframe))
-    found = sky.sky.get(wish)
+    request = sky.WorldRequest(more, (scene.frame_current, scene.frame_subframe))
+    found = sky.sky.get(request)
     while found is None:
-        sky.sky.ask(wish)
+        sky.sky.ask(request)
         worker.run(lambda progress: sky.sky.wait(sky.PATIENCE), engine.test_break, status.progress)
-        found = sky.sky.get(wish)
+        found = sky.sky.get(request)
     if isinstance(found, str):
         notices.warn(engine, found)
         return lambda eye: plain
@@ -113,7 +113,7 @@ def _background(engine, scene, layer, status):
 
 
 @dataclass(frozen=True, eq=False)
-class _Taken:
+class _SceneMoment:
     """A scene at one moment, copied out of the depsgraph: its splats, the camera of each of the frame's pictures by its name, the lens of
     the camera, and the triangles that hide splats."""
 
@@ -123,19 +123,19 @@ class _Taken:
     holdout: np.ndarray | None
 
     def moment(self, view: str) -> Moment:
-        """The moment as the library takes it, for one of the pictures."""
+        """The library's Moment of this scene, for the picture of that name."""
         return Moment({instance.place: instance for instance in self.shown.load()[0]}, self.cameras[view], self.holdout)
 
 
-def _moment(engine, depsgraph, area, views) -> _Taken:
-    """The scene as the depsgraph stands."""
+def _moment(engine, depsgraph, area, views) -> _SceneMoment:
+    """The scene at the current frame of the depsgraph."""
     cameras = {view: _camera(engine, depsgraph, area, view) for view in views}
     lens = exposure.aperture(_camera_object(engine, depsgraph), depsgraph.scene)
-    return _Taken(snapshot.take(depsgraph), cameras, lens, holdout.hidden_by(depsgraph))
+    return _SceneMoment(snapshot.take(depsgraph), cameras, lens, holdout.hidden_by(depsgraph))
 
 
-def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_Taken]:
-    """The scene so many frames later, for each of the numbers; the depsgraph comes back to where it was."""
+def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_SceneMoment]:
+    """The scene at each of these offsets in frames from the current one; the frame of the depsgraph is restored afterwards."""
     scene = depsgraph.scene
     frame, subframe = scene.frame_current, scene.frame_subframe
     taken = []
@@ -185,7 +185,7 @@ def _camera_object(engine, depsgraph):
 
 
 def _tell(engine, layer, shown, left_out):
-    """Report what is not in the picture.  Raises FastGSError where that is everything."""
+    """Report the objects that are not in the picture.  Raises FastGSError where none is in it."""
     if not shown.instances:
         notices.warn(engine, f'The view layer "{layer.name}" shows no 4D Gaussians: only the background is rendered.')
     texts = [f"{name} is left out: {text}" for name, text in left_out]

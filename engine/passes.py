@@ -62,7 +62,7 @@ def _name(p: Pass) -> str:
 
 
 def settings(scene) -> PassSettings:
-    """What passes depend on in an evaluated scene, but for the frames before and after."""
+    """The PassSettings of an evaluated scene, without its frames before and after."""
     sorting = scene.fastgs.sorting.lower()
     if scene.world is None:
         return PassSettings(sorting=sorting)

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
 
 
 def run(work, stopped, report, interval: float = 0.1):
-    """work(progress) in a thread of its own, watched from this one.
+    """Run work(progress) in a thread of its own, which the calling thread watches and can cancel.
 
     work      gets a function progress(fraction), which raises CancelledError after a stop; it must not touch Blender's data
     stopped   asked every `interval` seconds; True ends the call with CancelledError, even while work reads a file or

@@ -166,7 +166,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         return {'FINISHED'}
 
     def _fill(self, scene):
-        """What was not given is as the scene has it."""
+        """Set the options that were not given to the values of the scene."""
         for name, value in (("frame_start", scene.frame_start), ("frame_end", scene.frame_end), ("hide_source", scene.fastgs.hide_baked)):
             if not self.properties.is_property_set(name):
                 setattr(self, name, value)

@@ -138,7 +138,7 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
         return formats.writer_of(model, Path("x" + self.extension))
 
     def _shown(self, context, take=lambda instance: instance):
-        """What the scene shows now as one static model, and clauses."""
+        """The scene at its current frame as one static model, and clauses on losses."""
         depsgraph = context.evaluated_depsgraph_get()
         chosen = (lambda obj: obj.original.select_get()) if self.selected else (lambda obj: True)
         instances, left_out = snapshot.take(depsgraph, chosen, rendered=False, final=True).load()
@@ -217,7 +217,7 @@ def few(model: fg.GaussianModel) -> fg.GaussianModel:
 
 
 def some(model: fg.GaussianModel) -> np.ndarray:
-    """Which ones."""
+    """The indices of some Gaussians of a model."""
     return np.arange(0, len(model), max(1, len(model) // SAMPLE))
 
 

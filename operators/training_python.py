@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The training Python: test it, make one."""
+"""Operators on the training Python: test it, make one."""
 from __future__ import annotations
 
 import bpy

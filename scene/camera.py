@@ -23,7 +23,7 @@ class RenderArea:
 
     @classmethod
     def whole(cls, width: int, height: int) -> RenderArea:
-        """All of a picture."""
+        """The area of the whole picture."""
         return cls(width, height, (0, 0, width, height))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where an object's clip lies in its scene's time, and the sound that goes with it."""
+"""Computes when an object's clip plays in its scene, and adds the clip's sound."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Played:
 
 
 def played(obj, scene) -> Played:
-    """When an object plays its clip, as its own start frame, speed and offset say."""
+    """The frames on which an object's clip plays, from the object's start frame, speed and offset."""
     clip, (_, fps) = objects.clip_of(obj), clock(scene)
     length = clip_length(obj.fastgs) * (1.0 if clip.free else fps / clip.fps)
     return Played(obj.fastgs.start_frame, obj.fastgs.start_frame + length)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which GPUs there are, and which one a scene is rendered and trained on.
+"""Lists the GPUs, and chooses the one that renders and trains a scene.
 
 GPUs are tested in a process of their own (jobs/examination.py): a driver that crashes takes no Blender along, and nothing waits for it
 but a render that needs to know.
@@ -31,7 +31,8 @@ def wanted(scene) -> str:
 
 
 def found() -> dict | None:
-    """What is known of the GPUs (backends.describe_devices(): a verdict is None where there was no test); None while it is looked for."""
+    """The GPUs as backends.describe_devices() lists them, with None as the verdict of one that has not been tested; None while they are
+    looked for."""
     if _listing is None:
         look()
     return _listed
@@ -58,7 +59,7 @@ def _list():
 
 
 def line() -> str:
-    """What a test that is under way is doing, "" where there is none."""
+    """The last remark of a test that is under way, "" where there is none."""
     running = _examination
     return "" if running is None or running.done else running.line
 

@@ -152,7 +152,8 @@ def _stored(mesh):
 
 
 def _edited(mesh):
-    """The same in Edit Mode, of some of the vertices.  Only the main thread may look; others use what it has seen."""
+    """(places, positions) of some vertices of a mesh in Edit Mode.  Only the main thread may read them; other threads get what it has
+    read."""
     if threading.current_thread() is not threading.main_thread():
         return None
     import bmesh

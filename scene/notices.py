@@ -12,7 +12,7 @@ from ..fastgs_blender.util.errors import printable
 
 log = logging.getLogger(__package__)
 
-_said: set[str] = set()
+_reported: set[str] = set()
 
 WIDTH = 80
 """Characters in a line of a pop-up."""
@@ -39,20 +39,20 @@ def _pop_up(text):
 
 def warn(engine, text: str):
     """Report a warning, once in a render job however many frames it has, and log it.  The render continues."""
-    text = printable(text)  # Blender refuses to report what is no UTF-8
-    if text not in _said:
-        _said.add(text)
-        log.warning(text)
-        engine.report({'WARNING'}, text)
+    _report_once(engine, 'WARNING', text)
 
 
 def inform(engine, text: str):
     """Report what a user may want to know, once in a render job, and log it."""
-    text = printable(text)
-    if text not in _said:
-        _said.add(text)
-        log.info(text)
-        engine.report({'INFO'}, text)
+    _report_once(engine, 'INFO', text)
+
+
+def _report_once(engine, kind: str, text: str):
+    text = printable(text)  # Blender refuses to report what is no UTF-8
+    if text not in _reported:
+        _reported.add(text)
+        log.log(getattr(logging, kind), text)
+        engine.report({kind}, text)
 
 
 def fail(engine, text: str):
@@ -64,4 +64,4 @@ def fail(engine, text: str):
 
 def begin_job():
     """Forget which warnings were reported: a new render job begins."""
-    _said.clear()
+    _reported.clear()

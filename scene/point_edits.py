@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What nodes and other modifiers make of the points of a splat object, read back from its evaluated mesh.
+"""Reads back how modifiers have changed the points of a splat object.
 
 With *Points: All* (splats/feeding.py) a splat object's mesh has a point for each Gaussian, as it is on the frame, with the attributes
 below.  What is evaluated after the object's modifiers is copied here, for whoever takes a snapshot of the scene; in the snapshot's
@@ -49,7 +49,7 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """What M points carry after the modifiers of their object.
+    """The attributes of M points after the modifiers of their object.
 
     number    of its own, by which snapshots are compared
     t         the model's time at which the points were made
@@ -155,7 +155,7 @@ def given(now: State, matrix: np.ndarray, model: GaussianModel, working: np.ndar
 
 
 def carried_of(obj, depsgraph) -> Carried | None:
-    """What the points of an evaluated splat object carry; None where nothing can have changed them."""
+    """The attributes of the points of an evaluated splat object; None where no modifier can have changed them."""
     mesh = obj.data
     if obj.type != 'MESH' or obj.fastgs.points != 'ALL' or not modifiers(obj, depsgraph) or ID not in mesh.attributes:
         return None
@@ -177,7 +177,7 @@ def modifiers(obj, depsgraph) -> list:
 
 
 def forget(*_) -> None:
-    """Another file is opened."""
+    """Handler, when another file is opened: forget the states of models."""
     _latest.clear()
     _states.clear()
 

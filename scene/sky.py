@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies behind the splats in every direction, where a world is more than one colour.
+"""Renders worlds that are more than one colour, as the background of splats.
 
 Only Blender itself knows what all its nodes look like.  So a Blender of its own, without a window, renders the world once as a
 panorama; the panorama is kept until something in the world changes, and pictures look it up in their own directions.
@@ -109,7 +109,7 @@ class Panorama:
         return values
 
     def behind(self, camera: fg.Camera) -> np.ndarray:
-        """What a camera sees of it: [h, w, 3] float32 of the camera's window."""
+        """The part of the panorama that a camera sees: [h, w, 3] float32 of the camera's window."""
         return self.towards(camera.rays(camera.world_to_camera)[1])
 
 
@@ -128,19 +128,19 @@ class Sky:
         """Whether a panorama is being made."""
         return self._thread is not None and self._thread.is_alive()
 
-    def get(self, wish: Wish) -> Panorama | str | None:
+    def get(self, request: WorldRequest) -> Panorama | str | None:
         """The panorama, or a sentence that says why there is none; None where it is not known yet."""
         with self._lock:
-            return self._found.get(wish.key)
+            return self._found.get(request.key)
 
-    def ask(self, wish: Wish) -> None:
-        """Let the panorama be made, unless it is there, or another one is being made."""
-        if self.get(wish) is not None or self.busy:
+    def ask(self, request: WorldRequest) -> None:
+        """Begin to make the panorama, unless it is there or another one is being made."""
+        if self.get(request) is not None or self.busy:
             return
         folder = tempfile.TemporaryDirectory(prefix="fastgs-world-")
-        wish.write(Path(folder.name) / "world.blend")
-        self._making = wish.key
-        self._thread = threading.Thread(target=self._make, args=(wish, folder), name="fastgs-world", daemon=True)
+        request.write(Path(folder.name) / "world.blend")
+        self._making = request.key
+        self._thread = threading.Thread(target=self._make, args=(request, folder), name="fastgs-world", daemon=True)
         self._thread.start()
 
     def wait(self, seconds: float) -> None:
@@ -149,7 +149,7 @@ class Sky:
             self._thread.join(seconds)
 
     def latest(self) -> Panorama | None:
-        """The panorama that was made last: it serves until a newer one is there."""
+        """The panorama that was made last; viewports show it until a newer one is ready."""
         with self._lock:
             return next((found for found in reversed(self._found.values()) if isinstance(found, Panorama)), None)
 
@@ -161,15 +161,15 @@ class Sky:
         with self._lock:
             self._found.clear()
 
-    def _make(self, wish, folder):
+    def _make(self, request, folder):
         with folder:
             try:
-                found = Panorama(self._rendered(wish, Path(folder.name)))
+                found = Panorama(self._rendered(request, Path(folder.name)))
             except (OSError, ValueError, subprocess.SubprocessError) as error:
                 log.warning("the world: %s", error)
-                found = f'The world "{wish.name}" could not be rendered: its plain colour is shown, and the log holds the reason.'
+                found = f'The world "{request.name}" could not be rendered: its plain colour is shown, and the log holds the reason.'
         with self._lock:
-            self._found[wish.key] = found
+            self._found[request.key] = found
             while len(self._found) > KEPT or (len(self._found) > 1 and self._nbytes > MOST_BYTES):
                 del self._found[next(iter(self._found))]
 
@@ -177,10 +177,11 @@ class Sky:
     def _nbytes(self) -> int:
         return sum(found.values.nbytes for found in self._found.values() if isinstance(found, Panorama))
 
-    def _rendered(self, wish, folder) -> np.ndarray:
+    def _rendered(self, request, folder) -> np.ndarray:
         script, target = folder / "panorama.py", folder / "panorama"
         script.write_text(_CHILD, "utf-8")
-        given = ["--", folder / "world.blend", wish.name, target, str(wish.width), str(STRIP), *(str(v) for v in wish.frame), wish.space]
+        given = ["--", folder / "world.blend", request.name, target, str(request.width), str(STRIP), *(str(v) for v in request.frame),
+                 request.space]
         blender = [bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "1", "-P"]
         hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
         self._process = subprocess.Popen([*(blender if bpy.app.binary_path else [sys.executable]), script, *given],
@@ -195,8 +196,8 @@ sky = Sky()
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """A world as it is on a frame: what its panorama depends on."""
+class WorldRequest:
+    """A world on one frame, with all that its panorama depends on."""
 
     world: bpy.types.World
     frame: tuple[int, float]

@@ -39,7 +39,7 @@ class FileInstance:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What tells which object it shows; instances of one object share it."""
+        """The identity of the object that it shows; instances of one object share it."""
         return self.name, self.path
 
     @property

@@ -19,13 +19,13 @@ def viewports(group, context):
 
 
 def shown(group, context):
-    """Of a property on Object.fastgs: what shows the object is evaluated again, also where a script has set the property."""
+    """Update callback of properties on Object.fastgs: evaluate again what shows the object, also where a script has set the property."""
     group.id_data.update_tag()
     viewports(group, context)
 
 
 def passes(group, context):
-    """Of a property on ViewLayer.fastgs: the compositor's sockets follow the passes that are switched on."""
+    """Update callback of properties on ViewLayer.fastgs: update the compositor's sockets to the passes that are switched on."""
     # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one
     for layer in group.id_data.view_layers:
         layer.update_render_passes()

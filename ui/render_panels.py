@@ -23,7 +23,7 @@ class _Engine:
 
 
 def draw_unshown(layout, context):
-    """What of the scene FAST-GS does not render, and the button that helps with meshes."""
+    """Draw what of the scene FAST-GS does not render, and the button that helps with meshes."""
     scene, layer = context.scene, context.view_layer
     meshes = unshown.meshes(scene, layer)
     if meshes:
@@ -35,7 +35,7 @@ def draw_unshown(layout, context):
 
 
 def draw_device(layout, context):
-    """What renders and trains, and which GPU that is, or why it is none."""
+    """Draw which device renders and trains, and why it is not the GPU."""
     layout.prop(context.scene.fastgs, "device")
     if context.scene.fastgs.device == 'CPU':
         return

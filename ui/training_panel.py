@@ -85,8 +85,8 @@ def draw_capture(layout, context, settings):
         for problem in found.problems[:3]:
             draw_trouble(layout.column(align=True), context, problem)
     draw_verdict(layout, context, capture)
-    if wish := installation.wish():
-        draw_sentence(layout, context, wish, 'INFO')
+    if lacking := installation.lacking():
+        draw_sentence(layout, context, lacking, 'INFO')
 
 
 def draw_verdict(layout, context, capture):

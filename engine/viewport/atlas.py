@@ -40,7 +40,7 @@ class _Rows:
         return self.rows * WIDTH * (8 if self.half else 16)
 
     def room(self, wanted: list[int]) -> list[int] | None:
-        """First rows for runs of `wanted` rows, none of which is taken; None where there is no room for all."""
+        """The first row of a free run of rows for each number of rows in `wanted`; None where not all of them fit."""
         found, taken = [], sorted(self.taken.values())
         for rows in wanted:
             at = 0
@@ -82,12 +82,12 @@ class Atlas:
 
     @property
     def geometry(self):
-        """The texture of geometry; None where nothing is held."""
+        """The texture of geometry; None while the atlas holds no model."""
         return self._rows["geometry"].texture if self._rows else None
 
     @property
     def colour(self):
-        """The texture of colours; None where nothing is held."""
+        """The texture of colours; None while the atlas holds no model."""
         return self._rows["colour"].texture if self._rows else None
 
     @property
@@ -100,16 +100,16 @@ class Atlas:
         return all(id(model) in self._places for model in models)
 
     def place(self, model: GaussianModel) -> Place:
-        """Where a model lies; KeyError where it is not there."""
+        """The Place of a model in the textures; raises KeyError where the model is not on the GPU."""
         return self._places[id(model)]
 
     def pack(self, models) -> None:
-        """Make the texels of models that are not on the GPU yet; from any thread, so that hold() has less to do."""
+        """Compute the texels of models that are not on the GPU yet.  Any thread may call it; hold() is then quicker."""
         known, missing = self._packed, [model for model in models if id(model) not in self._places]
         self._packed = {id(model): known.get(id(model)) or (model, _texels(model)) for model in missing}
 
     def hold(self, models, keep=()) -> None:
-        """Make sure that the models are on the GPU; of the others only those in `keep` stay when that needs something to be sent.
+        """Upload the models that are not on the GPU yet.  When something is uploaded, other models stay only where they are in `keep`.
 
         Raises TooLarge.
         """
@@ -145,7 +145,7 @@ class Atlas:
                 del rows.taken[key]
 
     def _room(self, models) -> dict[str, list[int]] | None:
-        """First rows of the models in each texture; None where there is no room."""
+        """The first row of each model in each texture; None where they do not fit."""
         found = {kind: rows.room([_row_count(m, kind) for m in models]) for kind, rows in self._rows.items()}
         return None if not found or None in found.values() else found
 

@@ -15,7 +15,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Eye(fg.Camera):
-    """A camera that shows more than the picture that it stands for.
+    """The camera of a 3D viewport.  Its window may be larger than the picture of the scene's camera that it shows.
 
     frame   where that picture lies: left, bottom, right, top, 0..1.  Splats are projected as that picture's camera would.
     """
@@ -59,7 +59,8 @@ def eye(width: int, height: int, view, window, divider: int = 1, frame=WHOLE) ->
 
 
 def frame_in(window, frame) -> tuple[float, float, float, float]:
-    """Where the picture of one projection (`frame`, a matrix) lies in another's (`window`): left, bottom, right, top, 0..1."""
+    """The rectangle in the picture of the projection `window` that the picture of the projection `frame` fills: left, bottom, right, top
+    in 0..1."""
     w, f = np.array(window, np.float64), np.array(frame, np.float64)
     out = []
     for edge in (-1, 1):

@@ -65,7 +65,7 @@ def coarse(camera: fg.Camera) -> fg.Camera:
 
 
 class Image:
-    """The last picture.  `needed`: whether it is what the viewport shows; `fresh`: whether it waits to be drawn."""
+    """The last picture that the library rendered for a viewport.  `needed`: the viewport shows it; `fresh`: it has not been drawn yet."""
 
     def __init__(self):
         self.needed = self.fresh = False
@@ -77,11 +77,11 @@ class Image:
         return self._values is not None
 
     def done(self, values: np.ndarray) -> None:
-        """From the thread: a new picture."""
+        """Take over a new picture; called by the thread."""
         self._values, self.fresh = values, True
 
     def draw(self) -> None:
-        """Draw it over the whole of the active framebuffer."""
+        """Draw the picture over the whole of the active framebuffer."""
         if self.fresh:
             self.fresh = False
             self._texture = upload(np.ascontiguousarray(self._values))
@@ -95,11 +95,11 @@ class Image:
         gpu.state.blend_set('NONE')
 
     def forget(self) -> None:
-        """Free the texture: what it shows is of no use any more."""
+        """Free the texture, because its picture is out of date."""
         self._values = self._texture = None
         self.fresh = False
 
     def free(self) -> None:
-        """Free the texture; the GPU is to be tried again."""
+        """Free the texture, and let the viewport try the GPU again."""
         self.forget()
         self.needed = False

@@ -56,7 +56,7 @@ def draw(context, depsgraph) -> None:
 
 
 def growth(camera) -> float:
-    """By how much an object's scale makes the frustum larger that Blender draws: the harmonic mean of the three axes' lengths.
+    """The factor by which an object's scale enlarges the frustum that Blender draws: the harmonic mean of the three axes' lengths.
 
     That of an orthographic camera stays as it is.
     """
@@ -125,7 +125,7 @@ def is_straight(camera) -> bool:
 
 
 def _texture(camera, frame: int, playing: bool):
-    """The texture of a camera's first background, or None; while the animation plays the one of before has to do."""
+    """The texture of a camera's first background, or None.  During playback it may be that of an earlier frame."""
     background = _background(camera)
     if background is None or not camera.show_background_images:
         return None

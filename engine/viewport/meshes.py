@@ -11,7 +11,7 @@ from .picture import SceneDepth
 
 
 def scene_depth(triangles: np.ndarray, camera: Camera, depths: Depths) -> SceneDepth | None:
-    """What a window would hold had triangles [F, 3, 3] been drawn into it before a camera; None where none is in sight."""
+    """The window depth of triangles [F, 3, 3] before a camera; None where none of them is visible."""
     backend = load_backend("cpu")
     depth = backend.numpy(backend.surface(triangles, camera))[::-1]
     if np.isinf(depth).all():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Blender draws over a viewport's picture: grid, axes, bones, wires."""
+"""Finds which overlays Blender draws over a viewport's picture: grid, axes, bones, wires."""
 from __future__ import annotations
 
 import bpy
@@ -16,7 +16,7 @@ def drawn(context) -> bool:
 
 
 def state(context) -> tuple:
-    """All that decides which overlays and surfaces a viewport draws, beside the scene, as values that can be compared."""
+    """The settings of a viewport that decide which overlays and surfaces it draws, as values that can be compared."""
     space, region = context.space_data, context.region_data
     shading = space.shading
     return (*(getattr(space.overlay, name) for name in SWITCHES), shading.type, shading.show_backface_culling, region.use_clip_planes,
@@ -33,14 +33,14 @@ def floor(context) -> bool:
 
 
 def in_front(context, depsgraph) -> bool:
-    """Whether bones or wires are wanted before everything: the window's depth does not tell where they are."""
+    """Whether bones or wires are drawn in front of everything; the window's depth does not hold them then."""
     overlay = context.space_data.overlay
     posing = context.mode == 'POSE' and overlay.show_xray_bone
     return posing or any(obj.show_in_front for obj in depsgraph.objects)
 
 
 def marks(context) -> list[tuple[float, float, float]]:
-    """Where Blender draws over everything: (x, y, radius) in the region's pixels."""
+    """The marks that Blender draws over everything: (x, y, radius) in the region's pixels."""
     overlay, scale = context.space_data.overlay, context.preferences.system.ui_scale
     wanted = []
     if overlay.show_cursor:

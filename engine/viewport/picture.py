@@ -158,7 +158,7 @@ class Picture:
         self._show(depths if self.groups else None, share)
 
     def keep(self) -> None:
-        """Keep what resolve() drew last, so that what is drawn next can fade in over it."""
+        """Keep the picture that resolve() drew last, so that the next one can fade in over it."""
         self._before, self._shown, self._targets, self.size, self._drawn = self._put, None, [], None, None
 
     def _show(self, depths, share):
@@ -197,7 +197,7 @@ class Picture:
                 self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
 
     def _sums(self):
-        """For each colour space, what its groups look like together, with the weight that they have in the picture."""
+        """For each colour space, the blended colours of its groups and their summed weight in the picture."""
         sums = {}
         for group, (textures, _) in zip(self.groups, self._targets):
             if group.colour_space not in sums:

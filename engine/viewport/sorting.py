@@ -65,6 +65,6 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
 
 
 def listed(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray:
-    """The order as Sorted has it."""
+    """The order as `Sorted.order` holds it: float32 [V], or [V, 2] with the share that soft crops remove."""
     share, order = visibility.crop_shares(instances, order), order.astype(np.float32)
     return order if share is None else np.stack([order, 1 - share], 1)

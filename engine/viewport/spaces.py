@@ -35,7 +35,7 @@ _holdouts: dict[tuple, np.ndarray | None] = {}
 _data_passes: dict[tuple, DataPass] = {}
 _any_splats: bool | None = None
 _changes = 0
-_wish: tuple[int, sky.Wish] | None = None
+_request: tuple[int, sky.WorldRequest] | None = None
 _sky_awaited = False
 
 
@@ -49,23 +49,23 @@ def view_draw(context, depsgraph) -> None:
 
 def _background(scene, view_layer):
     """A colour or a Panorama, None for transparent film; until a world has been rendered its plain colour, or what was there before."""
-    global _wish
+    global _request
     plain, more = world.background(scene, view_layer)
     if more is None:
-        _wish = None
+        _request = None
         return plain
-    if _wish is None or _wish[0] != _changes:
-        _wish = _changes, sky.Wish(more, (scene.frame_current, scene.frame_subframe))
-    found = sky.sky.get(_wish[1])
+    if _request is None or _request[0] != _changes:
+        _request = _changes, sky.WorldRequest(more, (scene.frame_current, scene.frame_subframe))
+    found = sky.sky.get(_request[1])
     if found is None:
-        sky.sky.ask(_wish[1])
+        sky.sky.ask(_request[1])
         _start()
         found = sky.sky.latest()
     return found if isinstance(found, sky.Panorama) else plain
 
 
 def _cover(context, depsgraph):
-    """Rendered shading under our engine, after Blender's overlays: what of them lies behind splats goes."""
+    """Remove the parts of Blender's overlays that lie behind splats, in Rendered shading under our engine."""
     region, matrices = context.region, context.region_data
     view = _views.get((region.as_pointer(), True))
     if view is None or overlays.in_front(context, depsgraph):
@@ -107,7 +107,7 @@ def _draw_pictures(context, depsgraph):
 
 
 def _put_aside(region, rendered):
-    """Free what a region drew in the other of its two ways: it would only take memory."""
+    """Free the GPU memory of the other of the two ways in which a region can draw splats."""
     view = _views.pop((region.as_pointer(), rendered), None)
     if view is not None:
         view.free()
@@ -218,7 +218,7 @@ def has_surfaces(space, depsgraph) -> bool:
 
 
 def changed(*_) -> None:
-    """Something in the scene is other than it was."""
+    """Note that the scene has changed: all viewports take a new snapshot when they draw next."""
     global _any_splats, _changes
     _any_splats = None
     _changes += 1
@@ -247,7 +247,7 @@ def timed() -> list[str]:
 
 def trouble() -> str | None:
     """What keeps viewports from showing all splats, as a sentence; None where nothing does."""
-    found = _wish and sky.sky.get(_wish[1])
+    found = _request and sky.sky.get(_request[1])
     return next((view.trouble for view in _views.values() if view.trouble), found if isinstance(found, str) else None)
 
 
@@ -262,7 +262,7 @@ def clear(*_) -> None:
 
 
 def stop() -> None:
-    """End everything: the extension goes."""
+    """Stop the timer and the thread, and free all that viewports hold, when the extension is disabled."""
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _worker.stop()
@@ -286,7 +286,7 @@ def _say_once(text):
 
 
 def _key(space, depsgraph):
-    """What decides which objects a viewport shows, beside the scene itself."""
+    """The viewport's own settings that decide which objects it shows, as values that can be compared."""
     return (space.as_pointer(), depsgraph.scene.original.as_pointer(), depsgraph.view_layer.name, space.local_view is not None,
             space.use_local_collections, space.show_object_viewport_mesh, tuple(file.filepath for file in bpy.data.cache_files))
 
@@ -303,7 +303,7 @@ def _shown_models():
 
 
 def _picture(context, depsgraph):
-    """What of the region the final render shows: left, bottom, right, top, 0..1."""
+    """The rectangle of the region that the final render shows: left, bottom, right, top in 0..1."""
     if context.region_data.view_perspective == 'CAMERA':
         return _camera_frame(context, depsgraph) or WHOLE
     return WHOLE
@@ -355,14 +355,14 @@ def _regions():
 
 
 def _forget_closed():
-    """Free the viewports that are gone."""
+    """Free the state of viewports that have been closed."""
     open_ = {region.as_pointer() for region in _regions()}
     for key in [key for key in _views if key[0] not in open_]:
         _views.pop(key).free()
 
 
 def _tick():
-    """While something is under way: draw the viewports for which it has arrived."""
+    """A timer that draws the viewports whose new order or picture has arrived; it ends when nothing is under way."""
     global _sky_awaited
     busy = sky.sky.busy
     arrived, _sky_awaited = _sky_awaited and not busy, busy

@@ -16,7 +16,7 @@ FORMATS = {1: 'R32F', 2: 'RG32F', 4: 'RGBA32F'}
 
 
 class Sent:
-    """Counts the bytes handed to the GPU."""
+    """Counts the bytes that are uploaded to the GPU."""
 
     bytes = 0
 

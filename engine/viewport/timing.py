@@ -72,5 +72,5 @@ class _Clock:
 
 
 def wait_for_gpu(framebuffer) -> None:
-    """Until the GPU has done all that it was given: only reading tells."""
+    """Wait until the GPU has finished its work.  Blender offers no other way than to read a pixel back."""
     framebuffer.read_color(0, 0, 1, 1, 4, 0, 'FLOAT')

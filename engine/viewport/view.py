@@ -43,7 +43,7 @@ class Display:
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """What else is in the window and hides splats.
+    """The other contents of the window that hide splats: meshes and whatever else Blender draws with depth.
 
     depths    how the window's depth follows from the distance along the view
     state     equal as long as none of it has changed
@@ -120,14 +120,14 @@ class View:
         return [] if self._answer is None else [instance.model for instance in self._answer.instances]
 
     def done(self, answer) -> None:
-        """From the thread: what was asked for."""
+        """Take over the result of the work; called by the thread."""
         if isinstance(answer, sorting.Sorted):
             self._answer = answer
         else:
             self.fallback.done(answer)
 
     def failed(self, error: Exception) -> None:
-        """From the thread: it could not be done."""
+        """Take over the error of the work; called by the thread."""
         self.trouble = f"the viewport could not be drawn ({type(error).__name__}: {error}); the log holds the details."
 
     def draw(self, snapshot: Snapshot, camera: fg.Camera, display: Display, density: float = 1.0, playing: bool = False,
@@ -223,7 +223,7 @@ class View:
                              share=share)
 
     def _share(self, whole: bool, at_once: bool) -> float:
-        """The share of what is drawn now in the picture: where it replaces that of a moving view, of the same moment, it fades in."""
+        """The weight of the new picture while it fades in over that of a moving view at the same moment; 1 otherwise."""
         now, before = time.monotonic(), self._whole
         self._whole = self._seen, whole
         if before is None or before[0] != self._seen or not whole or at_once:
@@ -253,7 +253,7 @@ class View:
 
 
 def _as_sorted(pairs, missing: set[str], answer: sorting.Sorted):
-    """(instances in the order in which they were sorted, places of those that are gone since); what has come is not sorted yet.
+    """The instances in the order in which they were sorted, and the places of those that have been removed since.  New ones are left out.
 
     pairs    (FileInstance, Instance) of what is to be shown now
     missing  names of objects whose model is not in memory: they stay as they were, and so do those with another frame's model

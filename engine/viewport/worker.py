@@ -33,7 +33,7 @@ class Worker:
             return owner in self._pending or self._current is owner
 
     def forget(self, owner) -> None:
-        """Drop what an owner asked for."""
+        """Drop the request of an owner."""
         with self._ready:
             self._pending.pop(owner, None)
 

@@ -42,7 +42,7 @@ def look_at(eye, target) -> np.ndarray:
 
 
 def cover(planes: dict[str, np.ndarray], manifest: str | bytes, names: Iterable[str]) -> np.ndarray:
-    """How much of each pixel [h, w] the objects of these names cover, by Cryptomatte.
+    """The share of each pixel [h, w] that the objects of these names cover, read from Cryptomatte.
 
     planes    CryptoObject00.r ... by name; manifest: JSON, from objects' names to hexadecimal hashes
     """

@@ -166,7 +166,7 @@ def gap_sentences(gaps: Sequence[tuple[str, int]], start_frame: int = 0) -> list
 
 
 def ranges(numbers: Sequence[int], most: int = 6) -> str:
-    """1-3, 7, 9-12"""
+    """Whole numbers as text, with runs of them as ranges: "1-3, 7, 9-12"."""
     parts: list[list[int]] = []
     for number in sorted(numbers):
         if parts and number == parts[-1][1] + 1:

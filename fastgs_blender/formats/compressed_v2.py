@@ -33,7 +33,7 @@ BOUNDS = {"scale": (-6, -1), "rotation": (-9, -1), "opacity": (-9, -4), "feature
 
 @dataclass(frozen=True)
 class Steps:
-    """What a file records beside whole numbers: exponents of powers of two.
+    """The exponents of the step sizes (powers of two) that a file stores beside the whole numbers.
 
     base      {array: exponent at weight 0}
     motion    [LIVES, K] of the motion's coefficients relative to the grain

@@ -13,7 +13,7 @@ from .fourdgs_tracks import Track
 
 @dataclass
 class Scene:
-    """What a file says.
+    """The contents of a `.4dgs` file while it is read.
 
     tables  one of the attributes [N, channels] int64 for each chunk, or for all Gaussians of keyframe-delta
     bands   for each table, {band: coefficients [N, 3 (2 band + 1)] 0..255}

@@ -101,7 +101,7 @@ def _parts(path: Path) -> tuple[dict, bytes]:
 
 
 def _list(tree: dict, key: str) -> list:
-    """A list of tables; wherever it is anything else, empty."""
+    """The tables of a JSON list; an empty list for any other value."""
     values = tree.get(key)
     return values if isinstance(values, list) and all(isinstance(v, dict) for v in values) else []
 

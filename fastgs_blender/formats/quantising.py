@@ -60,7 +60,7 @@ LEAST_OPACITY = 1e-3
 
 @dataclass(frozen=True)
 class Steps:
-    """What a file records beside whole numbers.
+    """The step sizes that a file stores beside the whole numbers.
 
     base      step by attribute at shape 0 (features: see tint)
     tint      [F] steps of the features at tint 0

@@ -147,7 +147,8 @@ def looking(place: np.ndarray, direction: np.ndarray, down: np.ndarray) -> np.nd
 
 
 def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[float], None] = lambda fraction: None) -> Sensitivity:
-    """Of a model's numbers, in these pictures.  Raises FastGSError where the backend that can differentiate pictures is missing."""
+    """The Sensitivity of these pictures of a model to the model's parameters.  Raises FastGSError where no backend can differentiate
+    pictures."""
     backend = differentiable()
     parameters = parameters_of(model, backend)
     parameters["opacity"] = backend.array(np.minimum(model.opacity, OPAQUE))

@@ -38,10 +38,10 @@ class SuperSplatPly(Format):
         degree, groups = static_columns(header)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "bell": BELL})
         (centre, ln_width), velocity, opacity = columns.pop("bell").T, columns.pop("velocity"), columns.pop("opacity")[:, 0]
-        said = _said(header, path) or {"duration": last_frame(centre, FPS) / FPS}
+        clip = _clip_of(header, path) or {"duration": last_frame(centre, FPS) / FPS}
         still = GaussianModel(**columns, opacity=opacity, appearance=SH(degree))
         width = np.maximum(np.exp(ln_width.astype(np.float64)), sog4d.NARROWEST)
-        return sog4d.together([sog4d.Part(still, velocity, centre.astype(np.float64), width)], {"fps": FPS} | said)
+        return sog4d.together([sog4d.Part(still, velocity, centre.astype(np.float64), width)], {"fps": FPS} | clip)
 
 
 def is_dynamic(names: frozenset[str]) -> bool:
@@ -49,8 +49,8 @@ def is_dynamic(names: frozenset[str]) -> bool:
     return names.issuperset((*MOTION, *BELL)) and names.isdisjoint(("motion_3", "omega_0"))
 
 
-def _said(header: ply.Header, path) -> dict[str, float]:
-    """What the file, or the cfg_args above it, says of the clip's time."""
+def _clip_of(header: ply.Header, path) -> dict[str, float]:
+    """The clip's begin, length and frame rate, as the file or the cfg_args above it states them."""
     comment = next((text for text in header.comments if text.startswith("cfg_args")), None)
     if comment is not None:
         try:

@@ -62,7 +62,7 @@ def explain(head: bytes, path: Path, known: Sequence[str]) -> str:
 
 
 def _look(head: bytes) -> str:
-    """What a file without a mark looks like."""
+    """A guess, as a clause, at the kind of a file that begins with no known mark."""
     if not head.strip(b"\0"):
         return "it begins with zeros, as files do whose download was broken off"
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()

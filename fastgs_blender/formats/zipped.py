@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a zip file: several formats are one, and are known by the names of their members."""
+"""Lists the members of a zip file.  Several formats are zip files, and are known by the names of their members."""
 from __future__ import annotations
 
 from pathlib import Path

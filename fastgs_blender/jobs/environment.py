@@ -54,11 +54,11 @@ class Report:
                            and "No module named" not in self.missing[name]), "")
             return (f"{head} lacks {', '.join(lacks)}{broken}; install that there, choose another Python, or let one be made in the "
                     "preferences.")
-        return f"{head} can train{f'; {lesser}' if (lesser := wishes(self.missing)) else ''}."
+        return f"{head} can train{f'; {lesser}' if (lesser := purposes(self.missing)) else ''}."
 
 
-def wishes(missing) -> str:
-    """What the modules of USEFUL that are missing are for, as a clause; "" where none is."""
+def purposes(missing) -> str:
+    """A clause on what the missing modules of USEFUL are for; "" where none is missing."""
     needs = [f"{purpose} need {name}" for name, purpose in USEFUL.items() if name in missing]
     return f"{', '.join(needs)}, which it lacks" if needs else ""
 
@@ -150,7 +150,7 @@ class Maker:
 
     @property
     def last_line(self) -> str:
-        """What it said last."""
+        """The last line of the process' output."""
         try:
             lines = self.log.read_text("utf-8", "replace").strip().splitlines()
         except OSError:

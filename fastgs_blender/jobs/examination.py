@@ -68,7 +68,7 @@ class Examination:
         self.trouble = f"the GPUs could not be tested ({self.line})."
 
     def _once(self, command: list[str]) -> str:
-        """What a process prints; meanwhile `line` is what it says."""
+        """The standard output of one process.  While it runs, `line` is its last remark."""
         self._process = subprocess.Popen(command, env=self._environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                                          stderr=subprocess.PIPE, encoding="utf-8", errors="replace", **hidden())
         with self._process as process:

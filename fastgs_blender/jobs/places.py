@@ -68,13 +68,13 @@ def next_free(folder, taken: Container[str] = ()) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run goes.
+    """The folder of a run, and what happens to a run that it already holds.
 
     out       its folder
     existing  the option of `fastgs train` for what is there: "", --resume or --overwrite
     text      one sentence that says what will happen
     trouble   one sentence that says why nothing can, "" where it can
-    asks      whether a run is there already, so that the wish counts
+    asks      whether a run is there already, so that the user's choice counts
     capture   what a run that continues was trained on, "" where that is not known
     """
 
@@ -86,25 +86,25 @@ class Place:
     capture: str = ""
 
 
-def place_for(out: str, wish: str, busy: Mapping[str, str] | None = None) -> Place:
-    """What a wish means for a folder.
+def place_for(out: str, choice: str, busy: Mapping[str, str] | None = None) -> Place:
+    """The Place of a run in a folder, by the choice of the user for a run that it already holds.
 
-    wish  REFUSE a run that is there, RESUME it, OVERWRITE it, or take a NEW folder beside it
+    choice  REFUSE a run that is there, RESUME it, OVERWRITE it, or take a NEW folder beside it
     busy  the folders of jobs that have not ended, with the kind of their State
     """
     busy, name, held = busy or {}, Path(out).name, held_in(out)
     if held is None and out not in busy:
         return Place(out, text=f"The run goes into {name}.")
     what = held.text if held else "a run that has not begun"
-    if wish == 'NEW':
+    if choice == 'NEW':
         new = next_free(out, busy)
         return Place(new, "", f"The folder {name} keeps {what}; the new run goes into {Path(new).name}.", asks=True)
-    if out in busy and not (wish == 'RESUME' and busy[out] == 'PAUSED'):
+    if out in busy and not (choice == 'RESUME' and busy[out] == 'PAUSED'):
         return Place(out, trouble=f"{out} belongs to a training job that has not ended; choose another folder, or stop that job first.",
                      asks=True)
-    if wish == 'OVERWRITE':
+    if choice == 'OVERWRITE':
         return Place(out, "--overwrite", f"The folder {name} holds {what}. It is deleted, and a new run begins.", asks=True)
-    if wish == 'REFUSE':
+    if choice == 'REFUSE':
         return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
     if held and held.finished:
         return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)

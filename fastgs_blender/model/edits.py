@@ -68,7 +68,7 @@ def state_of(model: GaussianModel, t: float) -> State:
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """What became of a model's N Gaussians at time t.  None, or NaN in a row, says that they stayed as they are.
+    """Changes of the N Gaussians of a model at time t.  None, or NaN in a row, leaves them as they are.
 
     t         the time of the state that was edited
     position  [N, 3]  in the model's space
@@ -138,14 +138,14 @@ def mixed(a: GaussianModel, t_a: float, b: GaussianModel, t_b: float, share: flo
 
 
 def _kept(wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """What is wanted, and what was before in rows that are not finite."""
+    """The wanted values, with the values from before in rows that are not finite."""
     good = np.isfinite(wanted)
     good = good if good.ndim == 1 else good.all(1, keepdims=True)
     return np.where(good, wanted, before)
 
 
 def _recoloured(model: GaussianModel, features: np.ndarray, colour: np.ndarray) -> np.ndarray:
-    """Features [N, F] of a moment in which the rows of `colour` [N, 3] that are finite have these colours."""
+    """Features [N, F] of a moment, changed so that the finite rows of `colour` [N, 3] are the colours of their Gaussians."""
     look = momentary(model.appearance)
     rows = np.flatnonzero(np.isfinite(colour).all(1))
     out, wanted = features.copy(), colour[rows].astype(np.float64)

@@ -77,7 +77,7 @@ def one_model(sequence: Sequence, basis: str = "auto", progress=lambda fraction:
         scale=sums["scale"][0], opacity=np.log(odds / (1 - odds)), features=features,
         appearance=look if isinstance(shading.basis, Static) else Changing(look, shading.basis),
         raster=first.raster, clip=clip, axes=first.axes, colour_space=first.colour_space, provenance=dict(sequence.provenance))
-    warnings.warn(LossWarning(f"{sequence.about}: {_said(seen, moving, turning, shading)}."), stacklevel=2)
+    warnings.warn(LossWarning(f"{sequence.about}: {_quality(seen, moving, turning, shading)}."), stacklevel=2)
     return fitted
 
 
@@ -100,8 +100,8 @@ def _fit(values: np.ndarray, families, t: np.ndarray, tolerance: float) -> Fit:
     return Fit.of(choose(families, t, error), t)
 
 
-def _said(seen: dict, moving: Fit, turning: Fit, shading: Fit) -> str:
-    """How well the fits hold, in one clause each."""
+def _quality(seen: dict, moving: Fit, turning: Fit, shading: Fit) -> str:
+    """Clauses on how well the fits reproduce the frames."""
     def rms(values, fitted):
         return float(np.sqrt(np.mean((values - fitted) ** 2)))
 

@@ -115,6 +115,6 @@ class Keyframes(Basis):
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
                 coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Beside its own span each table goes on with its nearest value."""
+        """As Basis.retimed(); outside of its own span each table keeps its nearest value."""
         assert isinstance(whole, Keyframes)
         return constant, np.einsum("jk,nkd->njd", self.weights((np.array(whole.times) - begin) / length), coefficients)

@@ -37,7 +37,7 @@ ENDS = 1e-6
 
 
 class NotRead(FastGSError):
-    """A moment that is not in memory was asked for without reading it."""
+    """Raised for a moment that is not in memory, where the caller does not allow reading it."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def match(a: GaussianModel, b: GaussianModel) -> bool:
 
 
 def blended(a: GaussianModel, b: GaussianModel, share: float) -> GaussianModel:
-    """What lies between two models that match: linear in places, ln of sizes, opacities and colours; rotations the shorter way."""
+    """The model between two models that match: linear in places, ln of sizes, opacities and colours; rotations the shorter way."""
     def mixed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return first + np.float32(share) * (second - first)
 

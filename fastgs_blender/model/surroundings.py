@@ -93,7 +93,7 @@ class Viewpoint:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is known besides the Gaussians; nothing of it changes them.
+    """Facts that a file stores beside the Gaussians: the cameras of the capture, the backdrop, a good view.
 
     backdrop  None: no Gaussian is known to belong to one
     cameras   where cameras of the capture stood, at most 64 (MOST_CAMERAS)
@@ -138,9 +138,8 @@ class Surroundings:
 
 
 def together(parts: list[Surroundings]) -> Surroundings:
-    """What is known around several models of one capture together: evenly chosen cameras, the first good view, and the smallest of the
-    backdrops inside which all cameras stand; none where a camera would see none of it.
-    """
+    """The surroundings of several models of one capture: evenly chosen cameras, the first good view, and the smallest of the backdrops
+    inside which all cameras stand; none where a camera would see none of it."""
     cameras = list(dict.fromkeys(camera for part in parts for camera in part.cameras))
     backdrops = sorted((part.backdrop for part in parts if part.backdrop is not None), key=lambda backdrop: backdrop.radius)
     holding = (each for each in backdrops if all(each.distance(np.array(camera.position)) < WITHIN for camera in cameras))
@@ -149,7 +148,7 @@ def together(parts: list[Surroundings]) -> Surroundings:
 
 
 def evenly(cameras: list) -> tuple:
-    """All of them, or MOST_CAMERAS from first to last."""
+    """All viewpoints, or MOST_CAMERAS of them at even intervals."""
     if len(cameras) <= MOST_CAMERAS:
         return tuple(cameras)
     return tuple(cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_CAMERAS).round().astype(int))

@@ -111,7 +111,7 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
 
 def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
              settings: PassSettings, holdout: np.ndarray | None) -> Blended:
-    """The instances drawn by a backend: what the passes that were asked for are computed from."""
+    """Draw the instances with a backend; returns the blended sums for the passes that were asked for."""
     objects = _objects(instances, needs)
     quantities = settings.quantities(needs, instances)
     if objects:
@@ -134,7 +134,7 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
 
 def _exposed(backend: Any, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,
              holdout: np.ndarray | None, by_pixel: bool) -> Blended:
-    """The average over an exposure, drawn by a backend."""
+    """Draw the average over an exposure with a backend."""
     objects = _objects(instances, needs)
     draws = max(1, -(-len(objects) // AT_ONCE))
     found = [backend.expose(exposure, instances, camera, "rgb" in needs and i == 0, lambda f, i=i: progress((i + f) / draws),
@@ -150,7 +150,7 @@ def _objects(instances: list[ViewedInstance], needs: set[str]) -> list[tuple[str
 
 
 def _instances(model: Source | list, camera: Camera, t: ArrayLike) -> list[ViewedInstance]:
-    """What render() was given, as instances before the camera; those that cannot be computed with, or are empty, are left out."""
+    """The instances of render()'s arguments before the camera.  Empty ones, and those with numbers out of range, are left out."""
     alone = isinstance(model, (GaussianModel, Sequence))
     if not alone and (isinstance(model, (str, Path)) or not isinstance(model, Iterable)):
         raise FastGSError(f"render() needs a model, as fg.load(path) reads it, or a list of them with their places, not {shown(model)}.")

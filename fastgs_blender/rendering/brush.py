@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Brushes: which Gaussians lie under a shape that is drawn in a picture."""
+"""Finds the Gaussians under a brush, a shape that is drawn in the picture."""
 from __future__ import annotations
 
 from dataclasses import dataclass

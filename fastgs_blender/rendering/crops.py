@@ -85,7 +85,7 @@ def crop_share(crops, position: np.ndarray) -> np.ndarray:
 
 
 def kept_by(crops, position: np.ndarray) -> np.ndarray:
-    """Which positions [M, 3] in the model's space the crops leave, if only in part: [M] bool."""
+    """Which positions [M, 3] in the model's space the crops leave, wholly or in part: [M] bool."""
     return crop_share(crops, position) > 0
 
 

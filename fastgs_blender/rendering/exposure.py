@@ -112,7 +112,7 @@ class Exposure:
 
     @property
     def moves(self) -> bool:
-        """Whether the shutter is open for any time."""
+        """Whether the shutter stays open for any time at all."""
         return self.close > self.open or len(self.moments) > 1
 
     @property
@@ -167,8 +167,8 @@ class Exposure:
 
     def middle(self, instances: list[ViewedInstance], camera: Camera,
                given: np.ndarray | None) -> tuple[list[ViewedInstance], Camera, np.ndarray | None]:
-        """What passes that are no averages show: the instances, the camera and the holdout's triangles in the middle of the time, through
-        the middle of the lens."""
+        """The scene for the passes that are not averaged: the instances, the camera and the holdout's triangles in the middle of the
+        time, through the middle of the lens."""
         if not self.moves:
             return instances, camera, given
         return *replace(self, aperture=None).scene(instances, camera, 0.5, (0.0, 0.0)), self.holdout(given, 0.5)

@@ -95,7 +95,7 @@ def _neighbours(model, _):
 
 
 def _cameras(model, _):
-    """Of each Gaussian at the moment at which it is most opaque."""
+    """How many of the capture's cameras see each Gaussian [N], at the time at which it is most opaque."""
     best, count = np.full(len(model), -1.0), np.zeros(len(model))
     cameras = [camera_of(viewpoint) for viewpoint in model.surroundings.cameras]
     for t, sigma in _moments(model) if cameras else ():
@@ -135,7 +135,7 @@ _lock = threading.Lock()
 
 
 def values(model: GaussianModel, kind: str, colour=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """What a filter of a kind looks at [N] float32, kept while the model lives."""
+    """The numbers [N] float32 that filters of a kind compare with their limits; cached as long as the model lives."""
     key = kind, tuple(colour) if kind == "COLOUR" else ()
     with _lock:
         found = _values.setdefault(model, {}).get(key)

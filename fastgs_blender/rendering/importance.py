@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which Gaussians of a model matter most, where not all of them are to be drawn."""
+"""Ranks the Gaussians of a model by importance, for pictures that show only some of them."""
 from __future__ import annotations
 
 import threading

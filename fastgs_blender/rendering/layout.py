@@ -83,7 +83,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """What a backend blends, in arrays of its own.
+    """The blended buffers of a picture, in the backend's own arrays.
 
     channels  [h, w, C]  premultiplied, as the layout says
     alpha     [h, w]

@@ -51,7 +51,7 @@ class Splats:
 
 
 def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
-    """What each Gaussian splats: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
+    """The values that each Gaussian adds to the picture: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
     appearance = momentary(instance.model.appearance)
     if isinstance(appearance, Features):
         return s.features
@@ -222,7 +222,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
 
 
 def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
-    """What is blended, front to back: of each splat the box of pixels that it touches, its alpha [h, w] there and the cut, its depth, the
+    """Yields the splats front to back: of each the box of pixels that it touches, its alpha [h, w] there and the cut, its depth, the
     depths of its plane (or its own), and its channels [C]."""
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
@@ -247,7 +247,8 @@ def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
 
 
 def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
-    """The same for the whole window at a time: of each pixel the nearest splat, then the next; depths are those of the planes."""
+    """Yields layers of the whole window front to back, as _by_centre() does: of each pixel the nearest splat, then the next.  Depths are
+    those of the planes."""
     layers = list(_by_centre(splats, camera, px, py, planes))
     alphas, depths = np.zeros((len(layers), len(py), len(px))), np.full((len(layers), len(py), len(px)), np.inf)
     for i, (box, alpha, cut, _, surface, _) in enumerate(layers):

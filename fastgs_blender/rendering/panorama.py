@@ -75,6 +75,6 @@ def _without_neighbours(settings: PassSettings) -> PassSettings:
 
 
 def _of_face(exposure: Exposure, index: int) -> Exposure | None:
-    """The exposure as a face sees it."""
+    """The exposure with the camera of one face instead of the panorama."""
     moments = tuple(replace(moment, camera=moment.camera.face(index)) for moment in exposure.moments)
     return replace(exposure, moments=moments, aperture=None) if exposure.moves else None

@@ -26,7 +26,7 @@ LEVELS = 8
 
 @dataclass(frozen=True)
 class PassSettings:
-    """What passes depend on besides the models and the camera.
+    """The settings of a scene that passes depend on, besides the models and the camera.
 
     mist           the distances of the Mist pass
     before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
@@ -66,7 +66,7 @@ DEFAULTS = PassSettings()
 
 @dataclass(frozen=True, eq=False)
 class Blended:
-    """What a picture's passes are computed from, NumPy arrays of the window.
+    """The blended sums from which a picture's passes are computed, NumPy arrays of the window.
 
     camera   whose picture it is
     rgb      [h, w, 3]  premultiplied colour; None where no pass needs it

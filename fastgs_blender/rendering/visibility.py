@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Gaussians that a camera can see, front to back: what a viewport computes on the CPU while the GPU draws."""
+"""Lists the Gaussians that a camera can see, front to back.  Viewports compute this on the CPU while the GPU draws."""
 from __future__ import annotations
 
 import numpy as np

@@ -27,7 +27,7 @@ class Filmed:
 
 
 def remember(data: bpy.types.Camera, start: int, clip) -> None:
-    """Let a capture's camera know the clip."""
+    """Store the capture's clip on one of its cameras."""
     data.fastgs.clip_start, data.fastgs.clip_frames, data.fastgs.clip_fps = start, clip.frame_count, clip.fps
 
 

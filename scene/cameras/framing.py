@@ -78,7 +78,8 @@ def _look(splats, area, view) -> Look:
 
 
 def _known(splat) -> tuple[fg.Camera, float, bool]:
-    """(camera in the world, distance of what it looks at, whether the file's author chose it); None where the file knows none."""
+    """The viewpoint that a file knows: (camera in the world, distance of its subject, whether the file's author chose it); None where it
+    knows none."""
     around = surroundings_of(splat)
     if around.view is None and not around.cameras:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What camera moves begin with: the scene's camera, what it looks at, and the cameras that filmed the capture."""
+"""Finds the inputs of camera moves: the scene's camera, its subject, and the cameras that filmed the capture."""
 from __future__ import annotations
 
 import bpy
@@ -29,7 +29,7 @@ def target_camera(context, make: bool) -> bpy.types.Object | None:
 
 
 def subject_of(context) -> tuple[Vector, float]:
-    """Middle and radius of what the move is about: the selected splats, else the active object, else the 3D cursor."""
+    """Middle and radius of the subject of a move: the selected splats, else the active object, else the 3D cursor."""
     chosen = [o for o in context.selected_objects if objects.is_splat(o)]
     chosen = chosen or [o for o in [context.object] if o is not None and o.type != 'CAMERA']
     chosen = chosen or [o for o in context.scene.objects if objects.is_splat(o)]
@@ -46,7 +46,7 @@ def middle_and_radius(chosen: list[bpy.types.Object]) -> tuple[Vector, float]:
 
 
 def _most_of(splats) -> tuple[Vector, float]:
-    """Middle and radius of what most of the splats are about: a few strays, or a far background, do not count."""
+    """Middle and radius of most of the splats; a few strays and a far background do not count."""
     clouds = []
     for obj in splats:
         points = np.empty(3 * len(obj.data.vertices), np.float32)

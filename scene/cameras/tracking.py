@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a region of Gaussians goes: the path that a camera follows."""
+"""Computes the path of a region of Gaussians, which a camera follows."""
 from __future__ import annotations
 
 import bpy

@@ -48,7 +48,7 @@ def after(scene, depsgraph=None) -> None:
 
 
 def feed(obj, settings, scene) -> None:
-    """Let a splat object's points be what they should be on a scene's frame.
+    """Update the points of a splat object to a frame of the scene.
 
     settings  the object whose settings count: itself, or it evaluated
     """
@@ -93,7 +93,7 @@ def feed(obj, settings, scene) -> None:
 
 
 def _make(obj, model, turn):
-    """A point for each Gaussian, and the corners of the box."""
+    """Make a point for each Gaussian, and the corners of the box."""
     same = proxy.limit_of(obj.data) == proxy.EVERY and len(obj.data.vertices) == len(model) + len(proxy.CORNERS)
     if not same:  # else vertex groups and what else hangs on the points stays
         proxy.fill(obj.data, model, proxy.EVERY, turn)

@@ -52,7 +52,7 @@ _told: set[tuple[int, str]] = set()
 
 
 def forget(*_) -> None:
-    """Another file is opened."""
+    """Handler, when another file is opened: forget the records of splat objects."""
     _records.clear()
     _meshes.clear()
     _told.clear()
@@ -135,7 +135,8 @@ def _giver(obj):
 
 
 def _make_again(obj):
-    """A splat object was converted into another kind, which cannot be undone: one like it takes its place."""
+    """Replace a splat object that was converted into another kind of object by a new one like it; the conversion itself cannot be
+    undone."""
     name, chosen, active = obj.name, obj.select_get(), bpy.context.view_layer.objects.active == obj
     bpy.data.objects.remove(obj)
     for again in _bring_back():
@@ -152,7 +153,7 @@ def _being_edited(path: str) -> bool:
 
 
 def _trouble(mesh, points) -> str | None:
-    """What to say of a splat object's mesh that is no proxy any more; None where it is one."""
+    """The sentence that describes what is wrong with a splat object's mesh; None where it is a proxy."""
     made_with = mesh.get(proxy.POINTS)
     if points is None:  # an older version's, or made without an importer
         return CONVERTED if len(mesh.edges) else None
@@ -174,7 +175,7 @@ def _points(mesh) -> np.ndarray | None:
 
 
 def _gone() -> list[_Record]:
-    """The splat objects that were there at the last look and are no more."""
+    """The splat objects that existed at the last look and do not exist any more."""
     here = {obj.session_uid for obj in bpy.data.objects}
     return [record for uid, record in _records.items() if uid not in here]
 
@@ -211,7 +212,7 @@ def _part(obj, points):
 
 
 def _split_off(obj, foreign):
-    """Make an object of its own of what was joined into a proxy and is none."""
+    """Move geometry that was joined into a proxy into an object of its own."""
     here = {other.session_uid for other in bpy.data.objects}
     names = [name for uid, (name, _) in _meshes.items() if uid not in here]
     mesh = obj.data.copy()

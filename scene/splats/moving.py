@@ -115,7 +115,7 @@ def _seen(chosen: _Chosen, part, t: float, settings, larger: float):
 
 
 def _together(parts: list[_Chosen], looks, shares: list[float]):
-    """(index, Shown, seen) of all frames that show at once, echoes and fading loops: each has its share of the points.
+    """(index, Shown, seen) of all frames that show at once, echoes and fading loops.  Each frame gets its share of the points.
 
     Together they cover what their opacities let them: the points grow as the frames become more.
     """
@@ -131,7 +131,7 @@ def _together(parts: list[_Chosen], looks, shares: list[float]):
 
 
 def _write(obj, index, shown: Shown, seen):
-    """Every vertex of an octahedron goes where its Gaussian's ellipsoid has it; octahedra without a Gaussian become a point."""
+    """Move every vertex of an octahedron to the ellipsoid of its Gaussian; octahedra without a Gaussian shrink to a point."""
     mesh, turn = obj.data, model_space.model_matrix(obj)
     number = _read(mesh, GAUSSIAN, "value", np.int32)
     row = np.minimum(np.searchsorted(index, number), len(index) - 1)

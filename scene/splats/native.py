@@ -85,7 +85,7 @@ def make(context, obj, kind: str) -> bpy.types.Object:
 
 @persistent
 def follow(scene, depsgraph=None) -> None:
-    """Handler, after each evaluation: let all copies hold what their splat objects show."""
+    """Handler, after each evaluation: update all copies to what their splat objects show."""
     if depsgraph is None:
         return
     for copy in copies():
@@ -96,7 +96,8 @@ def follow(scene, depsgraph=None) -> None:
 
 @persistent
 def tidy(scene, depsgraph=None) -> None:
-    """Handler, after each evaluation: a copy goes with its splat object, and without a copy the object's own points are rendered again."""
+    """Handler, after each evaluation: remove copies whose splat object is gone, and render the points of splat objects whose copy is
+    gone."""
     if depsgraph is not None and depsgraph.mode != 'VIEWPORT':  # a render's own evaluation, perhaps in a thread
         return
     if _pairs:
@@ -118,13 +119,13 @@ def tidy(scene, depsgraph=None) -> None:
 
 @persistent
 def forget(*_) -> None:
-    """Handler, after undo and redo: datablocks are as they were at another time."""
+    """Handler, after undo and redo: forget what was written, because datablocks have been restored."""
     _written.clear()
 
 
 @persistent
 def empty(*_) -> None:
-    """Handler, before the file is saved: it holds nothing of the copies."""
+    """Handler, before the file is saved: empty the copies, so that the file does not hold their data."""
     tidy(None)
     for copy in copies():
         _resize(copy.data, 0)
@@ -133,7 +134,7 @@ def empty(*_) -> None:
 
 @persistent
 def fill(*_) -> None:
-    """Handler, after the file was saved or opened: the copies are there again."""
+    """Handler, after the file was saved or opened: fill the copies again."""
     _written.clear()
     _pairs.clear()
     tidy(None)
@@ -250,13 +251,13 @@ def _edge(model) -> np.ndarray:
 
 
 def _light(model) -> np.ndarray:
-    """Scene-linear colours [N, 3], 0 or more, from no particular side."""
+    """Scene-linear colours [N, 3], 0 or more, of the Gaussians seen from no particular side."""
     rgb = np.clip(0.5 + SH_C0 * model.features[:, :3].astype(np.float64), 0, 100)
     return (rgb if model.colour_space == "linear" else srgb_to_linear(rgb)) @ rec709_to_working().T
 
 
 def _material() -> bpy.types.Material:
-    """Shines in the copy's colours, as captures carry their light; made once in each file."""
+    """The material that emits the copy's colours, because captures contain their light; made once in each file."""
     found = next((m for m in bpy.data.materials if m.name == NAME and m.library is None), None)
     if found is not None:
         return found

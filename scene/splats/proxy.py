@@ -34,7 +34,7 @@ EVERY = -1
 
 
 def new_mesh(name: str, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> bpy.types.Mesh:
-    """A mesh of the model's most telling Gaussians (at most `limit`), with what proxy_nodes.py reads as attributes.
+    """A mesh of the model's most important Gaussians (at most `limit`), with the attributes that proxy_nodes.py reads.
 
     matrix  [4, 4] from the model's space to the object's; by default they are the same
     """
@@ -44,7 +44,7 @@ def new_mesh(name: str, model: Source, limit: int = LIMIT, matrix: np.ndarray | 
 
 
 def limit_of(mesh: bpy.types.Mesh) -> int:
-    """The most points that were asked for when the mesh was made."""
+    """The largest number of points that was asked for when the mesh was made."""
     return mesh.get(LIMITED, LIMIT)
 
 
@@ -64,7 +64,8 @@ def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.nda
 
 
 def prepare(model: Source, limit: int = LIMIT) -> Points:
-    """The Gaussians of a proxy, which takes the most time; for models that live on, a thread may do it beforehand."""
+    """Choose the Gaussians of a proxy and cache them.  This takes most of the time; a thread may do it beforehand for models that stay
+    in memory."""
     return choose(model, min(LIMIT if limit == EVERY else limit, LIMIT - len(CORNERS)))
 
 
@@ -101,7 +102,7 @@ def _corners(box: np.ndarray) -> np.ndarray:
 
 
 def _shades(colour: np.ndarray) -> np.ndarray:
-    """Number [M] of the palette's material for each linear colour [M, 3].  Rounding errors are spread: neighbours make up for them."""
+    """Number [M] of the palette's material for each linear colour [M, 3].  Rounding errors are diffused to neighbours."""
     spread = (np.arange(len(colour))[:, None] * np.array([0.8191725, 0.6710436, 0.5497005])) % 1  # Roberts' R3 sequence
     level = np.clip(np.floor(linear_to_srgb(np.clip(colour, 0, 1)) * (LEVELS - 1) + spread), 0, LEVELS - 1).astype(np.int32)
     return level @ np.array([LEVELS * LEVELS, LEVELS, 1], np.int32)

@@ -41,7 +41,8 @@ def give_modifier(obj: bpy.types.Object) -> None:
 
 
 def keep_last(modifier) -> None:
-    """Keep the modifier behind all others of its object, those that come later too: they act on points, it makes them visible."""
+    """Pin the modifier behind all others of its object, those that come later too, because they change points and it makes points
+    visible."""
     modifier.use_pin_to_last = True
 
 
@@ -51,7 +52,7 @@ def modifier_of(obj):
 
 
 def _own(collection, name: str, kind: str | None = None):
-    """The datablock of our name in this .blend, or None; never one linked from a library, which may go away."""
+    """The datablock of our name that this .blend itself holds, or None.  One that is linked from a library may disappear."""
     return next((x for x in collection if x.name == name and x.library is None and kind in (None, x.bl_idname)), None)
 
 

@@ -66,7 +66,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """How M chosen Gaussians look at a time, in the model's space, float32.
+    """M chosen Gaussians at a time, in the model's space, float32.
 
     position  [M, 3]
     axes      [M, 3, 3]  columns: the half axes of the ellipsoids; 0 for those that are not seen
@@ -131,7 +131,7 @@ def _choose(source: Source, limit: int) -> Points:
 
 
 def show(chosen: GaussianModel, t: float, larger: float = 1.0, look: np.ndarray | None = None) -> Shown:
-    """How chosen Gaussians, a model of their own, look at the time t: ellipsoids, `larger` as in Points.
+    """Compute the ellipsoids and colours of chosen Gaussians, a model of their own, at the time t; `larger` as in Points.
 
     look  their object's, a row of looks.look_numbers(); None: as in the file
     """
@@ -151,13 +151,14 @@ def show(chosen: GaussianModel, t: float, larger: float = 1.0, look: np.ndarray 
 
 
 def shared_out(count: int, shares: list[float]) -> np.ndarray:
-    """Which of several pictures each of `count` points is for [count]: as many as their shares, spread evenly."""
+    """Distribute `count` points over several pictures in proportion to their shares, evenly: the number of the picture of each point
+    [count]."""
     ends = np.cumsum(shares) / np.sum(shares)
     return np.searchsorted(ends[:-1], (np.arange(count) + 0.5) * GOLDEN % 1, "right")
 
 
 def _every(model) -> np.ndarray:
-    """The Gaussians that are candidates: all that are no backdrop, or every n-th of them."""
+    """The candidates: all Gaussians outside of the backdrop, or every n-th of them."""
     inside = inside_backdrop(model)
     return inside[np.linspace(0, len(inside) - 1, CANDIDATES).astype(int)] if len(inside) > CANDIDATES else inside
 

@@ -21,12 +21,12 @@ def unused(kind: str) -> str:
     return next_free(base, _busy())
 
 
-def place(out: str, wish: str) -> Place:
-    """Where a run goes whose folder the user named, or did not: out is "" then."""
+def place(out: str, choice: str) -> Place:
+    """The Place of a run in the folder that the user named, or in a new one."""
     if not out:
         new = unused("training")
         return Place(new, text=f"The run goes into the new folder {Path(new).name}.")
-    return place_for(str(Path(bpy.path.abspath(out)).absolute()), wish, _busy())
+    return place_for(str(Path(bpy.path.abspath(out)).absolute()), choice, _busy())
 
 
 def _busy() -> dict[str, str]:

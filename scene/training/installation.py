@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Maker, Report, python_in, wishes
+from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Maker, Report, purposes, python_in
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import settings
@@ -66,8 +66,9 @@ def trouble() -> str:
     return "" if report is None or report.ready else report.sentence
 
 
-def wish() -> str:
-    """What some captures need that the training Python lacks, as far as that is known without starting it, in a sentence or ""."""
+def lacking() -> str:
+    """A sentence on what captures may need that the training Python lacks, as far as that is known without starting it; "" where it
+    lacks nothing."""
     try:
         chosen = python()
     except FastGSError:
@@ -78,8 +79,8 @@ def wish() -> str:
         missing = {name for name in USEFUL if importlib.util.find_spec(name) is None}
     else:
         return ""
-    lacks = wishes(missing)
-    return f"Captures in this Python: {lacks}. The preferences can make an environment that has it." if lacks else ""
+    purpose = purposes(missing)
+    return f"Captures in this Python: {purpose}. The preferences can make an environment that has it." if purpose else ""
 
 
 def is_making() -> bool:

@@ -180,7 +180,7 @@ def _poses(context, plates, frames) -> dict:
 
 
 def _frame_camera(obj, depsgraph) -> fg.Camera:
-    """The camera of its frame: as the scene renders it, or as it filmed, where it comes from a capture."""
+    """The camera of a plate's frame: the camera that the scene renders, or the one that filmed, where it comes from a capture."""
     own_size, render = obj.data.fastgs, depsgraph.scene.render
     if own_size.width:
         width, height = own_size.width, own_size.height

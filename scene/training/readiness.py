@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Says before a run is started why it could not be; reads no pictures, so that a panel can ask at each redraw."""
+"""Checks before a run is started whether it can be started; reads no pictures, so that a panel can ask at each redraw."""
 from __future__ import annotations
 
 from pathlib import Path

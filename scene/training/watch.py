@@ -45,7 +45,7 @@ def ordered() -> list[tuple[Job, State]]:
 
 
 def current() -> tuple[Job, State] | None:
-    """The first of them."""
+    """The first job as the panel lists them, with its state; None without any."""
     return next(iter(ordered()), None)
 
 

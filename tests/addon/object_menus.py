@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Blender's Object menu offers for the selected objects: its Python is drawn into a layout that writes down operators."""
+"""Lists the operators that Blender's Object menu offers for the selected objects: its Python draws into a layout that records them."""
 from __future__ import annotations
 
 from types import SimpleNamespace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What tests of Blender's operators on objects share."""
+"""Helpers of the tests of Blender's operators on objects."""
 import bpy
 import numpy as np
 from mathutils import Matrix

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stories in Blender's window (see inside.py): what is seen is what is rendered, and what a viewport spares itself."""
+"""Stories in Blender's window (see inside.py): viewports beside renders, and work that a viewport avoids."""
 from __future__ import annotations
 
 import os

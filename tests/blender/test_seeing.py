@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is seen is what is rendered: overlays, worlds, and what a viewport spares itself, in Blender's window."""
+"""Viewports in Blender's window against renders: overlays, worlds, and work that a viewport avoids."""
 from __future__ import annotations
 
 import numpy as np

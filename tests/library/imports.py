@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who imports whom in the extension, read from the sources: ordinary and lazy imports, modules named in strings, calls of operators.
+"""Reads from the sources which module of the extension imports which: ordinary and lazy imports, modules named in strings, calls of
+operators.
 
 A module is the path of its file relative to the root, a package that of its __init__.py.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of round spots at known places, and where a picture shows them: how tests check poses and lenses by projecting points."""
+"""Pictures of round spots at known places, and the places of spots in a picture: tests check poses and lenses by projecting points."""
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -85,7 +85,7 @@ def _by_motion(capture: Capture, shown: Curves) -> Found:
 
 
 def _moved(capture: Capture) -> set[str]:
-    """The views whose cameras move: their pictures change all the time."""
+    """The views whose cameras move, because their pictures change all the time."""
     poses: dict[str, set] = {}
     for shot in capture.shots:
         if shot.camera is not None:
@@ -98,7 +98,7 @@ def _pairs(count: int) -> list[tuple[int, int]]:
 
 
 def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str, alike: float) -> Found:
-    """The offsets of the views in these rows, by their lines."""
+    """The Found offsets of the views `rows`, by aligning their curves `lines`."""
     length = min(map(len, lines))
     most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
     pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most)) is not None]

@@ -18,7 +18,7 @@ BLOCK = 64
 
 @inline
 def begin(to_model):
-    """Room for a block of pixels: inputs [12, BLOCK], hidden [6, BLOCK], base [3, BLOCK]."""
+    """Allocate the arrays of a block of pixels: inputs [12, BLOCK], hidden [6, BLOCK], base [3, BLOCK]."""
     inputs, hidden, base = np.zeros((12, BLOCK), np.float32), np.empty((6, BLOCK), np.float32), np.zeros((3, BLOCK), np.float32)
     for i in range(3):
         inputs[6 + i, :] = to_model[3, i]

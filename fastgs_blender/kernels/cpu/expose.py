@@ -48,7 +48,7 @@ TABLE = colour.srgb_to_linear(np.linspace(0, 1, 4097)).astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Where each of the G Gaussians of all instances goes during an exposure.
+    """The paths of the G Gaussians of all instances during an exposure.
 
     box     [G, 4] float32: left, top, right, bottom of what its splat covers; right < left where it is never seen
     shift   [G, 2] float32: how far it moves while the shutter is open, in pixels
@@ -63,7 +63,7 @@ class Paths:
 
 
 def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, progress, holdout=None, objects=(), by_pixel=False):
-    """What protocol.PictureBackend.expose() returns; colour_of: the backend's colour()."""
+    """PictureBackend.expose(); colour_of is the backend's colour()."""
     x0, y0, width, height = camera.window
     film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
     if not exposure.moves:
@@ -102,8 +102,9 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
     return (rgb if colours else None), alpha, None if holdout is None else film.held, film.shares if objects else None
 
 
-def _looks(exposure: Exposure) -> tuple[list, list]:
-    """(time, point of the lens) of a few looks at the scene: over the exposure with the lens' middle, and through two points of its rim."""
+def _snapshot_places(exposure: Exposure) -> tuple[list, list]:
+    """(time, point of the lens) of the few snapshots from which paths are measured: over the exposure through the middle of the lens,
+    and through two points of its rim."""
     lens = exposure.aperture
     return ([(t, (0.0, 0.0)) for t in ((0.0, 0.5, 1.0) if exposure.moves else (0.5,))],
             [(0.5, (lens.radius / lens.ratio, 0.0)), (0.5, (0.0, lens.radius))] if lens else [])
@@ -112,7 +113,7 @@ def _looks(exposure: Exposure) -> tuple[list, list]:
 def _edges(exposure: Exposure, holdout, camera) -> tuple[np.ndarray, np.ndarray]:
     """Of the triangles of a holdout, as of splats: the boxes [T, 4] that they touch, and into how many steps [T] each needs the exposure
     divided; a step is about a pixel, over which an edge is soft anyway."""
-    times, rim = _looks(exposure)
+    times, rim = _snapshot_places(exposure)
     corners = []
     for time, point in times + rim:
         eye, triangles = exposure.scene([], camera, time, point)[1], exposure.holdout(holdout, time)
@@ -133,16 +134,16 @@ def _edges(exposure: Exposure, holdout, camera) -> tuple[np.ndarray, np.ndarray]
 
 
 def _frozen(instance):
-    """The instance as it is at its time, where nothing moves."""
+    """The instance with its model sliced at its time, for instances that do not move."""
     now = slice_model(instance.model, instance.t)
     return replace(instance.part(now.index, still(instance.model, now)), t=0.0)
 
 
 def _paths(exposure: Exposure, instances, camera) -> Paths:
-    """The paths, from a few looks at the scene."""
-    times, rim = _looks(exposure)
+    """The Paths of all Gaussians, measured from a few snapshots."""
+    times, rim = _snapshot_places(exposure)
     total = sum(len(instance.model) for instance in instances)
-    looks = [_Look(exposure, instances, camera, *each, total) for each in times + rim]
+    looks = [_Snapshot(exposure, instances, camera, *each, total) for each in times + rim]
     middle = looks[len(times) // 2]
     low, high = np.full((total, 2), np.inf, np.float32), np.full((total, 2), -np.inf, np.float32)
     for look in looks:
@@ -167,8 +168,8 @@ def _steps(path: np.ndarray, even: np.ndarray) -> np.ndarray:
     return np.where(path > STILL, np.maximum(even, ENDS * np.sqrt(path)), 1)
 
 
-class _Look:
-    """All Gaussians' splats at one time, through one point of the lens: whether each is seen, where, how large and how opaque."""
+class _Snapshot:
+    """The splats of all Gaussians at one time and through one point of the lens: whether each is seen, and its place, size and opacity."""
 
     def __init__(self, exposure, instances, camera, time, point, total):
         moved, eye = exposure.scene(instances, camera, time, point)
@@ -180,7 +181,7 @@ class _Look:
         self.size[at] = splats.attributes[rows, raster.RADIUS_X:raster.RADIUS_Y + 1]
         self.opacity[at] = np.exp2(splats.attributes[rows, raster.LOG2_OPACITY])
 
-    def way_to(self, other: _Look, shift) -> np.ndarray:
+    def way_to(self, other: _Snapshot, shift) -> np.ndarray:
         """How far [G] it is from this look to another, in standard deviations: movement, change of size, and of opacity."""
         a, b = (np.hypot(look.root[:, 0] * shift[:, 0] + look.root[:, 1] * shift[:, 1], look.root[:, 2] * shift[:, 1])
                 for look in (self, other))
@@ -251,7 +252,7 @@ def _runs(active: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _of_pixels(tiles: np.ndarray, grid, window) -> np.ndarray:
-    """The numbers of the tiles [tiles] as those of the window's pixels [h, w]."""
+    """The numbers of the tiles [tiles], repeated for each of their pixels [h, w]."""
     (left, top, columns, _), (x0, y0, width, height) = grid, window
     row, column = np.arange(y0, y0 + height) // TILE - top, np.arange(x0, x0 + width) // TILE - left
     return tiles.reshape(-1, columns)[row[:, None], column]

@@ -40,7 +40,7 @@ class Occluder:
 
     @classmethod
     def of(cls, triangles: np.ndarray, camera: Camera) -> Occluder:
-        """The occluder that triangles [F, 3, 3] float32 are."""
+        """The Occluder of triangles [F, 3, 3] float32 before a camera."""
         x0, y0, width, height = camera.window
         window = x0, y0, x0 + width, y0 + height
         tile_x, tile_y = x0 // TILE, y0 // TILE

@@ -130,7 +130,7 @@ def begin(state, left, top, x0, y0, right, bottom):
 
 @inline
 def deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, channels, number, out, alpha, extra, held):
-    """Write what a tile's state holds, with so many channels and probes, into the window's pictures."""
+    """Write the channels and probes of a tile's state into the window's pictures."""
     for y in range(max(top, y0), min(top + TILE, bottom)):
         for x in range(max(left, x0), min(left + TILE, right)):
             p = (y - top) * TILE + x - left

@@ -79,7 +79,8 @@ def _hide(p, z, canvas):
 
 @inline
 def _settle(p, bound, waiting, hides, canvas):
-    """Blend what waits at a pixel up to a depth, as raster.blend8() does."""
+    """Blend the splats that wait at a pixel up to a depth.  The equations are those of raster.blend8(), for one pixel: its neighbours
+    blend other splats."""
     head, tail, near, alphas, who = waiting
     state, attributes, channels, probes, _, _, _, _ = canvas
     while head[p] < tail[p] and near[p, head[p]] <= bound:
@@ -108,7 +109,7 @@ def _settle(p, bound, waiting, hides, canvas):
 
 @inline
 def _wait(p, z, opacity, i, waiting):
-    """Put a splat where it belongs among those that wait at a pixel, which has room."""
+    """Insert a splat by its depth among those that wait at a pixel; there must be room."""
     head, tail, near, alphas, who = waiting
     if tail[p] == near.shape[1]:
         for h in range(head[p], tail[p]):

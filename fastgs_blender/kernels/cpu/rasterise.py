@@ -26,7 +26,7 @@ BACKWARD_BYTES = 24 << 20
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What the splats blend to: channels [h, w, C] float32, premultiplied, alpha [h, w], each probe's picture [h, w] by its name, and of a
+    """The blended picture: channels [h, w, C] float32, premultiplied, alpha [h, w], each probe's picture [h, w] by its name, and of a
     holdout the light that it stops and the share of the pixel that it covers [h, w], or None."""
 
     channels: np.ndarray
@@ -92,7 +92,7 @@ def _tiles(first: int, last: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class RasterState:
-    """What rasterise_backward() needs of a forward pass; lists: its tile lists if they were made in one go."""
+    """The values of a forward pass that rasterise_backward() needs; lists: its tile lists if they were made in one go."""
 
     order: np.ndarray
     geometry: np.ndarray

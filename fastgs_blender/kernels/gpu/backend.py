@@ -15,7 +15,7 @@ from . import steps, training
 from .adapters import find
 from .device import Array, Device, Failure
 from .lists import front_to_back
-from .picture import NOWHERE, Bands, Drawn, Models, blend_all, colour, project
+from .picture import NOWHERE, Bands, DeviceBuffers, Models, blend_all, colour, project
 
 
 class GPU(CPU):
@@ -73,10 +73,10 @@ class GPU(CPU):
         progress(0.3)
         order = front_to_back(self.device, splats.depths, splats.rows)
         bands = blend_all(self.device, order, splats, camera, probes, lambda share: progress(0.3 + 0.6 * share))
-        return Drawn.of(bands, layout, probes, again)
+        return DeviceBuffers.of(bands, layout, probes, again)
 
     def colour(self, buffers, layout, camera):
-        if not isinstance(buffers, Drawn):
+        if not isinstance(buffers, DeviceBuffers):
             return super().colour(buffers, layout, camera)
         again = cache(lambda: super(GPU, self).colour(buffers.again(), layout, camera))
         return self._or_else(lambda: colour(self.device, buffers, layout, camera, again), again)

@@ -88,7 +88,8 @@ def describe(part: str = "", test: bool = True, again: bool = False, tell: Calla
 
 
 def verdict(adapter: Adapter, again: bool = False) -> str:
-    """What is wrong with an adapter, as a part of a sentence; "": nothing.  Tests it where that has not been done, or once more."""
+    """The fault of an adapter as a clause, "" where it has passed the self-test.  It is tested where there is no result yet, or once
+    more."""
     if not again and (found := known(adapter)) is not None:
         return found
     _keep(adapter, UNFINISHED)
@@ -133,7 +134,7 @@ def _keep(adapter: Adapter, wrong: str) -> None:
 
 
 def test(adapter: Adapter) -> str:
-    """What is wrong with an adapter, as verdict() gives it: pictures and gradients of two models, by it and by the CPU."""
+    """Test an adapter: compute pictures and gradients of two models by it and by the CPU.  Returns the fault as verdict() does."""
     backend = GPU(adapter.open)
     try:
         for look in (SH(1), Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))):

@@ -215,13 +215,13 @@ def blend_all(device: Device, order: Buffer, splats: Splats, camera: Camera, pro
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn(Buffers):
+class DeviceBuffers(Buffers):
     """The Buffers of a picture on a device; again: gives those that the CPU draws."""
 
     again: Callable[[], Buffers] = Buffers  # always given
 
     @classmethod
-    def of(cls, bands: list[Band], layout: Layout, probes: list[str], again: Callable[[], Buffers]) -> Drawn:
+    def of(cls, bands: list[Band], layout: Layout, probes: list[str], again: Callable[[], Buffers]) -> DeviceBuffers:
         """The bands by what their numbers mean."""
         def columns(array: Array, first: int, last: int, squeeze: bool) -> Array:
             shape = array.shape[:2] if squeeze else (*array.shape[:2], last - first)
@@ -238,7 +238,7 @@ class Drawn(Buffers):
                    {name: flat(1 + i, lambda name=name: again().probes[name]) for i, name in enumerate(probes)}, again=again)
 
 
-def colour(device: Device, buffers: Drawn, layout: Layout, camera: Camera, instead: Callable[[], np.ndarray]) -> Bands:
+def colour(device: Device, buffers: DeviceBuffers, layout: Layout, camera: Camera, instead: Callable[[], np.ndarray]) -> Bands:
     """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""
     bands, top = [], camera.window[1]
     for channels, alpha in zip(buffers.channels.parts, buffers.alpha.parts):

@@ -93,7 +93,7 @@ class Evening:
             setattr(self, name, np.array(array))
 
     def nothing(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of no picture, as seen() gives them."""
+        """Sums of 0, in the shapes that seen() returns."""
         return np.zeros_like(self.colour), np.zeros_like(self.clock)
 
     # what it does to pictures

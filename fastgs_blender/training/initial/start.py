@@ -27,7 +27,7 @@ class Start:
 
     @classmethod
     def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
-        """What these arrays were, of a model of the same kinds as `empty`."""
+        """The inverse of arrays(), for a model of the same kinds as `empty`."""
         return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]))
 
 

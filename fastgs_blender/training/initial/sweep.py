@@ -35,8 +35,8 @@ OUTSIDE = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Depths:
-    """Of one picture, all [h, w]: the depth with the least difference, cost, that difference, and range, between which depths
-    it is about as small, as the ratio of the farthest to the nearest.
+    """The depths of one picture, all [h, w]: the depth with the least difference, cost, that difference, and range, between which depths it
+    is about as small, as the ratio of the farthest to the nearest.
 
     Where the range leaves it open (VAGUE) the depth is the farthest of them: between smooth sky and the camera there is nothing.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The textures that hold all models of viewports: what is sent when one changes, where it lies, and what is freed."""
+"""The textures that hold all models of viewports: uploads after a change, places of models, and what is freed."""
 from __future__ import annotations
 
 from types import SimpleNamespace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Models in memory: one for each file, as long as it is needed, and paths that lead to it."""
+"""Models in memory: each file is held once, as long as it is needed; and the paths of files."""
 import os
 import threading
 

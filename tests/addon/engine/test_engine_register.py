@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the engine adds to Blender: itself, properties, and its place in Blender's own panels."""
+"""Registration of the engine: the engine itself, its properties, and its place in Blender's own panels."""
 import subprocess
 import sys
 

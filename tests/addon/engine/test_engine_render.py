@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a frame shows: objects, instances, layers, passes and time, against the reference renderer."""
+"""Rendered frames against the reference renderer: objects, instances, layers, passes and time."""
 from dataclasses import replace
 
 import bpy

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a click in a 3D view hits: the nearest splats that are seen there."""
+"""Clicks in a 3D view select the nearest object whose splats are visible there."""
 import bpy
 import by_hand
 import numpy as np

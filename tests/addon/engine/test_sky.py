@@ -22,7 +22,7 @@ def made(module, monkeypatch):
     """The names of the worlds that another Blender has rendered."""
     sky, names = module("scene.sky"), []
     rendered = sky.Sky._rendered
-    monkeypatch.setattr(sky.Sky, "_rendered", lambda self, wish, folder: names.append(wish.name) or rendered(self, wish, folder))
+    monkeypatch.setattr(sky.Sky, "_rendered", lambda self, request, folder: names.append(request.name) or rendered(self, request, folder))
     return names
 
 
@@ -138,11 +138,11 @@ def test_directions(module):
 def test_large_images_keep_their_detail(scene, world, module, monkeypatch):
     """A panorama is as wide as the world's widest image; it is rendered in strips, which leave no seam."""
     sky = module("scene.sky")
-    wish = lambda: sky.Wish(bpy.context.evaluated_depsgraph_get().scene_eval.world, (1, 0.0))  # noqa: E731
-    assert wish().width == sky.WIDTHS[0]
+    request = lambda: sky.WorldRequest(bpy.context.evaluated_depsgraph_get().scene_eval.world, (1, 0.0))  # noqa: E731
+    assert request().width == sky.WIDTHS[0]
     for size, width in ((5000, 8192), (8192, 8192), (16384, 16384), (40_000, 16384)):
         world["around"].image = bpy.data.images.new("Large", size, 2)
-        assert wish().width == width
+        assert request().width == width
         bpy.data.images.remove(world["around"].image)
     world["around"].image = bpy.data.images["Around"]
     monkeypatch.setattr(sky, "WIDTHS", (128, 128))
@@ -150,7 +150,7 @@ def test_large_images_keep_their_detail(scene, world, module, monkeypatch):
     for strip in (sky.STRIP, 24):
         monkeypatch.setattr(sky, "STRIP", strip)
         sky.sky.stop()
-        sky.sky.ask(wish())
+        sky.sky.ask(request())
         sky.sky.wait(GUARD)
         found.append(sky.sky.latest())
     np.testing.assert_array_equal(*(panorama.values for panorama in found))
@@ -173,7 +173,7 @@ def test_what_changes_a_world_changes_its_key(scene, world, module):
     sky = module("scene.sky")
 
     def key():
-        return sky.Wish(bpy.context.evaluated_depsgraph_get().scene_eval.world, (1, 0.0)).key
+        return sky.WorldRequest(bpy.context.evaluated_depsgraph_get().scene_eval.world, (1, 0.0)).key
 
     tree, seen = scene.world.node_tree, [key()]
     world["around"].location.x += 50

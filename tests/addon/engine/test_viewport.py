@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A viewport's state: what it draws while it waits, when it asks again, what it does where the GPU fails, and what it leaves."""
+"""A viewport's state: what it draws while it waits for an order, when it asks for a new one, and what it does when the GPU fails."""
 from __future__ import annotations
 
 from types import SimpleNamespace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the GPU draws is what the library renders."""
+"""Pictures that the viewport's shaders draw, against the library's renders."""
 from __future__ import annotations
 
 from dataclasses import replace

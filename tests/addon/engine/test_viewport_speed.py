@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a viewport spares itself: splats that are drawn already, reading the depth, waiting for the order; and what it hides."""
+"""Work that a viewport avoids: drawing the same splats again, reading depth, waiting for an order."""
 from __future__ import annotations
 
 import itertools

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What happens to splat objects later: undo, saving and loading, append and link, copies, reloading, fitting the scene."""
+"""Splat objects after their import: undo, saving and loading, append and link, copies, reloading, fitting the scene."""
 from pathlib import Path
 
 import bpy

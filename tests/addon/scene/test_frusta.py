@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What cameras have filmed, on their frusta in viewports."""
+"""Background images of cameras on their frusta in viewports."""
 from __future__ import annotations
 
 from types import SimpleNamespace

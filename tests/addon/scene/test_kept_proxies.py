@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that would make something else of a proxy: they are undone, and a sentence says so.  docs/operators.md has the table."""
+"""Operators that would turn a proxy into something else: the extension restores it and reports a sentence.  docs/operators.md has the
+table."""
 import bpy
 import numpy as np
 import pytest

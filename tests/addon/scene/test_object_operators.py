@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's object operators on splats: they do what they do to a mesh, or refuse with a sentence.  docs/operators.md has the table.
+"""Blender's object operators on splats: they act as on a mesh, or refuse with a sentence.  docs/operators.md has the table.
 
 test_related_objects.py has those that take a second object, test_kept_proxies.py those that are refused.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points: All.  What Geometry Nodes, lattices and armatures make of a splat object's points is what is rendered."""
+"""Points: All.  Renders show the points of a splat object as Geometry Nodes, lattices and armatures have changed them."""
 from __future__ import annotations
 
 from dataclasses import replace

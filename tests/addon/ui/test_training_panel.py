@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels Train and Capture say before a press what will happen, and why a button cannot be pressed."""
+"""The panels Train and Capture: what a button will do, and why it cannot be pressed."""
 from __future__ import annotations
 
 import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels: what they say, when they show, and that all they draw exists."""
+"""The panels: their texts, when they are shown, and that all properties and operators that they draw exist."""
 from pathlib import Path
 from types import SimpleNamespace
 

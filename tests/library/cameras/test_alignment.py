@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Setting captures upright: the transform is rigid, and and the ground becomes level at height 0."""
+"""Setting captures upright: the transform is rigid, and the ground becomes level at height 0."""
 from __future__ import annotations
 
 import numpy as np

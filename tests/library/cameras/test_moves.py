@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera moves: they pass where they should, and nothing jumps on the way."""
+"""Camera moves: they pass through their cameras, and position, direction and speed are smooth."""
 import numpy as np
 import pytest
 from hypothesis import given, settings

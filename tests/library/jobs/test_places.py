@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a run goes, and what becomes of a run that is there already."""
+"""The folder of a run, and what happens to a run that it already holds."""
 from __future__ import annotations
 
 import json
@@ -47,14 +47,14 @@ def test_the_next_name_counts_on(tmp_path, finished):
     assert next_free(finished, {f"{finished}-3"}) == f"{finished}-4", "another job has that one"
 
 
-@pytest.mark.parametrize(("wish", "existing", "words"), [
+@pytest.mark.parametrize(("choice", "existing", "words"), [
     ('NEW', "", "the new run goes into run-2"), ('OVERWRITE', "--overwrite", "It is deleted"), ('REFUSE', None, "overwrite it"),
     ('RESUME', None, "nothing is left to continue")])
-def test_wishes_for_a_finished_run(finished, wish, existing, words):
-    place = place_for(finished, wish)
+def test_choices_for_a_finished_run(finished, choice, existing, words):
+    place = place_for(finished, choice)
     assert words in (place.trouble or place.text) and bool(place.trouble) == (existing is None) and place.asks
     assert existing is None or place.existing == existing
-    assert (place.out == finished) == (wish != 'NEW')
+    assert (place.out == finished) == (choice != 'NEW')
 
 
 def test_an_unfinished_run_continues(begun):
@@ -63,8 +63,8 @@ def test_an_unfinished_run_continues(begun):
 
 
 def test_an_empty_folder_is_taken_whatever_the_wish(tmp_path):
-    for wish in ('REFUSE', 'RESUME', 'OVERWRITE', 'NEW'):
-        place = place_for(str(tmp_path), wish)
+    for choice in ('REFUSE', 'RESUME', 'OVERWRITE', 'NEW'):
+        place = place_for(str(tmp_path), choice)
         assert (place.out, place.existing, place.trouble, place.asks) == (str(tmp_path), "", "", False)
 
 

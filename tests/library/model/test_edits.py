@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Edits of a model at one time, what lies between two of them, and the maps by which deformations turn Gaussians."""
+"""Edits of a model at one time, the models between two edits, and the rotations and stretches of deformations."""
 from __future__ import annotations
 
 from dataclasses import replace

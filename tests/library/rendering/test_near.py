@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gaussians that reach the camera's plane: a camera that flies through a model meets no explosions."""
+"""Gaussians that reach the camera's plane: they do not cover the picture of a camera that flies through a model."""
 from __future__ import annotations
 
 import numpy as np

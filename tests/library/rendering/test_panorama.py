@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panoramas: where things appear, that no edge of a face is seen, and that a narrow fisheye is a pinhole."""
+"""Panoramas: places of things in the picture, no visible edges between faces, and a narrow fisheye that equals a pinhole."""
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shadows of splats on meshes, where light and splats say what they must be."""
+"""Shadows of splats on meshes, in scenes whose shadows are known."""
 from __future__ import annotations
 
 import numpy as np

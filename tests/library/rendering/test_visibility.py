@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a viewport draws, and in which order: with numba, without, and against what a picture shows."""
+"""The Gaussians that a viewport draws, and their order: with numba, without it, and against rendered pictures."""
 from __future__ import annotations
 
 import numpy as np

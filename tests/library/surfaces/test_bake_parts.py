@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What bake() is made of: even samples, the choice of an order, tangent frames."""
+"""The parts of bake(): even samples, the choice of an order, tangent frames."""
 import numpy as np
 import pytest
 from hypothesis import given

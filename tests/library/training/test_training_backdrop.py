@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The points far behind a scene: where pictures show nothing else, in the colours that are there when nothing passes by."""
+"""The starting points far behind a scene: they lie where pictures show nothing else, in the colours of the background."""
 import numpy as np
 import pytest
 from toy_captures import Pixels, toy_capture

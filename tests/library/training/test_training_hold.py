@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What pictures hardly show keeps its colours in training, and what they show takes theirs."""
+"""The pull on backdrop colours: Gaussians that pictures hardly show keep their colours, others take those of the pictures."""
 import numpy as np
 from toy_captures import Pixels, toy_capture
 

@@ -173,7 +173,7 @@ class Rows:
         self.begun.append((name, rows))
 
 
-class Wishes:
+class Gradients:
     """Statistics in which every Gaussian but the first `calm` wants more."""
 
     def __init__(self, n, calm=0):
@@ -196,7 +196,7 @@ def test_the_cap_holds_and_only_due_steps_change(rng, make_model, name):
     rows, control = Rows(model), strategy(name, model, max_gaussians=100, noise=0.0)
     for iteration in range(95, 1001):
         before = len(rows.arrays["opacity"])
-        changed = control.after_step(iteration, rows, Wishes(before), {"position": 1e-4})
+        changed = control.after_step(iteration, rows, Gradients(before), {"position": 1e-4})
         assert changed == (iteration % 100 == 0)
         assert len(rows.arrays["opacity"]) <= 100 and (changed or len(rows.arrays["opacity"]) == before)
     assert len(rows.arrays["opacity"]) > 85
@@ -208,7 +208,7 @@ def test_splitting_keeps_what_is_there_and_cloning_copies(rng, make_model):
     model.opacity[:] = 2.0
     model.scale[:20] = np.log(1e-3)
     rows, control = Rows(model), strategy("default", model, max_gaussians=10_000)
-    control.after_step(100, rows, Wishes(40, calm=10), {})
+    control.after_step(100, rows, Gradients(40, calm=10), {})
     assert len(rows.arrays["opacity"]) == 40 + 21  # half of the 40, and one
     old, new = ({k: v[part] for k, v in rows.arrays.items()} for part in (slice(40), slice(40, None)))
     assert np.array_equal(old["position"][:20], model.position[:20])
@@ -222,14 +222,14 @@ def test_faint_gaussians_go(rng, make_model):
     model = make_model(rng, 30)
     model.opacity[:] = np.where(np.arange(30) < 12, -9, 3)
     rows = Rows(model)
-    strategy("default", model).after_step(100, rows, Wishes(30, calm=30), {})
+    strategy("default", model).after_step(100, rows, Gradients(30, calm=30), {})
     assert len(rows.arrays["opacity"]) == 18
 
 
 def test_reset_makes_opaque_ones_faint(rng, make_model):
     model = make_model(rng, 30)
     rows = Rows(model)
-    strategy("default", model, reset_every=250).after_step(250, rows, Wishes(30), {})
+    strategy("default", model, reset_every=250).after_step(250, rows, Gradients(30), {})
     assert rows.arrays["opacity"].max() <= np.log(0.01 / 0.99) + 1e-6 and rows.begun[0][0] == "opacity"
 
 
@@ -240,7 +240,7 @@ def test_reborn_gaussians_leave_the_picture_alone(rng, make_model):
     model.scale[:] = np.log(0.3)
     model.opacity[:] = [1.0, -9, -9]
     rows = Rows(model)
-    strategy("mcmc", model, max_gaussians=3, noise=0.0).after_step(100, rows, Wishes(3), {"position": 1e-4})
+    strategy("mcmc", model, max_gaussians=3, noise=0.0).after_step(100, rows, Gradients(3), {"position": 1e-4})
     camera = fg.Camera(32, 32, 40, 40, 16, 16, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
     before, after = (fg.render(m, camera)["alpha"] for m in (model, replace(model, **rows.arrays)))
     assert rows.arrays["opacity"].min() > -5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run knows what it is: --resume brings back everything, and a start that fails leaves nothing in the way."""
+"""The plan of a run: --resume restores all settings, and a start that fails leaves no file behind."""
 from __future__ import annotations
 
 import json

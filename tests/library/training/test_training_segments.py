@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Long captures in segments: how they are cut, and that what is joined plays through."""
+"""Long captures in segments: how they are cut, and how the joined model plays."""
 from dataclasses import replace
 from itertools import pairwise
 
