@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
+from held_runs import GUARD
+
 HERE = Path(__file__).resolve().parent
 TOOLS = HERE.parents[1] / "tools"
 COMPLAINT = re.compile(r"^(Traceback .*|\w*(Error|Exception)[: ].*|.*(Segmentation fault|SIGSEGV|SIGABRT).*)", re.MULTILINE)
@@ -38,7 +40,7 @@ class User:
         shutil.copytree(self.folder / self.home, self.folder / home, symlinks=True)
         return User(self.root, self.folder, home)
 
-    def run(self, *command, limit=900, expect=0) -> str:
+    def run(self, *command, limit=GUARD, expect=0) -> str:
         """Run a command in the root and return what it printed.  Limits are for what hangs, not for machines that are slow."""
         number = next(_numbers)
         log = self.folder / f"log-{number:03}-{Path(command[0]).name}.txt"
@@ -69,7 +71,7 @@ class User:
         self.blender("--command", "extension", "repo-add", "--url", f"file:///mnt/{folder.name}/index.json", "--name", "Ours", "ours")
         return self.blender("--online-mode", "--command", "extension", "install", "--sync", "-e", "ours.fastgs_blender")
 
-    def story(self, name: str, *arguments, window=False, limit=1200, complaints=(), **facts):
+    def story(self, name: str, *arguments, window=False, limit=2 * GUARD, complaints=(), **facts):
         """Run a story of the modules beside this file (see inside.py).
 
         arguments   further ones for Blender, such as a .blend file

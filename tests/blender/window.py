@@ -14,6 +14,7 @@ from importlib import import_module
 import addon_utils
 import bpy
 from background import ADDON, bring, look
+from held_runs import GUARD
 from mathutils import Euler, Matrix, Vector
 
 
@@ -28,7 +29,7 @@ def under_way():
     return spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces._views.values())
 
 
-def settled(name, limit=300.0):
+def settled(name, limit=GUARD):
     """A screenshot of when two in a row, a second apart, were the same, and nothing more was under way."""
     before, waited = None, 0.0
     while waited < limit:
@@ -69,7 +70,7 @@ def press(key, area):
     yield 0.3
 
 
-def until(condition, limit=600.0):
+def until(condition, limit=GUARD):
     """Wait for something; False where it does not come to be, however long that takes: the limit is a guard against hanging."""
     waited = 0.0
     while not condition() and waited < limit:
