@@ -42,7 +42,7 @@ SCALES = 20.0
 
 
 class CompressedPly(StaticFormat):
-    """See the module."""
+    """The format "compressed PLY", as the head of this module describes it."""
 
     name = "compressed PLY"
     extensions = (".compressed.ply",)

@@ -45,7 +45,7 @@ class Keyed:
 
 
 class Ex4DGS(SequenceFormat):
-    """See the module."""
+    """The format "Ex4DGS", as the head of this module describes it."""
 
     name = "Ex4DGS"
     reads = (".ply",)

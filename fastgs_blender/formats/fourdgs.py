@@ -37,7 +37,7 @@ UP = {1: "RUB", 2: "RFU", 4: "RDF"}
 
 
 class FourDGS(Format):
-    """See the module."""
+    """The format "4dgs", as the head of this module describes it."""
 
     name = "4dgs"
     says_axes = True

@@ -36,7 +36,7 @@ GSPLAT = Raster(alpha_max=0.999, near=0.01)
 
 
 class FreeTimePly(Format):
-    """See the module."""
+    """The format "FreeTimeGS PLY", as the head of this module describes it."""
 
     name = "FreeTimeGS PLY"
     extensions = (".ftgs.ply",)

@@ -41,7 +41,7 @@ MAX_NODES = 100_000
 
 
 class Gltf(StaticFormat):
-    """See the module."""
+    """The format "glTF KHR_gaussian_splatting", as the head of this module describes it."""
 
     name = "glTF KHR_gaussian_splatting"
     says_axes = True

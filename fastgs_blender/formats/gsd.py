@@ -48,7 +48,7 @@ class _Frame:
 
 
 class Gsd(SequenceFormat):
-    """See the module."""
+    """The format "GSD sequence", as the head of this module describes it."""
 
     name = "GSD sequence"
     reads = (".gsd",)

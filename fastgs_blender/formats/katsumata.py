@@ -25,7 +25,7 @@ MOST = 4
 
 
 class Katsumata(Format):
-    """See the module."""
+    """The format "compact dynamic Gaussians PLY (Katsumata)", as the head of this module describes it."""
 
     name = "compact dynamic Gaussians PLY (Katsumata)"
     reads = (".ply",)

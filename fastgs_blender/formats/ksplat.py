@@ -30,7 +30,7 @@ BOUND = 1.5
 
 
 class Ksplat(StaticFormat):
-    """See the module."""
+    """The format ".ksplat", as the head of this module describes it."""
 
     name = ".ksplat"
     reads = (".ksplat",)

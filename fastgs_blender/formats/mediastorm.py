@@ -29,7 +29,7 @@ LONGEST = 100_000.0
 
 
 class MediastormPly(Format):
-    """See the module."""
+    """The format "Mediastorm 4D PLY", as the head of this module describes it."""
 
     name = "Mediastorm 4D PLY"
     reads = (".ply",)

@@ -33,7 +33,7 @@ CHUNK = 1 << 16
 
 
 class Realtime4DGS(Format):
-    """See the module."""
+    """The format "4DGS checkpoint", as the head of this module describes it."""
 
     name = "4DGS checkpoint"
     reads = (".pth",)

@@ -24,7 +24,7 @@ DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 
 
 class RotorGaussians(Format):
-    """See the module."""
+    """The format "4D-Rotor Gaussians checkpoint", as the head of this module describes it."""
 
     name = "4D-Rotor Gaussians checkpoint"
     reads = (".ckpt",)

@@ -42,7 +42,7 @@ LARGEST = 16383
 
 
 class Sog(StaticFormat):
-    """See the module."""
+    """The format "SOG", as the head of this module describes it."""
 
     name = "SOG"
     extensions = (".sog",)

@@ -40,7 +40,7 @@ class Part:
 
 
 class Sog4d(Format):
-    """See the module."""
+    """The format "SOG4D (SuperSplat 4D)", as the head of this module describes it."""
 
     name = "SOG4D (SuperSplat 4D)"
     reads = (".sog4d",)

@@ -51,7 +51,7 @@ class _Layout:
 
 
 class Sog4dFrames(SequenceFormat):
-    """See the module."""
+    """The format "SOG4D (gsplat-unity)", as the head of this module describes it."""
 
     name = "SOG4D (gsplat-unity)"
     reads = (".sog4d",)

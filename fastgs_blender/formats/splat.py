@@ -27,7 +27,7 @@ FARTHEST = 1e7
 
 
 class Splat(StaticFormat):
-    """See the module."""
+    """The format ".splat", as the head of this module describes it."""
 
     name = ".splat"
     extensions = reads = (".splat",)

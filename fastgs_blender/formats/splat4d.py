@@ -42,7 +42,7 @@ LARGEST = 64 << 30
 
 
 class Splat4d(Format):
-    """See the module."""
+    """The format "splat4d", as the head of this module describes it."""
 
     name = "splat4d"
     reads = (".splat4d",)

@@ -51,7 +51,7 @@ class _Span:
 
 
 class Splats4D(SequenceFormat):
-    """See the module."""
+    """The format "splats4D", as the head of this module describes it."""
 
     name = "splats4D"
     reads = (".splat4d",)

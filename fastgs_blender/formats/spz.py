@@ -43,7 +43,7 @@ SH_STEPS = (8, 16)
 
 
 class Spz(StaticFormat):
-    """See the module."""
+    """The format "SPZ", as the head of this module describes it."""
 
     name = "SPZ"
     says_axes = True

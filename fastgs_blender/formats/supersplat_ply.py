@@ -25,7 +25,7 @@ FPS = 30.0
 
 
 class SuperSplatPly(Format):
-    """See the module."""
+    """The format "SuperSplat 4D PLY", as the head of this module describes it."""
 
     name = "SuperSplat 4D PLY"
     reads = (".ply",)

@@ -25,7 +25,7 @@ FPS, FRAMES = 30.0, 300
 
 
 class Tsog(Format):
-    """See the module."""
+    """The format "TSOG", as the head of this module describes it."""
 
     name = "TSOG"
     reads = (".tsog",)

@@ -38,7 +38,7 @@ AXES = {"Y": "RUB", "Z": "RFU"}
 
 
 class Usd(StaticFormat):
-    """See the module."""
+    """The format "OpenUSD ParticleField", as the head of this module describes it."""
 
     name = "OpenUSD ParticleField"
     says_axes = True
