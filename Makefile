@@ -36,11 +36,12 @@ lint: .venv/ready
 	@$(PY) -m mypy --no-error-summary
 
 test-library: .venv/ready
-	@$(PY) -m pytest tests/library -n 2
+	@$(PY) -m pytest tests/library -n 2 --dist worksteal
 
-# Blender has one set of global data a process, so these never share a process with the library's tests.
+# Blender has one set of global data a process, so these never share a process with the library's tests, and a file stays in one process.
+ADDON := tests/addon -n 2 --dist loadfile
 test-addon: .venv/ready
-	@$(PY) -m pytest tests/addon
+	@$(PY) -m pytest $(ADDON)
 
 test-lts:
 	@if tools/find_python.sh 3.13 >/dev/null; then $(MAKE) --no-print-directory test-addon-5.2.3; \
@@ -48,11 +49,11 @@ test-lts:
 
 .PHONY: test-addon-5.2.3 test-addon-4.5.15 test-addon-4.2.23
 test-addon-5.2.3: .venv313/ready
-	@echo "Blender 5.2.3, Python 3.13:" && $(LTS) -m pytest tests/addon
+	@echo "Blender 5.2.3, Python 3.13:" && $(LTS) -m pytest $(ADDON)
 test-addon-4.5.15: .venvs/4.5.15/ready
-	@echo "Blender 4.5.15:" && .venvs/4.5.15/bin/python -m pytest tests/addon
+	@echo "Blender 4.5.15:" && .venvs/4.5.15/bin/python -m pytest $(ADDON)
 test-addon-4.2.23: .venvs/4.2.23/ready
-	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest tests/addon
+	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest $(ADDON)
 
 test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
 

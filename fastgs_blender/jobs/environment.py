@@ -81,8 +81,11 @@ def inspect(python: str) -> Report:
 
 
 def environment(python: str) -> dict[str, str]:
-    """The environment variables of a process of that Python: Blender's own finds what Blender finds, another one only its own."""
-    values = {key: value for key, value in os.environ.items() if key not in {"PYTHONHOME", "PYTHONSTARTUP"}}
+    """The environment variables of a process of that Python: Blender's own finds what Blender finds, another one only its own.
+
+    The width of the terminal that Blender was started in is not among them: what the process says is read line by line.
+    """
+    values = {key: value for key, value in os.environ.items() if key not in {"PYTHONHOME", "PYTHONSTARTUP", "COLUMNS"}}
     if same_file(python, sys.executable):
         values["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     values["PYTHONUNBUFFERED"], values["PYTHONIOENCODING"] = "1", "utf-8"

@@ -9,12 +9,18 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("fastgs_blender", "scene", "engine", "operators", "ui")
 NAMED = re.compile(r"\.*[a-z_]\w*(?:\.\w+)*\.?")
 """A module's name within a text."""
+
+
+@cache
+def parsed(source: str) -> ast.Module:
+    return ast.parse(source)
 
 
 def extension_files() -> dict[str, str]:
@@ -53,7 +59,7 @@ def targets(path: str, source: str, files) -> set[str]:
 
     Where the file names modules in strings to import them, every string that is the name of one counts.
     """
-    tree, package = ast.parse(source, path), PurePosixPath(path).parent.parts
+    tree, package = parsed(source), PurePosixPath(path).parent.parts
     found = set()
     for dots, module, name in imports(path, tree):
         if dots and dots <= len(package) + 1:
@@ -80,12 +86,17 @@ def _by_name(named: str, package: tuple[str, ...], files) -> set[str | None]:
 
 def operators(files: dict[str, str]) -> dict[str, str]:
     """The module that defines each of our operators, by its bl_idname."""
-    return {name: path for path, source in files.items() for name in re.findall(r'(?m)^    bl_idname = "([a-z_]+\.[a-z_]+)"', source)}
+    return {name: path for path, source in files.items() for name in _idnames(source)}
+
+
+@cache
+def _idnames(source: str) -> list[str]:
+    return re.findall(r'(?m)^    bl_idname = "([a-z_]+\.[a-z_]+)"', source)
 
 
 def called(path: str, source: str, ours: dict[str, str]) -> set[str]:
     """The modules whose operators `path` calls through bpy.ops, or names in a string."""
-    tree = ast.parse(source, path)
+    tree = parsed(source)
     names = {f"{node.value.attr}.{node.attr}" for node in ast.walk(tree)
              if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute)
              and isinstance(node.value.value, ast.Attribute) and node.value.value.attr == "ops"}

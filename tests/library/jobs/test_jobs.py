@@ -16,6 +16,7 @@ from held_runs import until
 
 import fastgs_blender as fg
 from fastgs_blender.jobs import queue
+from fastgs_blender.jobs.environment import environment
 from fastgs_blender.jobs.job import read_job, read_status
 from fastgs_blender.jobs.queue import Jobs
 from fastgs_blender.util import locks
@@ -346,3 +347,9 @@ def test_locks_of_two_looks_do_not_disturb_each_other(tmp_path):
     assert child.stdout.readline() == "looking\n"
     assert not locks.is_held(path)
     child.communicate()
+
+
+def test_a_process_tells_each_sentence_in_one_line(monkeypatch):
+    """However wide the terminal is that Blender was started in: its lines are read one by one."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert "COLUMNS" not in environment(sys.executable)
