@@ -100,8 +100,8 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
                ('MOVE', "Move With It", "The camera keeps its distance and its direction", 1),
                ('NONE', "Nothing", "Only make the empty that follows the region", 2)), default='LOOK')
     smooth: FloatProperty(name="Smooth", description="Frames over which the motion is averaged", min=0.0, soft_max=20.0, default=2.0)
-    frame_start: IntProperty(name="First Frame", default=1)
-    frame_end: IntProperty(name="Last Frame", default=100)
+    frame_start: IntProperty(name="First Frame", description="Frame with the first key", default=1)
+    frame_end: IntProperty(name="Last Frame", description="Frame with the last key", default=100)
 
     @classmethod
     def poll(cls, context):
@@ -153,7 +153,7 @@ class FASTGS_OT_handheld(bpy.types.Operator):
     sway: FloatProperty(name="Sway", description="How far the camera moves", subtype='DISTANCE', min=0.0, default=0.02)
     turn: FloatProperty(name="Turn", description="How far the camera turns", subtype='ANGLE', min=0.0, default=0.008)
     period: FloatProperty(name="Period", description="Duration of one swing in seconds", min=0.05, default=1.2)
-    seed: IntProperty(name="Seed", min=0, default=0)
+    seed: IntProperty(name="Seed", description="Another number gives another shake", min=0, default=0)
     remove: BoolProperty(name="Remove", description="Remove an earlier shake", default=False, options={'SKIP_SAVE'})
 
     @classmethod

@@ -148,8 +148,8 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
     format: EnumProperty(name="Format", description="The program that will read the path", items=FORMAT_ITEMS, default='FASTGS')
     space: EnumProperty(name="World", description="The world to write the cameras in", items=camera_space.ITEMS, default='AUTO')
     use_range: BoolProperty(name="Own Range", description="Export other frames than the scene's", default=False)
-    frame_start: IntProperty(name="First Frame", default=1)
-    frame_end: IntProperty(name="Last Frame", default=100)
+    frame_start: IntProperty(name="First Frame", description="First frame that is written", default=1)
+    frame_end: IntProperty(name="Last Frame", description="Last frame that is written", default=100)
 
     @classmethod
     def poll(cls, context):

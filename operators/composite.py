@@ -14,8 +14,7 @@ def _engines(self, context):
 
 
 class FASTGS_OT_set_up_composite(bpy.types.Operator):
-    """Render meshes with Cycles or EEVEE in a scene of their own, and join them with the splats by depth in the compositor.
-    Your nodes stay; run it again after adding objects"""
+    """Render meshes with Cycles or EEVEE in a scene of their own and join them with the splats by depth; press it again after changes"""
 
     bl_idname = "fastgs.set_up_composite"
     bl_label = "Set Up Composite"

@@ -60,14 +60,14 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
     filename_ext = ".ply"
     filter_glob: StringProperty(default=";".join(f"*{extension}" for extension in formats.writable()), options={'HIDDEN'})
     content: EnumProperty(
-        name="Content",
+        name="Content", description="What the file holds",
         items=(
             ('FRAME', "Frame", "What the scene shows on this frame, as one static file: with transforms, looks, crops and times", 0),
             ('RANGE', "Frame Range", "The same for each frame of a range, as numbered files", 1),
             ('MODEL', "4D Model", "The active object's whole model as its file has it, with its motion", 2),
         ), default='FRAME')
-    static_format: EnumProperty(name="Format", items=_items(STATIC), default='PLY')
-    moving_format: EnumProperty(name="Format", items=_items(MOVING), default='OWN')
+    static_format: EnumProperty(name="Format", description="The kind of file", items=_items(STATIC), default='PLY')
+    moving_format: EnumProperty(name="Format", description="The kind of file", items=_items(MOVING), default='OWN')
     selected: BoolProperty(
         name="Selected Objects", description="Only the selected objects, else all that the view layer shows", default=False)
     frame_start: IntProperty(name="Start", description="First frame of the scene to export", default=1)

@@ -17,8 +17,7 @@ def _kinds(self, context):
 
 
 class FASTGS_OT_native_copy(bpy.types.Operator):
-    """Make an object beside this one that holds what it shows on each frame as geometry of Blender's, for EEVEE and Cycles to render, light
-    and reflect; the file does not grow"""
+    """Make an object beside this one that holds what it shows on each frame, for EEVEE and Cycles; the file does not grow"""
 
     bl_idname = "fastgs.native_copy"
     bl_label = "Native Copy"

@@ -17,6 +17,9 @@ def add_arguments(parser):
     parser.add_argument("model", metavar="MODEL", help="the model's file")
     parser.add_argument("--out", metavar="FILE", help="write the model there; by default it replaces MODEL")
     parser.add_argument("--capture", metavar="FOLDER", help="the capture that the model was trained on: its cameras are stored")
+    parser.add_argument("--scale", type=float, metavar="X",
+                        help="with --capture: the size of its pictures in training, as a share of their own, as --scale of train; "
+                        "by default that of the capture's layout")
     parser.add_argument("--view", nargs=2, metavar=("FILE", "NAME"), help="look from this camera of a cameras.json first")
     parser.add_argument("--backdrop", nargs=4, type=float, metavar=("X", "Y", "Z", "RADIUS"),
                         help="what lies outside of this sphere, in the model's own space, is backdrop")
@@ -34,9 +37,11 @@ def run(args):
 
     if args.backdrop and args.no_backdrop:
         raise FastGSError("--backdrop and --no-backdrop contradict each other; give one of them.")
+    if args.scale is not None and not args.capture:
+        raise FastGSError("--scale is the size of a capture's pictures; give --capture as well.")
     known = {}
     if args.capture:
-        known["cameras"] = viewpoints(open_capture(args.capture))
+        known["cameras"] = viewpoints(open_capture(args.capture, scale=args.scale))
     if args.view:
         path, name = args.view
         view = choose(load_cameras(path), name, path)

@@ -26,8 +26,10 @@ class GPU(CPU):
     Whatever goes wrong on the device, the picture is drawn by the CPU, and so are all others from then on; a line of the log says why.
     """
 
+    leaves = frozenset(("motion blur", "depth of field", "meshes that hide splats", "shadows on meshes", "sorting by pixel"))
+
     def __init__(self, open):  # noqa: A002
-        self.open, self.failed, self.told = open, None, False
+        self.open, self.failed = open, None
 
     @cached_property
     def models(self) -> Models:
@@ -58,15 +60,8 @@ class GPU(CPU):
         wanted = [name for name in PROBES if name in probes]
         again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
         if holdout is not None or layout.by_pixel:  # only the CPU's rasterisers know triangles, and lists of their own for pixels
-            self._tell(layout)
             return again()
         return self._or_else(lambda: self._draw(instances, camera, layout, wanted, progress, again), again)
-
-    def _tell(self, layout):
-        """Say on one line, once, that the GPU does not sort by pixel."""
-        if layout.by_pixel and not self.told:
-            self.told = True
-            logging.getLogger(__name__).warning("the GPU sorts splats by their centres alone, so the CPU draws what is sorted by pixel.")
 
     def _draw(self, instances, camera, layout, probes, progress, again):
         splats = project(self.device, instances, camera, layout, [self.models.packs(instance.model) for instance in instances])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_models import random_model
+from toy_captures import write_capture
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
@@ -150,3 +151,17 @@ def test_the_command_annotates_a_file_in_place(model, tmp_path, capsys):
     assert "nothing to store" in capsys.readouterr().err
     with pytest.raises(fg.FastGSError, match=r"m\.ply.*convert"):
         annotate(path, tmp_path / "m.ply", backdrop=None)
+
+
+def test_the_command_stores_cameras_in_the_size_that_was_trained_on(model, tmp_path, capsys):
+    """Half as many pixels are half the focal length, at which far views begin to be antialiased."""
+    path, capture = tmp_path / "m.safetensors", str(write_capture(tmp_path / "capture", 1, 3))
+    fg.save(model, path)
+    stored = []
+    for scale in ((), ("--scale", "0.5")):
+        assert main(["annotate", str(path), "--capture", capture, *scale]) == 0
+        stored.append(fg.load(path).surroundings.cameras)
+    for full, half in zip(*stored, strict=True):
+        assert full.position == half.position and half.fx == pytest.approx(full.fx / 2) and half.width == full.width / 2
+    assert main(["annotate", str(path), "--scale", "0.5"]) == 2
+    assert "give --capture as well" in capsys.readouterr().err

@@ -12,9 +12,12 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import viewpoint_of
+from fastgs_blender.kernels.cpu.backend import CPU
 from fastgs_blender.kernels.gpu import device, picture, scene
 from fastgs_blender.model.surroundings import Surroundings
+from fastgs_blender.rendering import processor
 from fastgs_blender.rendering.crops import Crop
+from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
 from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.volumes import mesh_volume
@@ -114,17 +117,20 @@ def test_what_reaches_the_cameras_plane_agrees_with_the_oracle(gpu, adapter):
     assert np.abs(straight - wanted).max() > 0.1, "some of it is beside the picture"
 
 
-def test_the_cpu_sorts_by_pixel(gpu, adapter, caplog):
-    """The same bytes as the CPU's, and one line that says so."""
+def test_what_the_processor_draws_is_told_in_a_line(gpu, adapter, caplog):
+    """Sorting by pixel and holdouts: the same bytes as the CPU's, and a line for each, once; exposures have theirs."""
     rng = np.random.default_rng(3)
     model, camera = random_model(rng, 60, size=0.3), fg.Camera(50, 40, 40, 40, 25, 20, random_pose(rng, 3.0))
-    gpu.told = False
-    for _ in range(2):
-        wanted, got = (fg.render(model, camera, backend=backend, settings=PassSettings(sorting="pixel"))
-                       for backend in ("cpu", name_of(adapter)))
+    processor._told.clear()
+    cases = {"sorting by pixel": {"settings": PassSettings(sorting="pixel")}, "meshes that hide splats": {"holdout": np.eye(3)[None]}}
+    for options in (*cases.values(), *cases.values()):
+        wanted, got = (fg.render(model, camera, backend=backend, **options) for backend in ("cpu", name_of(adapter)))
         assert wanted["alpha"].any() and np.array_equal(wanted["rgb"], got["rgb"])
-    assert [record.getMessage() for record in caplog.records if "pixel" in record.getMessage()] == [
-        "the GPU sorts splats by their centres alone, so the CPU draws what is sorted by pixel."]
+    assert [record.getMessage() for record in caplog.records if "processor" in record.getMessage()] == [
+        f"The GPU does not compute {name}: the processor draws this picture." for name in cases]
+    blurred = Exposure(-0.1, 0.1, steps=2, aperture=Aperture(0.01, 3.0, samples=2))
+    assert "compute motion blur, depth of field:" in processor.left_to_processor(gpu, blurred, None, PassSettings())
+    assert not processor.left_to_processor(CPU(), blurred, None, PassSettings())
 
 
 def test_all_passes_of_several_instances_agree_with_the_cpu(gpu, adapter, crowd):
