@@ -7,6 +7,7 @@ their own normalised time, 0 to 1; how many frames the capture has they do not s
 """
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -143,12 +144,14 @@ class HexPlaneGaussians(DeformedFormat):
 
 def _weights(path: Path) -> Weights:
     """The arrays of a state dict, float32."""
-    content = torch_zip.TorchFile(path).content
-    if not isinstance(content, dict):
+    file = torch_zip.TorchFile(path)
+    if not isinstance(file.content, dict):
         raise FastGSError(f"{path}: it is no table of a network's weights; save it again.")
+    tensors = {name: value for name, value in file.content.items() if isinstance(name, str) and isinstance(value, torch_zip.Tensor)}
+    if sum(math.prod(value.shape) for value in tensors.values()) > file.length:  # four bytes each
+        raise FastGSError(f"{path}: its network would be far larger than the file, which holds the same numbers many times; save it again.")
     with np.errstate(over="ignore", invalid="ignore"):
-        return {name: value.read().astype(np.float32) for name, value in content.items()
-                if isinstance(name, str) and isinstance(value, torch_zip.Tensor)}
+        return {name: value.read().astype(np.float32) for name, value in tensors.items()}
 
 
 def _finite(model: GaussianModel, path: Path) -> GaussianModel:

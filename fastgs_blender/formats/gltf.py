@@ -38,6 +38,8 @@ COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 512
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 COLOURS = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
 MAX_NODES = 100_000
+OVER = 4
+"""How many times over all nodes together may show the bytes of a file: a mesh that a thousand nodes show would be a thousand meshes."""
 
 
 class Gltf(StaticFormat):
@@ -168,7 +170,13 @@ class _Buffers:
     """The bytes of buffers, read once."""
 
     def __init__(self, tree: dict, binary: bytes, folder: Path):
-        self.tree, self.binary, self.folder, self.known = tree, binary, folder, {}
+        self.tree, self.binary, self.folder, self.known, self.spent = tree, binary, folder, {}, 0
+
+    def spend(self, size: int) -> None:
+        """Count bytes that become Gaussians; raises FastGSError where these are far more than there are."""
+        self.spent += size
+        if self.spent > OVER * sum(map(len, self.known.values())):
+            raise FastGSError("its nodes show the same Gaussians many times over; export them joined into one mesh.")
 
     def view(self, index) -> bytes:
         view = _at(self.tree, "bufferViews", index)
@@ -213,6 +221,7 @@ def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
     step = whole_number(_at(tree, "bufferViews", accessor["bufferView"]).get("byteStride", item), "an attribute's stride")
     if step < item or (count and begin + step * (count - 1) + item > len(data)):
         raise FastGSError("the file is cut short: an attribute is longer than its buffer; copy or export it again.")
+    buffers.spend(count * item)
     values = np.ndarray((count, width), kind, data, begin, (step, np.dtype(kind).itemsize)) if count else np.zeros((0, width))
     values = values.astype(np.float64)
     if accessor.get("normalized") is True and kind != "<f4":
@@ -230,7 +239,9 @@ def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
         raise FastGSError("its Gaussians have a kernel or a colour space that is not known; export it as ellipses in sRGB.")
     if packed is not None:
         draft = "kernel" not in about and "colorSpace" not in about
-        model = decoded(buffers.view(_table(packed).get("bufferView")), raw=draft)  # drafts hold glTF's own axes, as Cesium reads them
+        data = buffers.view(_table(packed).get("bufferView"))
+        buffers.spend(len(data))
+        model = decoded(data, raw=draft)  # drafts hold glTF's own axes, as Cesium reads them
         return replace(model if draft else turned(model, into_rdf(AXES).T), colour_space=COLOURS[colours])
 
     def read(name: str, width: int) -> np.ndarray:

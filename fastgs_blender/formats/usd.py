@@ -33,7 +33,7 @@ from .zipped import members
 
 KIND = "ParticleField3DGaussianSplat"
 DEGREE, COEFFICIENTS = "radiance:sphericalHarmonicsDegree", "radiance:sphericalHarmonicsCoefficients"
-MOST_PRIMS = 10_000
+MOST_PRIMS, MOST_FRAMES = 10_000, 1_000_000_000
 AXES = {"Y": "RUB", "Z": "RFU"}
 
 
@@ -61,8 +61,11 @@ class Usd(StaticFormat):
         if len(times) < 2:
             return load(path)
         step = float(np.diff(times).min())
-        at = np.rint((times - times[0]) / step)
-        rate = stage.GetTimeCodesPerSecond() / step
+        with np.errstate(all="ignore"):  # times may be as near to each other as numbers go
+            at = np.rint((times - times[0]) / step)
+            rate = stage.GetTimeCodesPerSecond() / step
+        if not at[-1] <= MOST_FRAMES:
+            raise FastGSError("the times of its samples are next to equal; export them frame by frame.")
         clip = Clip(int(at[-1]) + 1, rate if 0 < rate < 1e6 else 24.0)
 
         def read(i):
@@ -168,11 +171,15 @@ def _opened(path: Path) -> tuple:
 
 
 def _without_references(spec) -> None:
-    """Take what leads to other files out of a prim and those below it."""
+    """Take what leads to other files out of a prim, its variants and those below it."""
     spec.ClearReferenceList()
     spec.ClearPayloadList()
+    spec.ClearInfo("clips")
     for child in spec.nameChildren:
         _without_references(child)
+    for choices in spec.variantSets.values():
+        for variant in choices.variants.values():
+            _without_references(variant.primSpec)
 
 
 def _attribute(prim, name: str):

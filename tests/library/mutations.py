@@ -36,6 +36,8 @@ MEMORY = 1 << 30
 CPU = 60
 """Seconds of the processor's time for one file: a guard against endless work, far above what any machine needs."""
 CPU_OF_ATTACKS = 10
+BATCH = 2500
+"""Mutations that one child reads: what a library keeps of every damaged file (OpenUSD some 100 KB) does not add up to MEMORY."""
 UNCHANGED = -1
 """The number of the mutation that changes nothing."""
 SILENCE = 300
@@ -145,7 +147,7 @@ def _one(name, read, seeds, folder, seed, number, fixed) -> bool:
 
 
 def _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures) -> int:
-    """Work from `begin` on in a forked process; returns where the next one goes on."""
+    """Work from `begin` on in a forked process, BATCH mutations at most; returns where the next one goes on."""
     if not hasattr(os, "fork"):
         return _batch(name, read, seeds, folder, work, begin, fixed, lambda number, text: _note(text, told, failures))
     out, into = os.pipe()
@@ -215,8 +217,9 @@ def _limit(memory: int, log) -> None:
 
 
 def _batch(name, read, seeds, folder, work, begin, fixed, tell) -> int:
-    """All of the work from `begin` on, in this process."""
-    for at in range(begin, len(work)):
+    """The next BATCH of the work from `begin` on, in this process; returns where the next one goes on."""
+    end = min(begin + BATCH, len(work))
+    for at in range(begin, end):
         seed, number = work[at]
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_PROF, CPU if number != UNCHANGED else CPU_OF_ATTACKS)
@@ -229,4 +232,4 @@ def _batch(name, read, seeds, folder, work, begin, fixed, tell) -> int:
         tell(at, text)
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_PROF, 0)
-    return len(work)
+    return end

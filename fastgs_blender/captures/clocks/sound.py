@@ -15,6 +15,8 @@ RATE, PIECE = 8000, 8
 """Samples a second that are listened to, and samples in a piece of which one loudness is kept: a millisecond."""
 MOST_SECONDS = 600
 LEAST_SECONDS = 0.5
+LEAST_RATE = 2000
+"""Samples a second of the slowest sound that is listened to: a file that says 1 would be made 8000 times as long."""
 CLEAR = 8.0
 """How far the best shift of two sounds must stand out, in standard deviations over all shifts."""
 
@@ -22,7 +24,7 @@ CLEAR = 8.0
 def onsets(path: Path) -> np.ndarray | None:
     """How suddenly it gets loud, for every millisecond [n] from the video's first picture on; None where there is no sound.
 
-    Raises FastGSError where the file cannot be read.
+    Sound that begins more than MOST_SECONDS before or after the pictures is none.  Raises FastGSError where the file cannot be read.
     """
     first = video.index(path).first
     with video._opened(path) as container, reading(path):
@@ -34,6 +36,8 @@ def onsets(path: Path) -> np.ndarray | None:
         resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE)
         parts, start, length = [], None, 0
         for frame in container.decode(stream):
+            if frame.sample_rate < LEAST_RATE:
+                return None
             for heard in resampler.resample(frame):
                 if start is None:
                     start = 0.0 if frame.pts is None else float(frame.pts * frame.time_base)
@@ -45,6 +49,8 @@ def onsets(path: Path) -> np.ndarray | None:
         return None
     samples = np.concatenate(parts).astype(np.float64)
     begin = round((first - start) * RATE)  # sound before the first picture is left out
+    if abs(begin) > MOST_SECONDS * RATE:  # the two never meet
+        return None
     samples = samples[begin:] if begin >= 0 else np.r_[np.zeros(-begin), samples]
     samples = samples[:len(samples) // PIECE * PIECE].reshape(-1, PIECE)
     if len(samples) < 1000 * LEAST_SECONDS:

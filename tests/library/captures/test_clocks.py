@@ -17,6 +17,7 @@ from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.clocks import alignment
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
 from fastgs_blender.captures.clocks.find import find_offsets
+from fastgs_blender.captures.clocks.sound import onsets
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import record
 from fastgs_blender.training.core.schedule import Views
@@ -143,8 +144,11 @@ def test_a_flash_aligns_cameras_that_see_nothing_else_alike(tmp_path):
     assert found.clocks.offsets == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 4, "cam03": -3}, abs=0.3)
 
 
-def film(path, seconds, late, clicks, rate=16_000):
-    """A video of 25 frames a second with sound: clicks at these seconds of an event that the film joins `late` seconds after its begin."""
+def film(path, seconds, late, clicks, rate=16_000, codec="aac", delay=0.0):
+    """A video of 25 frames a second with sound: clicks at these seconds of an event that the film joins `late` seconds after its begin.
+
+    delay  seconds by which the time stamps of the sound lie behind those of the pictures
+    """
     import av
 
     rng = np.random.default_rng(ord(path.name[0]))
@@ -156,13 +160,14 @@ def film(path, seconds, late, clicks, rate=16_000):
     with av.open(str(path), "w") as container:
         pictures = container.add_stream("libx264", rate=25)
         pictures.width, pictures.height, pictures.pix_fmt = 32, 24, "yuv420p"
-        audio = container.add_stream("aac", rate=rate, layout="mono")
+        audio = container.add_stream(codec, rate=rate, layout="mono")
         for _ in range(int(seconds * 25)):
             container.mux(pictures.encode(av.VideoFrame.from_ndarray(np.full((24, 32, 3), 90, np.uint8), format="rgb24")))
         container.mux(pictures.encode(None))
-        for k in range(0, len(sound) - 1023, 1024):
-            frame = av.AudioFrame.from_ndarray(np.float32(sound[None, k:k + 1024]), format="fltp", layout="mono")
-            frame.sample_rate, frame.pts = rate, k
+        size = min(1024, len(sound))
+        for k in range(0, len(sound) - size + 1, size):
+            frame = av.AudioFrame.from_ndarray(np.float32(sound[None, k:k + size]), format="fltp", layout="mono")
+            frame.sample_rate, frame.pts = rate, k + round(delay * rate)
             container.mux(audio.encode(frame))
         container.mux(audio.encode(None))
 
@@ -175,6 +180,14 @@ def test_sound_aligns_videos(tmp_path):
     found = find_offsets(open_capture(tmp_path))
     assert found.clocks.found_by == "sound"
     assert found.clocks.offsets == pytest.approx({"a": 0, "b": 0.212 * 25, "c": 0}, abs=0.05)
+
+
+@pytest.mark.parametrize("wrong", [{"rate": 100}, {"delay": 4e6}], ids=str)
+def test_sound_that_would_fill_the_memory_is_none(tmp_path, wrong):
+    """A rate of 100 samples a second, and sound that begins 46 days after the pictures."""
+    pytest.importorskip("av")
+    film(tmp_path / "a.mkv", 2, 0.0, [], codec="pcm_f32le", **wrong)
+    assert onsets(tmp_path / "a.mkv") is None
 
 
 def test_videos_without_sound_in_common_are_told(tmp_path):

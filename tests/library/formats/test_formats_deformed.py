@@ -190,6 +190,16 @@ def test_baked_into_a_model_and_said_for_what_it_is(tmp_path, rng):
     assert np.median(np.linalg.norm(a.position - b.position, axis=1)) < 0.02
 
 
+def test_numbers_that_many_weights_share_are_not_multiplied(tmp_path, rng):
+    """A pickle may name the same megabyte a thousand times."""
+    _, path, w = hexplane(tmp_path, rng)
+    large = torch.zeros(1 << 18)
+    torch.save({f"deformation_net.{key}": value for key, value in w.items()} | {f"more.{i}": large for i in range(1000)},
+               path.with_name("deformation.pth"))
+    with pytest.raises(fg.FastGSError, match="far larger than the file"):
+        fg.open_source(path)
+
+
 def test_mutated_weights(tmp_path, rng):
     _, path, _ = hexplane(tmp_path / "made", rng)
     files = {"point_cloud.ply": path.read_bytes(), "deformation.pth": path.with_name("deformation.pth").read_bytes()}

@@ -148,6 +148,18 @@ def test_a_tree_of_nodes_and_two_primitives(rng, tmp_path):
     assert (len(model), model.features[5:, 3:].any(), len(moved)) == (12, False, 4)
 
 
+def test_a_mesh_that_a_thousand_nodes_show_is_refused(rng, tmp_path):
+    tree, binary = tree_of(random_attributes(rng, 50, 1))
+    for count, good in ((3, True), (1000, False)):
+        tree["nodes"] = [{"children": list(range(1, count + 1))}, *([{"mesh": 0}] * count)]
+        (tmp_path / "m.glb").write_bytes(glb(tree, binary))
+        if good:
+            assert len(fg.load(tmp_path / "m.glb")) == 50 * count
+        else:
+            with pytest.raises(fg.FastGSError, match="many times over"):
+                fg.load(tmp_path / "m.glb")
+
+
 @pytest.mark.parametrize("uri", ["file", "data"])
 def test_json_with_its_buffer_apart(rng, tmp_path, uri):
     attributes = random_attributes(rng)

@@ -101,6 +101,20 @@ def test_other_files_are_told_apart(tmp_path):
         fg.load(tmp_path / "broken.usda")
 
 
+def test_no_other_file_is_opened(tmp_path):
+    """Neither a reference nor a payload nor clips of values lead out of the file, in variants as little as elsewhere."""
+    other = f"@{tmp_path / 'other.usda'}@"
+    (tmp_path / "other.usda").write_text(EXAMPLE)
+    clips = f"clips = {{ dictionary default = {{ asset[] assetPaths = [{other}]; string primPath = '/Root' }} }}"
+    for outside in (f"references = {other}</Root>", f"payload = {other}</Root>", clips):
+        inner = f'def Xform "Inner" (\n{outside}\n) {{\n}}\n'
+        variants = f'variantSet "v" = {{\n"a" (\n{outside}\n) {{\n{inner}}}\n}}\n'
+        for said, held in ((outside, inner), ('variants = {\nstring v = "a"\n}\nprepend variantSets = "v"', variants)):
+            (tmp_path / "m.usda").write_text(f'#usda 1.0\ndef Xform "A" (\n{said}\n) {{\n{held}}}\n')
+            with pytest.raises(fg.FastGSError, match="without Gaussians"):
+                fg.load(tmp_path / "m.usda")
+
+
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
 def test_mutated_files(tmp_path, extension):
     inner = extension.replace("usdz", "usdc")
