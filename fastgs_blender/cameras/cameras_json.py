@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..util.arguments import file_path
+from ..util.arguments import file_path, shown
 from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from ..util.reading import read_json, reading
@@ -56,7 +56,12 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
     Example:
         fg.save_cameras([camera], "cameras.json")
     """
-    named = [view if isinstance(view, View) else View(f"{i:05d}", view) for i, view in enumerate(views)]
+    file_path(path)
+    given = list(views) if isinstance(views, Iterable) else [views]
+    wrong = [view for view in given if not isinstance(view, (View, Camera))]
+    if wrong or not isinstance(views, Iterable):
+        raise FastGSError(f"a cameras.json is written from a list of cameras, Camera or View, not from {shown((wrong or given)[0])}.")
+    named = [view if isinstance(view, View) else View(f"{i:05d}", view) for i, view in enumerate(given)]
     if any(view.camera.orthographic for view in named):
         raise FastGSError(f"{path}: a cameras.json holds perspective cameras only.")
     entries = []

@@ -2,7 +2,7 @@
 """Surroundings: what a file knows about the place around its Gaussians, so that viewers show the subject, from a good side, at once."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from typing import Any
@@ -160,7 +160,8 @@ def _moved(place: np.ndarray, point: tuple[float, float, float]) -> tuple[float,
 
 
 def _numbers(values: Sequence[Any], count: int, what: str) -> tuple[float, ...]:
-    good = len(values) == count and all(isinstance(v, Real) and abs(float(v)) <= FARTHEST for v in values)  # neither is NaN
+    good = isinstance(values, Iterable) and len(values) == count and all(
+        isinstance(v, Real) and abs(float(v)) <= FARTHEST for v in values)  # neither is NaN
     if not good:
         raise FastGSError(f"the {what} must be {count} finite number{'s' if count > 1 else ''}.")
     return tuple(float(v) for v in values)

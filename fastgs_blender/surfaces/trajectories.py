@@ -177,7 +177,9 @@ def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray,
 
     motion = means(distances(Fit.of(Static(), t)))
     allowed = np.maximum(np.minimum(MARGIN * tolerance * sizes, FOLLOW * motion), min(STILL, tolerance) * sizes)
-    chosen = choose(motion_families(basis, t) if len(t) > 1 else [], t, error, max_order)
+    moving = len(t) > 1
+    families = motion_families(basis, t if moving else np.array([0.0, 1.0]))
+    chosen = choose(families if moving else [], t, error, max_order)
     distance = distances(Fit.of(chosen, t))
     return chosen, bool((means(distance) <= MARGIN * tolerance * sizes).all() and (tails(distance) <= MARGIN * tail * sizes).all())
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...cameras import poses
+from ...util.arguments import file_path, shown
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json
@@ -46,7 +47,7 @@ class Clocks:
 
 def place_of(capture: str | os.PathLike) -> Path:
     """The sync.json of the capture in a folder or a file."""
-    path = Path(capture)
+    path = file_path(capture, "the name of a capture")
     return (path if path.is_dir() else path.parent) / FILE
 
 
@@ -76,6 +77,8 @@ def write_clocks(capture: str | os.PathLike, clocks: Clocks) -> Path:
     Example:
         fg.write_clocks("my-capture", fg.Clocks({"cam01": 0.4}))
     """
+    if not isinstance(clocks, Clocks):
+        raise FastGSError(f"{FILE} is written from Clocks, such as those of find_offsets(), not from {shown(clocks)}.")
     path = place_of(capture)
     values = {"format": FORMAT, "version": VERSION, "found_by": clocks.found_by,
               "offsets": {name: round(float(value), 4) for name, value in clocks.offsets.items()},

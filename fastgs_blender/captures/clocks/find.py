@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture
 from .alignment import COMMON_SHARE, LEAST_COMMON, Pair, compared, settled
@@ -48,6 +49,8 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
         found = fg.find_offsets(fg.open_capture("my-capture", offsets={}))
         fg.write_clocks("my-capture", found.clocks)
     """
+    if not isinstance(capture, Capture):
+        raise FastGSError(f"offsets are found of a Capture, as open_capture() gives it, not of {described(capture)}.")
     if way not in WAYS:
         raise FastGSError(f"offsets are found by {', '.join(WAYS)}, not by {way!r}.")
     if len(capture.views) < 2:

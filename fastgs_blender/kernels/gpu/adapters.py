@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -52,7 +53,8 @@ def adapters() -> tuple[Adapter, ...]:
     with suppress(RuntimeError):  # somebody else in this process has called wgpu before
         set_instance_extras(backends=APIS)
     try:
-        found = [each for each in wgpu.gpu.enumerate_adapters_sync() if not each.info["backend_type"].startswith("OpenGL")]
+        with _without_complaints():
+            found = [each for each in wgpu.gpu.enumerate_adapters_sync() if not each.info["backend_type"].startswith("OpenGL")]
     except Exception as error:
         raise Failure(f"the drivers do not answer: {error}") from error
     order = list(KINDS)
@@ -60,6 +62,20 @@ def adapters() -> tuple[Adapter, ...]:
     known = [_adapter(native) for native in found]
     return tuple(sorted(known, key=lambda each: order.index(each.native.info["adapter_type"])
                         if each.native.info["adapter_type"] in order else order.index("")))
+
+
+@contextmanager
+def _without_complaints() -> Iterator[None]:
+    """Where nobody is logged in, drivers that look for windows write lines of their own; a folder that holds no windows silences them."""
+    name = "XDG_RUNTIME_DIR"
+    missing = name not in os.environ and os.name == "posix"
+    if missing:
+        os.environ[name] = "/nonexistent"
+    try:
+        yield
+    finally:
+        if missing:
+            del os.environ[name]
 
 
 def _adapter(native) -> Adapter:
