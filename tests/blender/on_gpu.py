@@ -74,8 +74,8 @@ def from_scene_to_shot(gpu, steps):
         scene.render.filepath = os.path.abspath(f"gpu-{name}.png")
         bpy.ops.render.render(write_still=True)
     backends = part("fastgs_blender.util.backends")
-    used = {name: len(backend.models.kept) for name, backend in backends.loaded.items() if name.startswith("gpu:") and not backend.failed}
+    used = [name for name, backend in backends.loaded.items() if name.startswith("gpu:") and "models" in vars(backend)]
+    failed = [backends.failure_of(name) for name in used]
     return {"filmed": list(filmed), "trained": list(trained), "kind": state.kind, "text": state.text,
-            "python": [job.python, sys.executable], "device": state.values.get("device"), "steps": state.values.get("iterations"),
-            "used": used,            "camera": camera, "torch": importlib.util.find_spec("torch") is not None,
-            "matrix": [list(row) for row in model.matrix_world]}
+            "steps": state.values.get("iterations"), "python": [job.python, sys.executable], "used": used, "failed": failed,
+            "camera": camera, "matrix": [list(row) for row in model.matrix_world], "torch": importlib.util.find_spec("torch") is not None}
