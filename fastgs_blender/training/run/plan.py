@@ -70,7 +70,7 @@ def plan_from_dict(values: object, where: str = "the plan of a run") -> Plan:
         raise FastGSError(f"{where}: it holds no settings; {DAMAGED}.")
     source = values.get("source") or {}
     wrong = "source" if not isinstance(source, dict) else next((name for name, value in source.items() if not _sound(name, value)), None)
-    if wrong:
+    if wrong is not None:
         raise FastGSError(f"{where}: its {wrong} is not valid; {DAMAGED}.")
     source = {name: tuple(value) if isinstance(value, list) else value for name, value in source.items()}
     return Plan(from_dict(settings), Source(**source), values.get("fresh") is True)

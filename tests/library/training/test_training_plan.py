@@ -100,7 +100,7 @@ def test_a_capture_is_named_unless_a_run_knows_it(tmp_path, finished, capsys):
 
 
 @pytest.mark.parametrize("source", [3, {"capture": 3}, {"scale": 0}, {"scale": True}, {"frames": [1, 2]}, {"frames": [0, 4, 0]},
-                                    {"held_out": "cam01"}, {"held_out": [1]}, {"other": 1}, {"capture": "a\0b"}])
+                                    {"held_out": "cam01"}, {"held_out": [1]}, {"other": 1}, {"": 1}, {"capture": "a\0b"}])
 def test_plans_that_make_no_sense(source):
     with pytest.raises(fg.FastGSError, match="not valid"):
         plan_from_dict({"settings": {}, "source": source}, "run.json")
