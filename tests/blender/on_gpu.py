@@ -66,6 +66,7 @@ def from_scene_to_shot(gpu, steps):
     originals = [obj for obj in scene.objects if "fastgs_job" not in obj]
     model = next(obj for obj in scene.objects if "fastgs_job" in obj)
     scene.frame_set(3)
+    scene.cycles.samples = 16
     camera = look(scene, 160, 120, eye=(-1.6, -3.8, 1.9), target=(0, 0, 0.6), lens=40)
     for engine, name, hidden in (('CYCLES', "truth", [model]), ('FASTGS', "model", originals)):
         for obj in scene.objects:
