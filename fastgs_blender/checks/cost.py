@@ -8,7 +8,7 @@ from ..captures.pixels import decoding
 from ..captures.pixels.framefiles import default_folder
 from ..captures.pixels.store import RESERVE
 from ..jobs import checks
-from ..training.core.settings import PRESETS
+from ..training.core.presets import LENGTHS
 from ..util.errors import FastGSError
 from .report import Section
 from .samples import Looked
@@ -41,7 +41,7 @@ def run(looked: Looked) -> Section:
                     "--frames, or set FASTGS_CACHE_DIR to a folder on another disk.", (), ("cache", round(size / 1e9, 2), "GB"))
     memory = checks.available_memory()
     rows = {}
-    for preset in PRESETS:
+    for preset in LENGTHS:
         seconds, needed = checks.estimate(pixels, *checks.size_of(preset), len(capture))
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:

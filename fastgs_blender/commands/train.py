@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 
 from ..model.motion import trained_motions
+from ..training.core.presets import PRESETS
 from ..util.errors import FastGSError
 from .shared import add_device, note, print_json, use_threads
 
@@ -38,7 +39,8 @@ def add_arguments(parser):
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
     parser.add_argument("--resume", action="store_true", help="continue the run in that folder, with its capture and its options")
     parser.add_argument("--overwrite", action="store_true", help="start again from the beginning if the folder has a run already")
-    parser.add_argument("--preset", choices=("draft", "standard", "final"), help="how long to train, how large a model (default: standard)")
+    parser.add_argument("--preset", choices=tuple(PRESETS), help="how long to train, how large a model: draft, standard (the default), "
+                        "final; or a published setup: paper, stg")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():
         parser.add_argument(OTHER_FLAGS.get(name, f"--{name.replace('_', '-')}"), dest=name, type=kind, metavar=metavar, help=text)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..captures.layouts import fastgs
-from ..training.core.settings import PRESETS, Settings
+from ..training.core.presets import PRESETS
+from ..training.core.settings import Settings
 from ..util.errors import FastGSError
 from ..util.reading import read_json, reading
 from . import causes

@@ -4,7 +4,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ...fastgs_blender.jobs import checks
-from ...fastgs_blender.training.core.settings import PRESETS, Settings
+from ...fastgs_blender.training.core.presets import PRESETS
+from ...fastgs_blender.training.core.settings import Settings
 from ..filming.options import CaptureOptions
 from ..settings import BLEND_RELATIVE
 
@@ -15,6 +16,8 @@ EXISTING = (
     ('NEW', "New Folder", "Keep it, and train into the next free folder beside it", 3),
 )
 """What becomes of a run that is in the folder already."""
+TITLES = {"paper": "As in the Paper", "stg": "Spacetime Gaussians"}
+"""Names of presets in menus, where they are not the preset's own."""
 PREVIEWS = 30
 """Number of preview pictures that a run makes."""
 
@@ -37,7 +40,8 @@ class TrainingOptions:
         subtype='DIR_PATH', options=BLEND_RELATIVE)
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
-        items=tuple((name.upper(), name.capitalize(), "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
+        items=tuple((name.upper(), TITLES.get(name, name.capitalize()),
+                     "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
                     for number, name in enumerate(PRESETS)), default='STANDARD')
     iterations: IntProperty(name="Steps", description="Number of training steps; 0: as in the preset", default=0, min=0)
     max_gaussians: IntProperty(
@@ -72,8 +76,9 @@ class FASTGS_PG_training(CaptureOptions, TrainingOptions, bpy.types.PropertyGrou
 def arguments(options) -> list[str]:
     """The options as `fastgs train` takes them."""
     steps, _ = checks.size_of(options.preset, options.iterations)
-    chosen = ["--preset", options.preset.lower(), "--motion-weight", f"{options.motion_weight:.6g}",
-              "--set", f"preview_every={max(steps // PREVIEWS, 1)}"]
+    chosen = ["--preset", options.preset.lower(), "--set", f"preview_every={max(steps // PREVIEWS, 1)}"]
+    if abs(options.motion_weight - Settings.motion_weight) > 1e-9:  # else the preset's
+        chosen += ["--motion-weight", f"{options.motion_weight:.6g}"]
     for name, flag in (("iterations", "--iterations"), ("max_gaussians", "--max-gaussians"), ("order", "--order")):
         if getattr(options, name):
             chosen += [flag, str(getattr(options, name))]

@@ -38,13 +38,15 @@ class Pixels:
     """rgb [h, w, 3] float32 in 0..1, display sRGB, straight; mask [h, w] float32 in 0..1 (alpha channel x mask file) or None;
     valid [h, w] bool, False where the lens has no picture, or None: it has one everywhere;
     alpha [h, w] float32, the picture's own where there is a mask file besides, or None;
-    stored [h, w, 3] uint8, what rgb is 255ths of, or None: other numbers."""
+    stored [h, w, 3] uint8, what rgb is 255ths of, or None: other numbers;
+    least [h, w, 3] bool, True where the camera was overexposed: the colour is this or brighter; None: nowhere."""
 
     rgb: np.ndarray
     mask: np.ndarray | None = None
     valid: np.ndarray | None = None
     alpha: np.ndarray | None = None
     stored: np.ndarray | None = None
+    least: np.ndarray | None = None
 
 
 class FrameStore:

@@ -28,6 +28,8 @@ class Strategy:
         self.centres = np.zeros((0, 3)) if centres is None else centres
         self.first = int(settings.densify_from * settings.iterations)
         self.last = int(settings.densify_until * settings.iterations)
+        every = settings.densify_every
+        self.growing = min(self.last, (self.first // every + settings.growths) * every) if settings.growths else self.last
 
     def due(self, iteration: int) -> bool:
         """Whether density changes after this step (counted from 1)."""
@@ -39,7 +41,9 @@ class Strategy:
         If all were added at once, the blurred beginning of training would use them up, and none would be left for detail.
         """
         s = self.settings
-        times = (self.last - iteration) // s.densify_every + 1
+        if iteration > self.growing:
+            return 0
+        times = (self.growing - iteration) // s.densify_every + 1
         return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
 
     def acts(self, iteration: int) -> bool:

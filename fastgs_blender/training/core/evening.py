@@ -37,7 +37,7 @@ OUTLIER = 0.1
 SOLID = 0.9
 """Pixels with a lower alpha of the model are not compared."""
 CLIPPED = 0.99
-"""Values above are taken for overexposed where a camera's pictures are made darker."""
+"""Values above are taken for overexposed where a camera's pictures are made darker: the colour is at least so bright."""
 NOTICED, NOTICED_CLOCK = 0.015, 0.12
 """Difference of middle grey (0..1), and of clocks in frames, below which cameras count as even when the settings say auto."""
 PRIOR_GAIN, PRIOR_BIAS = 1e-4, 0.1
@@ -70,13 +70,14 @@ class Evening:
     clock: np.ndarray
 
     @classmethod
-    def begun(cls, views: tuple[str, ...], frame_count: int, settings) -> Evening:
-        """The state at the first step: equal exposures, no clock offsets, no sums."""
+    def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None) -> Evening:
+        """The state at the first step: no clock offsets, no sums, and equal exposures, or those gains [V, 3] that starting points told."""
         v = len(views)
         several = v > 1
         exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
         return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                   np.ones((v, 3)), np.zeros((v, 3)), np.zeros(v), np.zeros((v, 3, 5)), np.zeros((v, 4)))
+                   np.ones((v, 3)) if gains is None else np.array(gains, np.float64), np.zeros((v, 3)), np.zeros(v),
+                   np.zeros((v, 3, 5)), np.zeros((v, 4)))
 
     def state(self) -> dict[str, np.ndarray]:
         """The arrays that a checkpoint holds."""
@@ -115,13 +116,12 @@ class Evening:
         return shot.t + float(late) * self.frame
 
     def pixels(self, shot, pixels):
-        """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed pixels become invalid."""
+        """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed ones only say how bright it is at least."""
         if not self.colours_differ or shot.view not in self.views:
             return pixels
-        rgb, valid = self.seen_as(shot.view, pixels.rgb), pixels.valid
-        if (rgb.mean() < pixels.rgb.mean()) and (full := pixels.rgb.max(-1) > CLIPPED).any():
-            valid = ~full if valid is None else valid & ~full
-        return replace(pixels, rgb=rgb, valid=valid, stored=None)
+        rgb = self.seen_as(shot.view, pixels.rgb)
+        least = (pixels.rgb > CLIPPED) & (rgb < pixels.rgb)
+        return replace(pixels, rgb=rgb, stored=None, least=least if least.any() else None)
 
     def seen_as(self, view: str, rgb: np.ndarray) -> np.ndarray:
         """Colours [..., 3] of a view's pictures as the model has them."""
@@ -161,6 +161,8 @@ class Evening:
         if goal.weight is not None:
             counts = counts * np.minimum(goal.weight, 1)
         weight = counts[..., None] / (1 + (rest / OUTLIER) ** 2)
+        if goal.least is not None:
+            weight = np.where(goal.least, np.float32(0), weight)
         if self.exposures != "off":
             gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
             q = goal.rgb * gain.astype(np.float32) + bias.astype(np.float32)

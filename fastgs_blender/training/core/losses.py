@@ -7,7 +7,7 @@ import numpy as np
 from ...kernels.protocol import MotionNorm
 from ...model.motion import Basis
 
-READINGS = ("mean", "group")
+READINGS = ("mean", "group", "printed")
 SMOOTH = 1e-4
 """Extents below which a norm is rounded off, so that coefficients near zero are not pushed back and forth across it."""
 
@@ -19,10 +19,19 @@ def motion_norm(basis: Basis, extent: float, reading: str = "mean") -> MotionNor
     reading  what the norm is: 'mean', of each Gaussian's number, |w|, with the mean over the Gaussians; 'group', of the column of
              all Gaussians' numbers, its root mean square (the norm over sqrt(N), so that lambda does not depend on N).  The mean
              pulls every coefficient to zero with the same force, whatever its size; the group pulls in proportion to its share.
-    Below SMOOTH extents both are rounded off.  For other bases than Fourier see Basis.curvature().
+             'printed' is the group in the capture's own unit of length, for which motion_factor() undoes the root of N too.
+    Below SMOOTH extents they are rounded off.  For other bases than Fourier see Basis.curvature().
     """
     assert reading in READINGS
     matrix = basis.curvature()
     diagonal = matrix.shape[0] == matrix.shape[1] and np.array_equal(matrix, np.diag(np.diag(matrix)))
     weights = np.repeat(np.diag(matrix) if diagonal else np.ones(len(matrix)), 3)
-    return MotionNorm(None if diagonal else matrix, weights, float(extent), SMOOTH, reading)
+    matrix = None if diagonal else matrix
+    if reading == "printed":
+        return MotionNorm(matrix, weights, 1.0, SMOOTH * float(extent), "group")
+    return MotionNorm(matrix, weights, float(extent), SMOOTH, reading)
+
+
+def motion_factor(reading: str, count: int) -> float:
+    """What the value of a MotionNorm over `count` Gaussians is multiplied by to be this reading of eq. 8."""
+    return float(np.sqrt(count)) if reading == "printed" else 1.0

@@ -21,10 +21,11 @@ def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
 def learning_rates(settings, iteration: int, extent: float, reach: float, basis: Basis) -> dict:
     """The rate of every array at a step: a number, or a row of the array's columns.
 
-    Lengths scale with the extent; positions begin with steps in proportion to the reach, how far away is what the cameras film.
+    Lengths scale with the extent; positions begin with steps in proportion to the reach, how far away is what the cameras film, unless the
+    settings say otherwise.
     """
     done = min(iteration / max(settings.iterations, 1), 1.0)
-    first, last = settings.position_rate * reach, settings.position_rate_end * extent
+    first, last = settings.position_rate * (reach if settings.rate_unit == "reach" else extent), settings.position_rate_end * extent
     position = first * (last / first) ** done if first > 0 else 0.0
     motion = settings.motion_rate * extent * settings.motion_decay**done
     features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)

@@ -8,13 +8,16 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from ...model.motion import trained_motions
 from ...util.arguments import shown
 from ...util.errors import FastGSError
+from .presets import PRESETS
 
 CHOICES = {
     "appearance": ("features", "rgb", "sh1", "sh2", "sh3"),
     "activation": ("clamp", "sigmoid", "none"),
     "temporal": ("radial", "always"),
     "density": ("default", "mcmc"),
-    "regulariser": ("mean", "group"),
+    "regulariser": ("mean", "group", "printed"),
+    "loss": ("mixed", "sum"),
+    "rate_unit": ("reach", "extent"),
     "masks": ("auto", "cut", "weight", "only", "off"),
     "background": ("auto", "black", "white", "random"),
     "copied_time": ("keep", "random"),
@@ -33,7 +36,7 @@ class Settings:
       iterations      steps of the optimiser
       batch           views per step and process, of one moment where there are as many
       seed            of all random numbers; the result depends on nothing else
-      preset          the name of the table below that the other values began from
+      preset          the name of the table in presets.py that the other values began from
 
     The model
       motion          basis of the positions; paper: the printed form, period 1 (eq. 3-4)
@@ -46,9 +49,11 @@ class Settings:
       antialiased     opacity compensated for the blur of a pixel
 
     The loss
-      dssim           share of D-SSIM beside L1
+      loss            mixed: (1 - dssim) L1 + dssim (1 - SSIM), as 3DGS; sum: L1 + (1 - SSIM), as printed (eq. 9)
+      dssim           share of D-SSIM beside L1, where they are mixed
       motion_weight   lambda of the motion regulariser
-      regulariser     reading of its norm: mean over the Gaussians, or one norm over all of them (group)
+      regulariser     reading of its norm: mean over the Gaussians; or one norm over all of them, divided by the root of their number
+                      (group) or, as printed in eq. 8, not divided, and in the capture's own unit of length (printed)
       opaque_weight   weight of the mean transparency as a penalty, where the capture shows something in every pixel
       masks           cut: what lies outside is transparent; weight: what lies inside counts foreground_weight times;
                       only: nothing else counts; off; auto: cut for pictures with alpha, weight for mask files that show
@@ -64,6 +69,7 @@ class Settings:
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
                                          cameras film, which is the extent for a rig around its subject: a step is about a
                                          share of the focal length in pixels, 0.8 of a pixel where that is 500
+      rate_unit       unit of position_rate: reach, as just said, or extent, as published trainers have it
       motion_rate     of frequency 1; divided by k for frequency k
       motion_decay    end of the motion's rate, as a fraction of its beginning
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
@@ -91,6 +97,7 @@ class Settings:
       threshold       of that gradient: above it Gaussians are cloned or split; in units of half the image's size
       dense_size      scale in extents: larger Gaussians are split, smaller ones cloned
       grow            largest share of Gaussians that is added at once
+      growths         how often Gaussians are added at most, 0: until densify_until; transparent ones are removed until then anyway
       prune_opacity   Gaussians below this opacity are removed
       near_size       Gaussians larger than this times their distance to the nearest camera are removed too
       reset_every     steps between opacity resets, 0: none
@@ -121,6 +128,7 @@ class Settings:
     decoder_place: bool = False
     antialiased: bool = False
 
+    loss: str = "mixed"
     dssim: float = 0.2
     motion_weight: float = 0.01
     regulariser: str = "mean"
@@ -132,6 +140,7 @@ class Settings:
     exposures: str = "auto"
     clocks: str = "auto"
 
+    rate_unit: str = "reach"
     position_rate: float = 1.6e-3
     position_rate_end: float = 1.6e-6
     motion_rate: float = 1e-3
@@ -168,6 +177,7 @@ class Settings:
     threshold: float = 2e-4
     dense_size: float = 0.01
     grow: float = 0.15
+    growths: int = 0
     prune_opacity: float = 0.005
     near_size: float = 0.3
     reset_every: int = 0
@@ -200,6 +210,16 @@ class Settings:
         if not all(0 <= a <= 1 for a in self.warm_up) or list(self.warm_up) != sorted(self.warm_up) or len(self.warm_up) > 4:
             raise FastGSError(f"the training option warm_up has at most four rising numbers from 0 to 1, not {self.warm_up}.")
 
+    @property
+    def dissimilarity(self) -> float:
+        """The share d of 1 - SSIM in a loss (1 - d) L1 + d (1 - SSIM) that is the chosen one divided by loss_scale."""
+        return 0.5 if self.loss == "sum" else self.dssim
+
+    @property
+    def loss_scale(self) -> float:
+        """See dissimilarity."""
+        return 2.0 if self.loss == "sum" else 1.0
+
     def to_dict(self) -> dict:
         """Plain JSON values."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
@@ -210,19 +230,13 @@ LIMITS = (
     ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
     ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
-    ("densify_every", 1, 10**8), ("grow", 0, 100), ("reset_every", 0, 10**8), ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
+    ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
+    ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
     ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("rate_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
     ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""
-
-PRESETS = {
-    "draft": dict(iterations=2500, max_gaussians=20_000, points=10_000),
-    "standard": {},
-    "final": dict(iterations=30_000, max_gaussians=150_000, points=60_000),
-}
-"""What each preset changes."""
 
 
 def settings(preset: str = "standard", **options) -> Settings:

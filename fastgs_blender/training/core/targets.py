@@ -10,12 +10,15 @@ from ...cameras.camera import Camera
 from .schedule import BACKGROUND, generator
 
 FIXED = {"black": 0.0, "white": 1.0}
+WHOLE = 0.99
+"""Cover of a pixel from which on its colour is that of the subject alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
     """rgb [h, w, 3] over `background`; stored: the same as uint8, in 255ths, where it is one of the files' own pictures; weight [h, w] or
-    None; opaque: the picture shows something in every pixel."""
+    None; opaque: the picture shows something in every pixel; least [h, w, 3] bool, where rgb is only a lower bound of the colour, or None:
+    nowhere."""
 
     camera: Camera
     t: float
@@ -24,6 +27,11 @@ class Target:
     weight: np.ndarray | None
     background: np.ndarray | None
     opaque: bool
+    least: np.ndarray | None = None
+
+    def met(self, rgb: np.ndarray) -> np.ndarray:
+        """What a picture [h, w, 3] is compared with: where only a lower bound is known, one that is brighter is right."""
+        return self.rgb if self.least is None else np.where(self.least, np.maximum(self.rgb, rgb), self.rgb)
 
 
 def use_of_mask(settings, capture, shot, mask) -> str:
@@ -65,10 +73,15 @@ def target(capture, store, shot, settings, reduction: int, *key: int) -> Target:
     if pixels.valid is not None:
         inside = smaller(pixels.valid.astype(np.float32), reduction)
         weight = inside if weight is None else weight * inside
+    least = None
+    if pixels.least is not None:
+        least = smaller(pixels.least.astype(np.float32), reduction) > 0
+        least = least if cover is None else least & (cover[..., None] > WHOLE)
     return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
                   pixels.stored if reduction == 1 and cover is None else None,
                   None if weight is None else np.ascontiguousarray(weight, np.float32),
-                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight"))
+                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight"),
+                  least)
 
 
 def smaller(image: np.ndarray, reduction: int) -> np.ndarray:

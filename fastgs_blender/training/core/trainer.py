@@ -22,7 +22,7 @@ from .density import STRATEGIES
 from .distributed import Group
 from .evening import APART, Evened, Evening
 from .hold import HELD, backdrop_of, held_features, hold
-from .losses import motion_norm
+from .losses import motion_factor, motion_norm
 from .model import empty_model, lasting, with_arrays
 from .optimiser import Optimiser
 from .state import check_state
@@ -40,11 +40,13 @@ class Trainer:
     decoder         a model whose decoder is used as it is; None: the decoder is trained
     sizes           [N] of the points that the model was made from (Points.size): those that have one are held (hold.py)
     reach           how far away is what the cameras film (initial.model.reach_of); None: the capture's extent
+    gains           [V, 3] of the views trained on, as starting points tell them (initial.dense.evening_of); None: equal exposures
     backend         the name of the backend that all arrays live on (util/backends.py)
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
-                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, reach: float | None = None, backend: str = "cpu"):
+                 decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, reach: float | None = None, backend: str = "cpu",
+                 gains: np.ndarray | None = None):
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
@@ -59,7 +61,8 @@ class Trainer:
         self.views = schedule.Views(self.shots, settings.seed)
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
-        self.evening = Evening.begun(tuple(dict.fromkeys(shot.view for shot in self.shots)), capture.clip.frame_count, settings)
+        self.evening = Evening.begun(tuple(dict.fromkeys(shot.view for shot in self.shots)), capture.clip.frame_count, settings,
+                                     gains)
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
@@ -85,8 +88,9 @@ class Trainer:
         """Begin the next step, and finish those that began some steps ago, or all where this one needs that; returns the values for the
         log of those that are finished.  Where one of them has to be taken again, `iteration` goes back to it."""
         s, i = self.settings, self.iteration
-        guess = self.group.size == 1 and not self.evening.looks(i, s.iterations)
-        done = [] if guess else self.settle()  # what others are sent, or is learnt, has to be right at once
+        bounded = any(goal.least is not None for _, goal, *_ in self._targets(i))
+        guess = self.group.size == 1 and not bounded and not self.evening.looks(i, s.iterations)
+        done = [] if guess else self.settle()  # what others are sent, or is looked at here, has to be right at once
         if self.iteration < i:
             return done
         ahead = self.backend.begin_step() if guess else 0
@@ -122,8 +126,8 @@ class Trainer:
         loss, l1, ssim, error = (float(value) for value in np.sum(values, 0) / (s.batch * self.group.size))
         if not np.isfinite(loss):
             raise FastGSError(f"training diverged at step {i + 1}: the loss is no number; use lower learning rates.")
-        penalty = s.motion_weight * float(penalty[0])
-        return {"iteration": i + 1, "loss": loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
+        penalty = s.motion_weight * motion_factor(s.regulariser, count) * float(penalty[0])
+        return {"iteration": i + 1, "loss": s.loss_scale * loss + penalty, "l1": l1, "ssim": ssim, "motion_penalty": penalty,
                 "psnr": -10 * float(np.log10(max(error, 1e-12))), "gaussians": count, "seen": int(drawn[0]),
                 "reduction": schedule.reduction(s, i)}
 
@@ -136,8 +140,10 @@ class Trainer:
         learnt = self.evening.nothing() if self.evening.looks(i, s.iterations) else None
         for shot, goal, rgb, weight in self._targets(i):
             picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
-            difference = backend.compare(picture, rgb, weight, goal.background, s.dssim, s.opaque_weight if goal.opaque else 0.0,
-                                         1 / (s.batch * group.size))
+            if goal.least is not None:
+                rgb = backend.array(goal.met(self._shown(picture, goal)[0]))
+            difference = backend.compare(picture, rgb, weight, goal.background, s.dissimilarity,
+                                         s.opaque_weight / s.loss_scale if goal.opaque else 0.0, s.loss_scale / (s.batch * group.size))
             views.append((shot, goal, picture, difference))
         for shot, goal, picture, difference in views:
             gradients = backend.backward(picture, difference.rgb, difference.alpha, into=gradients, statistics=statistics, seen=seen,
@@ -206,7 +212,8 @@ class Trainer:
         value = backend.zeros((1,), np.float64)
         if s.motion_weight and self.template.basis.terms:
             waits = self.optimiser.waits(rows)
-            value = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], s.motion_weight, waits)
+            scale = s.motion_weight * motion_factor(s.regulariser, len(self))
+            value = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], scale, waits)
         hold(backend, arrays, gradients, rows, s.backdrop_hold, self.pixels // schedule.reduction(s, self.iteration) ** 2)
         self.strategy.penalise(backend, arrays, gradients)
         return value

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...captures.capture import Points
+from .dense import picture, shown_part, spread
 from .geometry import project, unproject, visible
-from .points import picture, spread
 
 DISTANCE = 3.0
 """Radius of the backdrop in distances of the cameras from what they look at, and no nearer than the farthest of nearly all points."""
@@ -41,16 +41,20 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
     radius = max(radius, capture.extent, float(np.percentile(np.linalg.norm(points.xyz - centre, axis=1), 98)) if len(points) else 0.0)
     clouds = []
     for shots in spread(_of_each_pose(capture.training), MOST_SHOTS):
-        pictures = [picture(capture, store, settings, shot, SIDE) for shot in spread(shots, MOMENTS)]
-        if any(inside is not None for _, _, inside in pictures):
+        some = spread(shots, MOMENTS)
+        if any(shown_part(capture, settings, shot, store.pixels(shot)) is not None for shot in some):
             continue
+        pictures = [picture(capture, store, settings, shot, SIDE) for shot in some]
         image, camera = np.median([image for image, _, _ in pictures], axis=0), pictures[0][1]
         h, w = image.shape[:2]
         free = np.ones((h, w), bool)
+        unknown = np.zeros((h, w), bool)
+        for inside in (inside for _, _, inside in pictures if inside is not None):
+            unknown |= inside < 1
         seen = visible(camera, points.xyz)
         places = project(camera, points.xyz[seen])[0].astype(int)
         free[places[:, 1], places[:, 0]] = False
-        rows, columns = np.nonzero(_eroded(free, EMPTY))
+        rows, columns = np.nonzero(_eroded(free, EMPTY) & ~unknown)
         pixels = np.stack([columns + 0.5, rows + 0.5], 1)
         clouds.append((_on_sphere(camera, pixels, centre, radius), image[rows, columns]))
     if not clouds or not sum(len(xyz) for xyz, _ in clouds):

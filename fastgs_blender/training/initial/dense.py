@@ -6,6 +6,7 @@ Points that look the same at other moments belong to all times; all others carry
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +38,16 @@ STEADY, MOSTLY = 0.2, 0.8
 agree on it for what belongs to all times."""
 
 
-def triangulated(capture, store, settings) -> tuple[Points, str]:
-    """At most settings.points points and a clause about them; raises FastGSError where the pictures give too few features."""
+def triangulated(capture, store, settings) -> tuple[Points, str, Any]:
+    """At most settings.points points, a clause about them, and the store with colours in which cameras agree on them.
+
+    Raises FastGSError where the pictures give too few features.
+    """
     moments = chosen_moments(capture)
     found, store = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
     how = f"{len(found)} features triangulated"
     if not np.isfinite(found.t).all():
-        return evenly(found, settings.points), how
+        return evenly(found, settings.points), how, store
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
     depths = [sweep.swept(shown, near, far) for shown in pictures]
@@ -64,7 +68,7 @@ def triangulated(capture, store, settings) -> tuple[Points, str]:
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
-    return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how
+    return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how, store
 
 
 def _features(capture, store, settings, moments):
@@ -174,12 +178,18 @@ def picture(capture, store, settings, shot, side):
     """A shot's rgb with its longer side at most `side`, the camera at that size, and the mask [h, w] of valid pixels (None: all)."""
     pixels = store.pixels(shot)
     reduction = -(-max(pixels.rgb.shape[:2]) // side)
-    use = use_of_mask(settings, capture, shot, pixels.mask)
-    inside = pixels.mask if use == "only" else cover_of(use, pixels)
-    if pixels.valid is not None:
-        inside = pixels.valid.astype(np.float32) * (1 if inside is None else inside)
+    inside = shown_part(capture, settings, shot, pixels)
+    known = pixels.valid if pixels.least is None else ~pixels.least.any(-1) & (True if pixels.valid is None else pixels.valid)
+    if known is not None:
+        inside = known.astype(np.float32) * (1 if inside is None else inside)
     return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),
             None if inside is None else smaller(inside, reduction))
+
+
+def shown_part(capture, settings, shot, pixels):
+    """The share of each pixel [h, w] that masks leave of a picture; None: all of it."""
+    use = use_of_mask(settings, capture, shot, pixels.mask)
+    return pixels.mask if use == "only" else cover_of(use, pixels)
 
 
 def depth_range(capture) -> tuple[float, float]:

@@ -5,6 +5,8 @@ The source and the number of points are printed.  The result depends on the seed
 """
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...captures.capture import Points
@@ -16,8 +18,9 @@ from .geometry import sample, unproject, visible
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
 
 
-def initial_points(capture, store, settings, say=print) -> Points:
-    """The points that training starts from, at most settings.points; t is NaN for points that are visible at all times.
+def initial_points(capture, store, settings, say=print) -> tuple[Points, Any]:
+    """The points that training starts from, at most settings.points, and the store with colours in which cameras agree, where it is found
+    that they differ (Evened); t is NaN for points that are visible at all times.
 
     settings.start  "auto": the first source that gives points, in SOURCES' order; or a source's name
     Raises FastGSError where the wanted source gives none.
@@ -26,7 +29,7 @@ def initial_points(capture, store, settings, say=print) -> Points:
     refused = []
     for kind in order:
         try:
-            points, how = _MAKERS[kind](capture, store, settings)
+            points, how, seen = _MAKERS[kind](capture, store, settings)
         except FastGSError as error:
             if settings.start != "auto":
                 raise
@@ -42,7 +45,7 @@ def initial_points(capture, store, settings, say=print) -> Points:
     timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
     kept = f", {len(points)} kept" if len(points) < found else ""
     say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")
-    return points
+    return points, seen
 
 
 def thinned(points: Points, most: int, seed: int) -> Points:
@@ -54,13 +57,13 @@ def thinned(points: Points, most: int, seed: int) -> Points:
     return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t, size)
 
 
-# The sources: functions of (capture, store, settings) that return points and a clause about them
+# The sources: functions of (capture, store, settings) that return points, a clause about them, and a store
 
 
 def from_file(capture, store, settings):
     if capture.points is None:
         raise FastGSError(f"{capture.path}: its layout brings no point file.")
-    return capture.points, SOURCES["file"]
+    return capture.points, SOURCES["file"], store
 
 
 def random_points(capture, store, settings):
@@ -80,7 +83,7 @@ def random_points(capture, store, settings):
     xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
     seen = sum(visible(camera, xyz) for camera in cameras)
     common = seen >= seen.max(initial=0) / 2
-    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where several cameras look"
+    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where several cameras look", store
 
 
 _MAKERS = {"triangulate": triangulated, "file": from_file, "random": random_points}

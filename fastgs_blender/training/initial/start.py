@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...model.gaussians import GaussianModel
+from ..core.evening import Evened
 from . import backdrop, known, points
 from .model import model_from_points, reach_of
 
@@ -14,32 +15,37 @@ from .model import model_from_points, reach_of
 @dataclass(frozen=True, eq=False)
 class Start:
     """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
-    a backdrop; reach, how far away is what the cameras film."""
+    a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, None where they are not known to
+    differ."""
 
     model: GaussianModel
     sizes: np.ndarray | None
     reach: float
+    gains: np.ndarray | None = None
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it but the model's kinds, for other processes."""
-        return self.model.arrays | {"reach": np.array([self.reach])} | ({} if self.sizes is None else {"sizes": self.sizes})
+        perhaps = {"sizes": self.sizes, "gains": self.gains}
+        return self.model.arrays | {"reach": np.array([self.reach])} | {name: a for name, a in perhaps.items() if a is not None}
 
     @classmethod
     def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
         """The inverse of arrays(), for a model of the same kinds as `empty`."""
-        return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]))
+        return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]),
+                   arrays.get("gains"))
 
 
 def start(capture, store, settings, say=print) -> Start:
     """What training on a capture begins with.  Raises FastGSError where what the settings ask for gives nothing."""
     model = known.known_model(capture, settings, say)
-    found = points.initial_points(capture, store, settings, say) if model is None else known.points_of(model, capture)
+    found, store = points.initial_points(capture, store, settings, say) if model is None else (known.points_of(model, capture), store)
+    gains = store.evening.gains if isinstance(store, Evened) and store.evening.colours_differ else None
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:
         behind = points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
-        return Start(first, behind.size, reach_of(behind, capture))
+        return Start(first, behind.size, reach_of(behind, capture), gains)
     first = known.begun_with(model, capture, store, settings)
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))

@@ -25,7 +25,7 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
 
     capture    folder or file of the capture; None with resume: that of the run
     out        folder of the run: it gets model.safetensors, checkpoints, previews, the log and report.json
-    preset     "draft", "standard" (default) or "final"
+    preset     "draft", "standard" (default) or "final"; "paper" and "stg": published setups (docs/paper.md)
     resume     continue the run in that folder, with its own capture and options; overwrite: replace it
     layout, scale, frames, held_out  see open_capture()
     quiet      print no progress

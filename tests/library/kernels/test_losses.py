@@ -137,7 +137,7 @@ def written_out(motion, basis, extent, reading):
     return ((torch.sqrt((terms**2).mean(0) + losses.SMOOTH**2) - losses.SMOOTH).sum(1) * weights).sum()
 
 
-@pytest.mark.parametrize("reading", losses.READINGS)
+@pytest.mark.parametrize("reading", ["mean", "group"])
 @pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
 def test_motion_penalty(rng, basis, reading):
     extent = 3.0
@@ -152,6 +152,19 @@ def test_motion_penalty(rng, basis, reading):
     (3 * theirs).backward()
     assert ours == pytest.approx(theirs.item(), rel=1e-5)
     assert np.abs(gradient - exact.grad.numpy()).max() <= 1e-5 * exact.grad.abs().max().item()
+
+
+def test_the_printed_penalty_has_neither_the_number_of_gaussians_nor_a_unit_of_length(rng):
+    """Eq. 8: the sum over i and axes of i^2 (||w_sin|| + ||w_cos||), norms over all Gaussians."""
+    motion = rng.normal(0, 1, (40, 4, 3)).astype(np.float32)
+    norm = losses.motion_norm(fg.Fourier(2), 7.0, "printed")
+    gradient = np.zeros_like(motion)
+    factor = losses.motion_factor("printed", 40)
+    value = factor * motion_penalty(norm, motion, gradient, 0.1 * factor, np.ones(40, np.float32))[0]
+    columns, squared = np.linalg.norm(motion, axis=0), np.array([1, 1, 4, 4])[:, None]
+    assert value == pytest.approx((squared * columns).sum(), rel=1e-3)
+    np.testing.assert_allclose(gradient, 0.1 * squared * motion / columns, rtol=1e-3, atol=1e-7)
+    assert losses.motion_factor("group", 40) == losses.motion_factor("mean", 40) == 1
 
 
 def test_curvature_is_the_greatest_acceleration():

@@ -110,7 +110,7 @@ def blank():
 @pytest.fixture(scope="module")
 def found(filmed):
     said = []
-    return initial_points(*filmed, settings(points=4000), said.append), said
+    return initial_points(*filmed, settings(points=4000), said.append)[0], said
 
 
 def off_planes(xyz) -> np.ndarray:
@@ -152,7 +152,7 @@ def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_
     blind.pictures = {key: value for key, value in store.pictures.items() if key[0] != "cam03"}
     try:
         threads.set_threads(1)
-        again = initial_points(capture, blind, settings(points=4000), lambda text: None)
+        again = initial_points(capture, blind, settings(points=4000), lambda text: None)[0]
     finally:
         threads.set_threads(0)
     for name in ("xyz", "rgb", "t"):
@@ -162,14 +162,14 @@ def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_
 def test_no_more_points_than_asked_for(filmed):
     capture, store = filmed
     one = replace(capture, shots=capture.at_frame(0))
-    assert 100 < len(initial_points(one, store, settings(points=300), lambda text: None)) <= 300
+    assert 100 < len(initial_points(one, store, settings(points=300), lambda text: None)[0]) <= 300
 
 
 def test_without_features_the_layouts_points_are_next(blank, rng):
     capture, store = blank
     brought = Points(rng.normal(0, 1, (50, 3)), rng.uniform(0, 1, (50, 3)))
     said = []
-    points = initial_points(replace(capture, points=brought), store, settings(), said.append)
+    points = initial_points(replace(capture, points=brought), store, settings(), said.append)[0]
     np.testing.assert_allclose(points.xyz, brought.xyz, rtol=1e-6)
     assert "no starting points from this source" in said[0]
     assert "point file" in said[-1]
@@ -178,12 +178,12 @@ def test_without_features_the_layouts_points_are_next(blank, rng):
 def test_without_anything_points_are_random_where_cameras_look_together(blank):
     capture, store = blank
     said = []
-    points = initial_points(capture, store, settings(points=500), said.append)
+    points = initial_points(capture, store, settings(points=500), said.append)[0]
     assert len(points) == 500
     assert "random" in said[-1]
     views = [visible(camera, points.xyz) for v, camera in enumerate(rig()) if v != 3]
     assert (np.sum(views, 0) >= 3).all()
-    other = initial_points(capture, store, settings(points=500, seed=1), lambda text: None)
+    other = initial_points(capture, store, settings(points=500, seed=1), lambda text: None)[0]
     assert not np.array_equal(other.xyz, points.xyz)
 
 
@@ -243,7 +243,7 @@ def test_a_camera_that_films_alone_gives_points_of_what_stands(filmed):
     capture, store = filmed
     path = [("cam00", 0), ("cam01", 1), ("cam02", 2), ("cam04", 3)]
     alone = replace(capture, shots=[shot for shot in capture.shots if (shot.view, shot.frame) in path])
-    points = initial_points(alone, store, settings(points=2000), lambda text: None)
+    points = initial_points(alone, store, settings(points=2000), lambda text: None)[0]
     assert len(points) >= 30
     assert points.t is None or np.isnan(points.t).all()
 

@@ -35,6 +35,34 @@ def test_settings_that_mean_nothing_are_told(wrong):
         options.from_dict(wrong)
 
 
+def test_published_setups():
+    """--preset paper is the paper where it says something, and Spacetime Gaussians where it is silent."""
+    paper, stg = options.settings("paper"), options.settings("stg")
+    assert (paper.motion, paper.order, paper.motion_weight, paper.regulariser, paper.loss) == ("paper", 5, 0.1, "printed", "sum")
+    assert (stg.motion, stg.order, stg.motion_weight, stg.loss, stg.dssim) == ("polynomial", 3, 0, "mixed", 0.2)
+    differ = {name for name, value in paper.to_dict().items() if stg.to_dict()[name] != value}
+    assert differ == {"preset", "motion", "order", "motion_weight", "regulariser", "loss"}
+    first, last = (schedule.learning_rates(stg, i, 2.0, 12.0, fg.Polynomial(3)) for i in (0, stg.iterations))
+    assert [rates["position"] for rates in (first, last)] == pytest.approx([2 * 1.6e-4, 2 * 1.6e-6]), "in extents, whatever is filmed"
+    assert first["motion"] == pytest.approx(2 * 2.8e-4) and last["motion"] == pytest.approx(first["motion"])
+    assert first["scale"] == last["scale"] == 1.5e-3 and set(first["w1"]) == {1e-4}
+
+
+def test_the_printed_loss_is_a_sum():
+    """L1 + (1 - SSIM) is twice the mixture with d = 1/2."""
+    mixed, printed = options.settings(dssim=0.3), options.settings(dssim=0.3, loss="sum")
+    for chosen, (l1, dissimilar) in ((mixed, (0.7, 0.3)), (printed, (1.0, 1.0))):
+        d = chosen.dissimilarity
+        assert (chosen.loss_scale * (1 - d), chosen.loss_scale * d) == pytest.approx((l1, dissimilar))
+
+
+def test_gaussians_are_added_so_often_and_no_more():
+    chosen = options.settings("stg", max_gaussians=1000)
+    strategy = density.Default(chosen, 1.0, None)
+    rooms = [i for i in range(1, chosen.iterations + 1) if strategy.due(i) and strategy._room(i, 100)]
+    assert rooms == [600, 700, 800, 900, 1000, 1100] and strategy.due(9000) and not strategy.due(9100)
+
+
 @pytest.mark.parametrize(("text", "value"), [
     ("iterations=3e3", ("iterations", 3000)), ("dssim = 0.5", ("dssim", 0.5)), ("warm_up=", ("warm_up", ())), ("warm_up=0.1,0.2",
      ("warm_up", (0.1, 0.2))), ("free_centre=yes", ("free_centre", True)), ("density=mcmc", ("density", "mcmc")),

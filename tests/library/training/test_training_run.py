@@ -46,6 +46,7 @@ def same(a, b):
 @pytest.mark.parametrize("choices", [
     {}, {"density": "mcmc"}, {"motion": "paper"}, {"motion": "fourier+linear", "batch": 2},
     {"motion": "polynomial", "copied_time": "random"}, {"motion": "keyframes", "regulariser": "group"},
+    {"motion": "paper", "loss": "sum", "regulariser": "printed", "motion_weight": 1e-3, "rate_unit": "extent"},
     {"appearance": "rgb", "temporal": "always"}, {"appearance": "sh1", "gradient": "absolute"},
 ], ids=str)
 def test_it_learns(choices):
@@ -244,7 +245,7 @@ def test_the_lock_of_a_run_is_free_after_it(tmp_path):
 
 def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):
     capture, store, points = toy_capture()
-    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: points)
+    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: (points, rest[1]))
     real = checkpoint.save
     calls = []
 

@@ -17,6 +17,7 @@ from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
 from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
 from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.core.targets import Target
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.dense import evening_of
 from fastgs_blender.training.initial.model import model_from_points
@@ -43,7 +44,7 @@ def shot(view):
 
 
 def goal(rgb):
-    return SimpleNamespace(rgb=np.float32(rgb), weight=None)
+    return SimpleNamespace(rgb=np.float32(rgb), weight=None, least=None)
 
 
 def evening(**choices):
@@ -80,13 +81,24 @@ def test_even_cameras_stay_as_they_are():
     assert found.moment(shot("b")) == 0.25
 
 
-def test_overexposed_pixels_do_not_count_in_pictures_that_are_darkened():
+def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
+    """A model that is brighter there is right, one that is darker is not; exposures and clocks are not told by such pixels."""
     found = evening(exposures="on")
-    found.gains[1] = 1.3
+    found.gains[1] = 1.25
     rgb = np.full((4, 4, 3), 0.5, np.float32)
-    rgb[0, 0] = 1.0
-    assert not found.pixels(shot("b"), Pixels(rgb)).valid[0, 0] and found.pixels(shot("b"), Pixels(rgb)).valid[1:].all()
-    assert found.pixels(shot("a"), Pixels(rgb)).valid is None
+    rgb[0, 0, 1] = 1.0
+    seen = found.pixels(shot("b"), Pixels(rgb))
+    assert seen.least.sum() == 1 and seen.least[0, 0, 1] and found.pixels(shot("a"), Pixels(rgb)).least is None
+    target = Target(None, 0.0, seen.rgb, None, None, True, seen.least)
+    for drawn, wanted in ((0.9, 0.9), (0.3, 0.8)):
+        met = target.met(np.full_like(rgb, drawn))
+        assert met[0, 0] == pytest.approx([0.4, wanted, 0.4]) and met[1:] == pytest.approx(0.4)
+    wild = np.full_like(rgb, 0.4)
+    sums = []
+    for colour in (0.8, 0.9):
+        wild[0, 0, 1] = colour
+        sums.append(found.seen(shot("b"), target, wild, np.ones((4, 4), np.float32), wild)[0])
+    assert np.array_equal(*sums)
 
 
 def test_a_clock_is_found_along_the_models_change():
