@@ -71,6 +71,11 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
     return from_entries(path, layout, entries, options, frame_count=count, faults=faults, **settings)
 
 
+def chosen_frames(cameras: Sequence[RigCamera], options: Options, path) -> Sequence[int]:
+    """The frames of a rig that the options choose, counted from 0."""
+    return _chosen(max((len(camera.pictures) for camera in cameras), default=0), options.frames, path)
+
+
 def from_entries(
         path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
         held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,

@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cameras.colmap_files import ColmapImage, has_model, read_images, read_points
+from ...cameras.colmap_files import ColmapImage, read_images, read_points
 from ...util.errors import FastGSError
-from ..capture import Capture, Options, Points
+from ..capture import Capture, Options
 from ..pixels.sequences import frame_range, numbered_pictures, video_frames
 from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig, gap_sentences
 from ..sources import PICTURES, VIDEOS, Source
+from .prepared import frame_workspaces, model_place, timed
 
 name = "COLMAP"
-MODEL_PLACES = ("sparse/0", "sparse", ".", "manual", "colmap/sparse/0", "distorted/sparse/0")
 IMAGE_PLACES = ("images", "input", ".")
 STILL = 1e-6
 """Poses that differ by less are one."""
@@ -32,32 +32,18 @@ STILL = 1e-6
 
 def recognises(path: Path) -> bool:
     """A workspace, or a folder with a workspace for each frame."""
-    return path.is_dir() and (_model(path) is not None or len(_frames(path)) > 0)
+    return path.is_dir() and (model_place(path) is not None or len(frame_workspaces(path)) > 0)
 
 
 def load(path: Path, options: Options) -> Capture:
     """The capture in a workspace or in its frames' workspaces."""
     path = path if path.is_dir() else path.parent
-    if _model(path) is not None:
+    if model_place(path) is not None:
         return _workspace(path, options)
-    frames = _frames(path)
+    frames = frame_workspaces(path)
     if not frames:
         raise FastGSError(f"{path}: there are no cameras and images files of COLMAP in it or in sparse/0.")
     return _workspaces(path, frames, options)
-
-
-def _model(path: Path) -> Path | None:
-    return next((path / place for place in MODEL_PLACES if has_model(path / place)), None)
-
-
-def _frames(path: Path) -> dict[int, Path]:
-    """Workspaces of single frames by number: colmap_0, colmap_1, ..."""
-    found = {}
-    for place in path.iterdir():
-        match = re.fullmatch(r"(?:colmap|frame)_?(\d+)", place.name)
-        if match and place.is_dir() and _model(place) is not None:
-            found[int(match[1])] = place
-    return dict(sorted(found.items()))
 
 
 def _source(path: Path, image: ColmapImage, frame: int | None = None) -> Source:
@@ -80,7 +66,7 @@ def _workspaces(path, frames: dict[int, Path], options) -> Capture:
     for number, folder in frames.items():
         if number - start not in chosen:
             continue
-        model = _model(folder)
+        model = model_place(folder)
         images = read_images(model)
         top = _folder_of(folder, images)
         for image in images:
@@ -97,21 +83,13 @@ def _workspaces(path, frames: dict[int, Path], options) -> Capture:
     have = {(entry.view, entry.frame) for entry in entries}
     gaps = [(view, n - start) for n in frames if n - start in chosen for view in views if (view, n - start) not in have]
     entries.sort(key=lambda entry: (entry.view, entry.frame))
-    return from_entries(path, name, entries, options, frame_count=count, start_frame=start, points=_timed(points),
+    return from_entries(path, name, entries, options, frame_count=count, start_frame=start, points=timed(points),
                         faults=faults + ([] if faults else gap_sentences(gaps, start)))
-
-
-def _timed(points: list[tuple[Points | None, float]]) -> Points | None:
-    found = [(part, np.full(len(part), t, np.float32)) for part, t in points if part is not None]
-    if not found:
-        return None
-    return Points(np.concatenate([part.xyz for part, _ in found]), np.concatenate([part.rgb for part, _ in found]),
-                  np.concatenate([t for _, t in found]))
 
 
 def _workspace(path, options) -> Capture:
     """One model: a rig whose cameras have folders or videos, or a moment seen from everywhere."""
-    model = _model(path)
+    model = model_place(path)
     images = read_images(model)
     top = _folder_of(path, images)
     points = read_points(model)

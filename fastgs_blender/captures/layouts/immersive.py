@@ -4,6 +4,7 @@
     camera_0001.mp4 ...          one video per camera
     models.json                  a list of {name, position, orientation, focal_length, pixel_aspect_ratio, principal_point, width, height,
                                  radial_distortion, projection_type}
+    colmap_0/, colmap_1/ ...     optional: points of each frame (prepared.py)
 
 position is the camera's centre in the world, orientation the axis-angle of world to camera, OpenCV axes.  "fisheye" is OpenCV's with
 k1, k2 (github.com/augmentedperception/deepview_video_dataset).  A video that models.json leaves out has no pose and is left out here.
@@ -23,8 +24,9 @@ from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..capture import Capture, Options
 from ..pixels.sequences import video_frames
-from ..rigs import RigCamera, from_rig
+from ..rigs import RigCamera, chosen_frames, from_rig
 from ..sources import VIDEOS
+from .prepared import prepared_points
 
 name = "Google Immersive"
 MODELS = "models.json"
@@ -65,9 +67,11 @@ def load(path: Path, options: Options) -> Capture:
     for text, lost in (("without calibration in models.json", sorted(set(videos) - set(names))),
                        ("without a video", [called for called in names if called not in videos])):
         notes += [f"left out {text}: {', '.join(lost)}"] if lost else []
+    points, remarks = prepared_points(folder, {camera.name: camera.pose for camera in cameras}, chosen_frames(cameras, options, path))
+    notes += remarks
     notes += [f"the exposure of {called} is evened by a factor of {gain:.3g}" for called, gain in gains.items() if called in videos]
     return from_rig(path, name, cameras, options, fps=rates[0] if rates else 30.0, scale=SCALE, focal=FOCAL, held_out=[HELD_OUT],
-                    notes=notes, faults=faults)
+                    notes=notes, faults=faults, points=points)
 
 
 def _lens(entry, where) -> Lens:

@@ -4,6 +4,7 @@
     cam00.mp4, cam01.mp4 ...     numbers may have gaps; or folders cam00/images/0000.png, cam00/0000.png of extracted frames
     poses_bounds.npy             [cameras, 17] float64: row i belongs to the i-th camera by name
     points3D_downsample2.ply     optional
+    colmap_0/, colmap_1/ ...     optional: points of each frame (prepared.py)
 
 A row holds a 3 x 5 matrix [R | t | (height, width, focal length)] and the near and far bound.  [R | t] is camera-to-world; R's columns
 point down, right and backwards, so that (second, first, -third) are OpenCV's.  The principal point is the image's centre
@@ -23,8 +24,9 @@ from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
 from ..points import load_points
-from ..rigs import RigCamera, from_rig
+from ..rigs import RigCamera, chosen_frames, from_rig
 from ..sources import VIDEOS, Source
+from .prepared import prepared_points
 
 name = "Neural 3D Video"
 POSES = "poses_bounds.npy"
@@ -55,7 +57,11 @@ def load(path: Path, options: Options) -> Capture:
             for i, (called, place) in enumerate(found.items()) if called != out]
     cameras, rates, sizes = zip(*read)
     notes = [f"{out} is left out: in this scene it is not synchronised with the others"] if out else []
-    points = load_points(path / POINTS) if (path / POINTS).is_file() else None
+    if (path / POINTS).is_file():
+        points = load_points(path / POINTS)
+    else:
+        points, remarks = prepared_points(path, {camera.name: camera.pose for camera in cameras}, chosen_frames(cameras, options, path))
+        notes += remarks
     return from_rig(path, name, cameras, options, fps=next((rate for rate in rates if rate), FPS), scale=min(1.0, 0.5 / min(sizes)),
                     held_out=[cameras[0].name], points=points, notes=notes, faults=faults)
 

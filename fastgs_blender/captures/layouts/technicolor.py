@@ -3,6 +3,7 @@
 
     Birthday_undist_00151_00.png ...     scene, frame, camera
     cameras_parameters.txt               a header, then a row per camera: f cx cy aspect skew qw qx qy qz tx ty tz
+    colmap_151/ ...                      optional: points of each frame (prepared.py)
 
 Poses are world-to-camera as COLMAP has them.  aspect is 1 and skew 0 in all scenes; the format does not say which way another aspect
 would go, so it is refused.  Camera 10 (third row, third column) is held out, at full size, as STG does.
@@ -20,6 +21,7 @@ from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..rigs import Entry, check_count, from_entries, gap_sentences
 from ..sources import Source
+from .prepared import frame_workspaces, prepared_points
 
 name = "Technicolor"
 CAMERAS = "cameras_parameters.txt"
@@ -73,8 +75,17 @@ def load(path: Path, options: Options) -> Capture:
     begin = PUBLISHED.get(scene)
     if begin is not None and first <= begin and begin + 49 <= last and (first, last) != (begin, begin + 49):
         notes.append(f"published figures use the pictures {begin} to {begin + 49}: frames {begin - first}:{begin - first + 50}")
+    points, remarks = _prepared(path, {camera: pose for camera, (_, pose) in known.items()}, first, last, options)
     return from_entries(path, name, entries, options, frame_count=last - first + 1, start_frame=first, held_out=[HELD_OUT],
-                        notes=notes, faults=gap_sentences(gaps))
+                        notes=notes + remarks, faults=gap_sentences(gaps), points=points)
+
+
+def _prepared(path, poses_of, first, last, options):
+    """Points of each frame (prepared.py); workspaces have the pictures' numbers, and cameras are called 00 or cam00 there."""
+    named = poses_of | {f"cam{camera}": pose for camera, pose in poses_of.items()}
+    start = first if min(frame_workspaces(path), default=0) >= first else 0
+    chosen = range(last - first + 1)[options.frames] if options.frames is not None else range(last - first + 1)
+    return prepared_points(path, named, chosen, start) if len(chosen) and chosen.step > 0 else (None, [])
 
 
 def _camera(row, found, camera, where):

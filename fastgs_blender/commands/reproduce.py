@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""train and measure a data set as published work does, beside the paper's figures
+
+FOLDER has a folder for each scene, as the data set is published, or as Spacetime Gaussians prepares it: points of each frame in
+colmap_0, colmap_1 ... are used then. Each scene is trained into a folder of --out, and a run that has ended is not repeated; one that was
+stopped goes on. The table, and reproduce.json, have what was measured, what the paper prints, and what the paper prints for Spacetime
+Gaussians. docs/paper.md says what differs from both.
+"""
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from ..training.core.presets import PRESETS
+from ..util.errors import FastGSError
+from .shared import add_device, note, print_json, say, use_threads
+from .train import frames_slice
+
+DATA_SETS = ("n3v", "immersive", "technicolor")
+MEASURES = {"psnr": ("PSNR dB", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim2": ("DSSIM2", ".4f"), "lpips": ("LPIPS", ".4f"),
+            "flip": ("FLIP", ".4f")}
+
+
+def add_arguments(parser):
+    parser.add_argument("dataset", choices=DATA_SETS, help="whose protocol: views, size of the pictures, frames")
+    parser.add_argument("folder", metavar="FOLDER", help="the folder with the scenes' folders")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the runs and the table")
+    parser.add_argument("--scenes", metavar="NAME,NAME", help="the scenes to use (default: the published ones that are there)")
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="paper", help="what to train with (default: paper)")
+    parser.add_argument("--frames", metavar="A:B", help="a part of each clip, counted from 0 (default: the published frames)")
+    parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the published one)")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any training option, for a quick trial")
+    parser.add_argument("--no-lpips", action="store_true", help="measure neither LPIPS nor FLIP, which take the longest")
+    add_device(parser)
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def run(args):
+    from ..captures import open_capture
+    from ..evaluation.protocols import PROTOCOLS, parts, scene_folders
+
+    use_threads(args.threads)
+    protocol, out = PROTOCOLS[args.dataset], Path(args.out)
+    names = None if args.scenes is None else [name.strip() for name in args.scenes.split(",") if name.strip()]
+    rows = []
+    for folder in scene_folders(protocol, Path(args.folder), names):
+        clip = open_capture(folder, layout=protocol.layout).clip
+        for part in parts(protocol, folder, clip.frame_count, clip.start_frame, frames_slice(args.frames)):
+            rows += _measured(args, protocol, part, out / part.name)
+            _write(out / "reproduce.json", {"data_set": args.dataset, "preset": args.preset, "set": args.set, "rows": rows})
+    if args.json:
+        print_json(rows)
+    else:
+        say(table(rows))
+
+
+def _measured(args, protocol, part, out: Path) -> list[dict]:
+    """Train a scene or a fragment, unless that has been done, and measure it: a row, or one for each view."""
+    from .. import formats
+    from ..captures.pixels.store import FrameStore
+    from ..evaluation.evaluate import evaluate
+    from ..training.core.settings import option_from_text
+    from ..training.run.files import MODEL
+    from ..training.run.launch import launch, source_of
+    from ..training.run.plan import read_plan
+
+    source = source_of(part.folder, protocol.layout, args.scale, part.frames, protocol.held_out)
+    capture = source.open()
+    wanted = {"preset": args.preset, **dict(option_from_text(text) for text in args.set)}
+    if capture.points is not None and capture.points.t is not None:
+        wanted.setdefault("start", "file")
+    plan = read_plan(out)
+    if plan is not None and (out / MODEL).is_file():
+        for name, value in wanted.items():
+            if getattr(plan.settings, name) != value:
+                raise FastGSError(f"{out}: the run there has {name} = {getattr(plan.settings, name)}, not {value}; choose another --out.")
+    else:
+        note(f"{part.name}: training")
+        launch(source, out, wanted, plan is not None, False, args.quiet, note, args.device)
+    model = formats.load(out / MODEL)
+    store = FrameStore(capture, 0)
+    store.fill(shots=capture.held_out)
+    result = evaluate(model, capture, store, lpips=not args.no_lpips)
+    for text in result["notes"]:
+        note(f"{part.name}: {text}.")
+    means = {f"{part.scene} {view}": values for view, values in result["views"].items()} if protocol.views else {
+        part.scene: result["average"]}
+    views = list(result["views"]) if protocol.views else [", ".join(result["views"])]
+    return [{"scene": part.name, "view": view, "gaussians": len(model), "bytes": (out / MODEL).stat().st_size, "fps": result["fps"],
+             "device": result["device"], "measured": {name: values[name] for name in MEASURES if values.get(name) is not None},
+             "paper": dict(protocol.paper.get(key, {})), "stg": dict(protocol.stg.get(key, {}))}
+            for view, (key, values) in zip(views, means.items(), strict=True)]
+
+
+def table(rows: list[dict]) -> str:
+    """The rows for people: of each scene what was measured, and below what the paper prints."""
+    names = [name for name in MEASURES if any(name in row[who] for row in rows for who in ("measured", "paper", "stg"))]
+    width = max(len("scene"), *(len(f"{row['scene']} {row['view']}") for row in rows)) + 2
+    lines = ["scene".ljust(width) + " " * 20 + "".join(f"{MEASURES[name][0]:>9}" for name in names)]
+    for row in rows:
+        lead = f"{row['scene']} {row['view']}"
+        for who, title in (("measured", "measured"), ("paper", "the paper"), ("stg", "STG, by the paper")):
+            if row[who] or who == "measured":
+                cells = (f"{row[who][name]:{MEASURES[name][1]}}" if name in row[who] else "-" for name in names)
+                lines.append(lead.ljust(width) + title.ljust(20) + "".join(f"{cell:>9}" for cell in cells))
+                lead = ""
+    return "\n".join(lines)
+
+
+def _write(path: Path, values: dict) -> None:
+    from ..util.outputs import replacing
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing([path]) as (part,):
+            part.write_text(json.dumps(values, indent=1, allow_nan=False) + "\n", "utf-8")
+    except OSError as error:
+        raise FastGSError(f"{path}: the table cannot be written ({error.strerror}); choose another folder with --out.") from error
