@@ -43,6 +43,9 @@ NOTICED, NOTICED_CLOCK = 0.015, 0.12
 PRIOR_GAIN, PRIOR_BIAS = 1e-4, 0.1
 """Pull towards gain 1 and bias 0, in mean squares of colour.  Exposures are gains: free biases take a part of them over (a model is never
 exact, which makes slopes too small), and gains were off by 0.07 instead of 0.02 (benchmarks/uneven.py)."""
+TOLD = 1.0
+"""Pull towards gains that starting points told, in mean squares of colour.  These are right to 0.01 or so, while a model that is trained
+with wrong gains partly believes them: its features see the direction, and with it the camera (benchmarks/uneven.py)."""
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
 """Standard deviation of clock offsets in frames, as a prior; number of pixels whose errors are correlated and count as one."""
 FARTHEST = 1.5
@@ -55,6 +58,7 @@ class Evening:
 
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
     gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
+    told     [V, 3] gains that starting points told; 0: they did not
     colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
     clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
     """
@@ -66,18 +70,20 @@ class Evening:
     gains: np.ndarray
     biases: np.ndarray
     late: np.ndarray
+    told: np.ndarray
     colour: np.ndarray
     clock: np.ndarray
 
     @classmethod
     def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None) -> Evening:
-        """The state at the first step: no clock offsets, no sums, and equal exposures, or those gains [V, 3] that starting points told."""
+        """The state at the first step: no clock offsets, no sums, and equal exposures, or those gains [V, 3] that starting points told
+        (0: they did not)."""
         v = len(views)
+        told = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
         several = v > 1
         exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
         return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                   np.ones((v, 3)) if gains is None else np.array(gains, np.float64), np.zeros((v, 3)), np.zeros(v),
-                   np.zeros((v, 3, 5)), np.zeros((v, 4)))
+                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told, np.zeros((v, 3, 5)), np.zeros((v, 4)))
 
     def state(self) -> dict[str, np.ndarray]:
         """The arrays that a checkpoint holds."""
@@ -190,8 +196,9 @@ class Evening:
         n, p, q, pp, pq = np.moveaxis(self.colour, -1, 0)
         known = n[:, 0] > 0
         n = np.maximum(n, 1e-9)
-        a, b, c = pp / n + PRIOR_GAIN, p / n, 1 + PRIOR_BIAS
-        right, above = pq / n + PRIOR_GAIN, q / n
+        pull, towards = np.where(self.told > 0, TOLD, PRIOR_GAIN), np.where(self.told > 0, self.told, 1.0)
+        a, b, c = pp / n + pull, p / n, 1 + PRIOR_BIAS
+        right, above = pq / n + pull * towards, q / n
         det = a * c - b * b
         gains, biases = (right * c - b * above) / det, (a * above - b * right) / det
         gains = np.clip(np.where(known[:, None], gains, 1), 0.2, 5)
@@ -238,9 +245,9 @@ class Evened:
         return self.evening.pixels(shot, self.store.pixels(shot))
 
 
-ARRAYS = ("gains", "biases", "late", "colour", "clock")
+ARRAYS = ("gains", "biases", "late", "told", "colour", "clock")
 
 
 def shapes(views: int) -> dict[str, tuple[int, ...]]:
     """Shapes of Evening.state() by name; all are float64."""
-    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "colour": (views, 3, 5), "clock": (views, 4)}
+    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "colour": (views, 3, 5), "clock": (views, 4)}

@@ -81,7 +81,8 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
         expected[f"optimiser.count.{name}"] = np.int32, shape[:1]
     late = arrays.get("evening.late")
     if late is not None and late.ndim == 1:  # earlier versions had none
-        expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()}
+        expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()
+                     if name != "told" or "evening.told" in arrays}
     expected |= {f"statistics.{name}": (np.float32, (count,)) for name in STATISTICS}
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 

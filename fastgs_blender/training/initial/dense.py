@@ -5,7 +5,6 @@ Points that look the same at other moments belong to all times; all others carry
 """
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,8 @@ MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 DARK, BRIGHT = 0.04, 0.97
 """Colours beyond which nothing is told of a camera's exposure."""
+ROUNDS, OUTLYING = 12, 0.06
+"""Rounds of robust least squares, and the difference of a colour's logarithm at which it counts half."""
 UNEVEN = 0.06
 """Difference of gains from 1 below which they are left to the training: a few colours of a few points tell no less."""
 SWEEP_SIDE = 128
@@ -99,8 +100,11 @@ def _features(capture, store, settings, moments):
 
 
 def evening_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> Evening:
-    """How cameras differ, from the colours [3] of points in the views that see them: gains are medians of ratios, to which the points' own
-    colours are medians in turn."""
+    """How cameras differ, from the colours [3] of points in the views that see them.
+
+    The logarithm of a colour is the point's plus that of the camera's gain: robust least squares over all points and cameras together.
+    (Medians of ratios to the points' medians are too near 1, because a point that few cameras see has their own colours as its median.)
+    """
     even = Evening.begun(tuple(dict.fromkeys(shot.view for shot in capture.training)), capture.clip.frame_count, settings)
     place = {view: k for k, view in enumerate(even.views)}
     table = np.full((len(looks), len(even.views), 3), np.nan)
@@ -108,18 +112,31 @@ def evening_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> Evening
         for view, colour in each.items():
             row[place[view]] = colour
     table[(table < DARK) | (table > BRIGHT)] = np.nan
+    table[np.isfinite(table).sum(1, keepdims=True).repeat(len(even.views), 1) < 2] = np.nan  # alone, a colour tells nothing
     known = (np.isfinite(table).sum(0) >= FEW).all(1)
     if known.sum() < 2:
         return even
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # medians of nothing: points that are too dark
-        for _ in range(8):
-            own = np.nanmedian(table / even.gains, 1, keepdims=True)
-            gains = np.nanmedian(table / own, 0)
-            even.gains = np.where(known[:, None], np.clip(gains / np.median(gains[known], 0), 0.3, 3), 1.0)
-    if np.abs(even.gains - 1).max() < UNEVEN:
-        even.gains = np.ones_like(even.gains)
-    return even
+    gains = np.exp(np.stack([_offsets(np.log(table[:, known, c])) for c in range(3)], 1))
+    told = np.zeros_like(even.gains)
+    told[known] = np.clip(gains / np.median(gains, 0), 0.3, 3)
+    if np.abs(told[known] - 1).max() < UNEVEN:
+        return even
+    return Evening.begun(even.views, capture.clip.frame_count, settings, told)
+
+
+def _offsets(values: np.ndarray) -> np.ndarray:
+    """Offsets [V] of columns: values [P, V], NaN where unknown, are a number of each row plus these, but for noise and outliers."""
+    there = np.isfinite(values)
+    values, weight = np.where(there, values, 0.0), there.astype(np.float64)
+    offsets = np.zeros(values.shape[1])
+    for _ in range(ROUNDS):
+        total = np.maximum(weight.sum(1), 1e-9)
+        # the rows' own numbers eliminated: normal equations of the columns alone
+        matrix = np.diag(weight.sum(0)) - weight.T @ (weight / total[:, None])
+        offsets = np.linalg.pinv(matrix) @ (weight * (values - ((weight * values).sum(1) / total)[:, None])).sum(0)
+        own = (weight * (values - offsets)).sum(1) / total
+        weight = there / (1 + ((values - offsets - own[:, None]) / OUTLYING) ** 2)
+    return offsets
 
 
 def votes(cloud: Points, pictures, depths) -> np.ndarray:

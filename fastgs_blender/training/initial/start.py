@@ -15,8 +15,8 @@ from .model import model_from_points, reach_of
 @dataclass(frozen=True, eq=False)
 class Start:
     """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
-    a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, None where they are not known to
-    differ."""
+    a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, 0 where they are not known, or
+    None where they are not known to differ."""
 
     model: GaussianModel
     sizes: np.ndarray | None
@@ -40,7 +40,7 @@ def start(capture, store, settings, say=print) -> Start:
     """What training on a capture begins with.  Raises FastGSError where what the settings ask for gives nothing."""
     model = known.known_model(capture, settings, say)
     found, store = points.initial_points(capture, store, settings, say) if model is None else (known.points_of(model, capture), store)
-    gains = store.evening.gains if isinstance(store, Evened) and store.evening.colours_differ else None
+    gains = store.evening.told if isinstance(store, Evened) and store.evening.colours_differ else None
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:
         behind = points.thinned(behind, settings.max_gaussians, settings.seed)

@@ -5,6 +5,7 @@ import pytest
 from toy_captures import Pixels, toy_capture
 
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.evening import Evened, Evening
 from fastgs_blender.training.initial import backdrop
 from fastgs_blender.training.initial.geometry import project, visible
 
@@ -46,6 +47,20 @@ def test_it_stands_behind_everything_that_cameras_see(filmed):
         reach = 2.5 * points.size[0] / apart[0] * shot.camera.fx
         for corner in np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]]) * (shot.camera.width, shot.camera.height):
             assert np.linalg.norm(places - corner, axis=1).min() < reach
+
+
+def test_cameras_that_differ_agree_on_it(filmed):
+    """One camera is overexposed, one dark: the sky has the colour in which their evened pictures agree, from those that show it."""
+    capture, store, points = filmed
+    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    gains = np.ones((len(views), 3))
+    gains[0], gains[1] = 2.0, 0.5
+    for (view, frame), pixels in store.pictures.items():
+        gain = gains[views.index(view)] if view in views else np.ones(3)
+        store.pictures[view, frame] = Pixels(np.float32(np.clip(pixels.rgb * gain, 0, 1)))
+    even = Evening.begun(views, capture.clip.frame_count, settings.settings(), gains)
+    found = backdrop.with_backdrop(capture, Evened(store, even), settings.settings(points=1000, backdrop=0.5), points)
+    assert len(found) > 20 and np.allclose(found.rgb, SKY, atol=0.02)
 
 
 def test_cut_pictures_have_none(filmed):
