@@ -106,7 +106,7 @@ def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
     rgb[0, 0, 1] = 1.0
     seen = found.pixels(shot("b"), Pixels(rgb))
     assert seen.least.sum() == 1 and seen.least[0, 0, 1] and found.pixels(shot("a"), Pixels(rgb)).least is None
-    target = Target(None, 0.0, seen.rgb, None, None, True, seen.least)
+    target = Target(None, 0.0, seen.rgb, None, None, None, True, seen.least)
     for drawn, wanted in ((0.9, 0.9), (0.3, 0.8)):
         met = target.met(np.full_like(rgb, drawn))
         assert met[0, 0] == pytest.approx([0.4, wanted, 0.4]) and met[1:] == pytest.approx(0.4)
