@@ -26,10 +26,10 @@ def motion_norm(basis: Basis, extent: float, reading: str = "mean") -> MotionNor
     matrix = basis.curvature()
     diagonal = matrix.shape[0] == matrix.shape[1] and np.array_equal(matrix, np.diag(np.diag(matrix)))
     weights = np.repeat(np.diag(matrix) if diagonal else np.ones(len(matrix)), 3)
-    matrix = None if diagonal else matrix
+    kept = None if diagonal else matrix
     if reading == "printed":
-        return MotionNorm(matrix, weights, 1.0, SMOOTH * float(extent), "group")
-    return MotionNorm(matrix, weights, float(extent), SMOOTH, reading)
+        return MotionNorm(kept, weights, 1.0, SMOOTH * float(extent), "group")
+    return MotionNorm(kept, weights, float(extent), SMOOTH, reading)
 
 
 def motion_factor(reading: str, count: int) -> float:
