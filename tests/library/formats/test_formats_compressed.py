@@ -25,6 +25,7 @@ CAMERA = fg.Camera(96, 72, 90.0, 90.0, 48.0, 36.0, np.array([[1.0, 0, 0, 0], [0,
 @pytest.fixture(autouse=True)
 def few_small_pictures(monkeypatch):
     monkeypatch.setattr(sensitivity, "WIDTH", 64)
+    monkeypatch.setattr(rate, "SHOWN", 64)
     monkeypatch.setattr(rate, "SHOTS", 10)
     monkeypatch.setattr(rate, "JUDGED", 4)
     monkeypatch.setattr(rate, "REFITS", 20)
