@@ -57,7 +57,7 @@ REFITS = 200
 """Pictures that a model is refitted to."""
 REFITTING = 0.7
 """Share of the time of allotted() that refitting takes."""
-ATTEMPTS = (0.45, 2.2), (0.2, 1.5)
+ATTEMPTS = (0.35, 1.9), (0.2, 1.5)
 """What refitting may make up for, the most first: by how much the level rises, and the factor on the error up to which Gaussians are left
 out.  The second is tried where a model refitted after the first loses too much."""
 THIN = 0.1

@@ -26,8 +26,8 @@ END = 0.05
 EVERY = 10
 """Pictures between two roundings."""
 BETAS = 0.9, 0.99
-MOVED = ("position", "motion", "scale", "rotation", "opacity", "features", "mu_tau", "temporal")
-"""The arrays that are refitted; of `temporal` the logarithms alone, because the edges of windows stay as they are."""
+MOVED = ("position", "motion", "scale", "rotation", "opacity", "features")
+"""The arrays that are refitted."""
 STEEPEST = 0.02
 """Opacities are clamped to this distance from 0 and 1 where their step is converted to a step of the logit."""
 
@@ -77,7 +77,6 @@ def _units(parts: list[tuple[dict[str, np.ndarray], Steps]], model: GaussianMode
     units = {name: np.empty_like(model.arrays[name]) for name in MOVED if model.arrays[name].size}
     for i, (codes, steps) in enumerate(parts):
         sizes = step_sizes(codes, steps, scales(codes, steps))
-        sizes["temporal"] = steps.of("temporal", codes["shape"])[:, None] * np.array(model.temporal_kind.logarithms, bool)
         for name, unit in units.items():
             unit[i * segment:(i + 1) * segment] = sizes[name]
     opacity = np.clip(sigmoid(model.opacity), STEEPEST, 1 - STEEPEST)
