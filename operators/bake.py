@@ -57,8 +57,8 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         default='AUTO')
     samples_per_frame: IntProperty(
         name="Samples per Frame",
-        description="Number of times per frame at which the objects are sampled. 0: two, or four where motion is too fast to be followed "
-        "with two. Simulations are sampled on whole frames only",
+        description="Number of times per frame at which the objects are sampled. 0: two, or four or eight where motion is too fast to be "
+        "followed with fewer. Simulations are sampled on whole frames only",
         default=0, min=0, max=16)
     lighting: EnumProperty(
         name="Lighting",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,8 +15,8 @@ from . import baked_light
 from .material_colour import MaterialColours
 from .surface import Recorder, frame_kept, go_to, whole_frames_only
 
-PER_FRAME = 2, 4
-"""Number of times per frame at which surfaces are sampled by default, and where these do not suffice to follow the motion."""
+PER_FRAME = 2, 4, 8
+"""Numbers of times per frame at which surfaces are sampled by default: the next one where one does not suffice to follow the motion."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,9 @@ class Stage:
         return self.begin + (self.end - self.begin) * done, self.doing
 
 
-RECORD, LOOK, AGAIN, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
-    ("recording the surface", 0.0, 0.2), ("recording the surface", 0.2, 0.22), ("recording fast motion", 0.22, 0.3),
+RECORD, LOOK, AGAIN, LOOK_AGAIN, ONCE_MORE, SPREAD, COLOUR, LIGHT, FIT = (Stage(*values) for values in (
+    ("recording the surface", 0.0, 0.2), ("recording the surface", 0.2, 0.21), ("recording fast motion", 0.21, 0.24),
+    ("recording fast motion", 0.24, 0.25), ("recording fast motion", 0.25, 0.3),
     ("spreading the Gaussians", 0.3, 0.45), ("reading the colours", 0.45, 0.5), ("measuring the light", 0.5, 0.6),
     ("fitting the motion", 0.6, 1.0)))
 
@@ -76,8 +78,8 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
     with frame_kept(scene):
         recorder = Recorder(context, objects)
         simulated = any(whole_frames_only(obj) for obj in objects)
-        few, many = (1, 1) if simulated else (settings.samples_per_frame,) * 2 if settings.samples_per_frame else PER_FRAME
-        times = frame_times(settings.frame_start, settings.frame_end, few)
+        first, *more = (1,) if simulated else (settings.samples_per_frame,) if settings.samples_per_frame else PER_FRAME
+        times = frame_times(settings.frame_start, settings.frame_end, first)
         if simulated:  # a simulation has no frame to which it was not played
             for frame in range(scene.frame_start, settings.frame_start):
                 go_to(scene, frame)
@@ -86,10 +88,12 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
         positions, triangles, part = np.stack(recorder.positions), recorder.triangles(), recorder.parts()
         fitting = dict(frame_count=settings.frame_end - settings.frame_start + 1, tolerance=settings.tolerance,
                        tail_tolerance=settings.tail_tolerance, max_order=settings.max_order, basis=settings.basis, part=part)
-        if few < many and not (yield from _run(lambda _: followed(positions, triangles, frames=np.array(times) - settings.frame_start,
-                                                                  **fitting), apart, LOOK)):
-            known, times = times, frame_times(settings.frame_start, settings.frame_end, many)
-            yield from _record(recorder, sorted(set(times) - set(known)), AGAIN)
+        for per_frame, look, again in zip(more, (LOOK, LOOK_AGAIN), (AGAIN, ONCE_MORE), strict=False):
+            relative = np.array(times) - settings.frame_start
+            if (yield from _run(partial(_followed, positions, triangles, relative, fitting), apart, look)):
+                break
+            known, times = times, frame_times(settings.frame_start, settings.frame_end, per_frame)
+            yield from _record(recorder, sorted(set(times) - set(known)), again)
             recorder.sort()
             positions = np.stack(recorder.positions)
         samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), apart, SPREAD)
@@ -113,6 +117,11 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
 
     model, report = yield from _run(fit, apart, FIT)
     return model, replace(report, worst_place=recorder.place(report.worst_triangle)), materials.notes
+
+
+def _followed(positions, triangles, frames, fitting, progress) -> bool:
+    """Whether these samples suffice to follow the motion."""
+    return followed(positions, triangles, frames=frames, **fitting)
 
 
 def _record(recorder, times, stage):
