@@ -41,6 +41,6 @@ def test_bash_completes_commands_options_choices_and_files(tmp_path, capsys):
 def test_other_shells(capsys):
     assert script("zsh", capsys).startswith("autoload") and "complete -o filenames -F _fastgs fastgs" in script("zsh", capsys)
     fish = script("fish", capsys)
-    assert all(f"-a {name} -d '" in fish for name in NAMES) and "-l preset -x -a 'draft standard final'" in fish
+    assert all(f"-a {name} -d '" in fish for name in NAMES) and "-l preset -x -a 'draft standard final paper stg'" in fish
     if shutil.which("fish"):
         assert subprocess.run(["fish", "--no-execute", "-c", fish], check=False).returncode == 0
