@@ -77,7 +77,14 @@ def cameras(path: Path) -> list[fg.Camera]:
     if beside.is_file():
         views = fg.load_cameras(beside)
         return [view.camera for view in views[::max(1, len(views) // 4)]]
-    return [camera for camera, _ in sensitivity.shots(fg.load(path), GUESSED, UNSEEN, WIDTH)]
+    return [enlarged(camera) for camera, _ in sensitivity.shots(fg.load(path), GUESSED, UNSEEN)]
+
+
+def enlarged(camera: fg.Camera) -> fg.Camera:
+    """The camera with pictures of WIDTH pixels."""
+    factor = WIDTH / camera.width
+    lens = (factor * value for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    return fg.Camera(WIDTH, round(factor * camera.height), *lens, camera.world_to_camera)
 
 
 def pictures(model: fg.GaussianModel, views: list[fg.Camera]) -> list[np.ndarray]:

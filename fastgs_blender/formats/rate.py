@@ -27,18 +27,14 @@ NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
 HELD_OUT = "held_out_psnr"
 """Key of the provenance: dB of the views of its capture that the model was not trained on."""
-LEVELS = {"fine": 0.07, "small": 0.21}
-"""Losses in dB by name: they are to stay below 0.1 and 0.3 dB in views that they were not judged by.  With an aim of 0.08 dB the example
-lost 0.108 dB in such views, which show more of its surroundings."""
+LEVELS = {"fine": 0.07, "small": 0.2}
+"""Losses in dB by name: they are to stay below 0.1 and 0.3 dB in views that they were not judged by."""
 LEAST, MOST = 0.001, 10.0
 """dB that may be lost."""
 LOWEST, HIGHEST = 15.0, 50.0
 """Range in dB in which the PSNR of a provenance is believed."""
 SHOTS, JUDGED = 64, 12
 """Numbers of pictures: of those that sensitivities are measured on, and of others that the loss is measured on."""
-SHOWN = 676
-"""Pixels of the longer side of the pictures that the loss is measured on and that a model is refitted to: about what a viewport or a
-print on a page shows.  Judged at 400 pixels, one model lost half as much again at 676, and another a fifth less."""
 COST = 60.0
 """Bits that leaving a Gaussian out is assumed to save.  The true number is higher, but errors of left-out neighbours add up."""
 HARM = COST * 2 * np.log(2) / 12
@@ -57,9 +53,10 @@ REFITS = 200
 """Pictures that a model is refitted to."""
 REFITTING = 0.7
 """Share of the time of allotted() that refitting takes."""
-ATTEMPTS = (0.35, 1.9), (0.2, 1.5)
-"""What refitting may make up for, the most first: by how much the level rises, and the factor on the error up to which Gaussians are left
-out.  The second is tried where a model refitted after the first loses too much."""
+SPARED = 1.5
+"""With refitting, Gaussians are left out up to this many times the usual error."""
+COARSER = 0.2
+"""With refitting, the level rises by this much."""
 THIN = 0.1
 """Pixels.  Thinner Gaussians look the same as this, because the rasteriser's blur is wider."""
 LASTING = 0.002
@@ -108,11 +105,11 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
     if not len(model):
         return []
     original, refit = model, loss.decibels > QUICK
-    series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS, SHOWN)
+    series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS)
     truth, allowed = pictures(model, judged), loss.error(model)
     model = plain(canonical(model.take(hilbert_order(model.position))), [camera for camera, _ in series])
     first, last = (1 - REFITTING, REFITTING) if refit else (1.0, 0.0)
-    found = sensitivity(model, series, part_of(progress, 0, first * SENSING))
+    found = sensitivity(model, series, lambda share: progress(first * SENSING * share))
     harm = removal(model, found)
 
     def chosen(level: float, spared: float) -> Prepared:
@@ -125,29 +122,18 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
         parts = in_parts(ready, level, segment)
         return parts, mean_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
 
-    def refit_at(level: float, spared: float, progress: Callable[[float], None]) -> list | None:
-        """The parts of a refitted model that loses no more than it may; None where none was found."""
-        ready = chosen(level, spared)
-        if not len(ready.model):
-            return None
-        again = refitted(ready, level, segment, original, shots(original, REFITS, SHOTS + JUDGED, SHOWN), part_of(progress, 0, 0.8))
-        return search(lambda level: tried(again, level), level, allowed, NEAR, part_of(progress, 0.8, 0.2))[1]
-
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
     level, parts = search(lambda level: tried(chosen(level, 1.0), level), 0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed,
-                          ROUGHLY if refit else NEAR, part_of(progress, first * SENSING, first * (1 - SENSING)))
+                          ROUGHLY if refit else NEAR, lambda share: progress(first * (SENSING + (1 - SENSING) * share)))
     if parts is None:
         raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
-    for k, (coarser, spared) in enumerate(ATTEMPTS if refit else ()):
-        made_up = refit_at(level + coarser, spared, part_of(progress, first + last * k / len(ATTEMPTS), last / len(ATTEMPTS)))
-        if made_up is not None:
-            return made_up
-    return parts
-
-
-def part_of(progress: Callable[[float], None], begin: float, share: float) -> Callable[[float], None]:
-    """The progress of a part of the work: it is called with 0..1 of the part, and passes on 0..1 of the whole."""
-    return lambda part: progress(begin + share * part)
+    ready = chosen(level + COARSER, SPARED) if refit else None
+    if ready is None or not len(ready.model):
+        return parts
+    again = refitted(ready, level + COARSER, segment, original, shots(original, REFITS, SHOTS + JUDGED),
+                     lambda share: progress(first + 0.8 * last * share))
+    return search(lambda level: tried(again, level), level + COARSER, allowed, NEAR,
+                  lambda share: progress(first + last * (0.8 + 0.2 * share)))[1] or parts
 
 
 def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, progress: Callable[[float], None]

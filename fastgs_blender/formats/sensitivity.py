@@ -24,7 +24,7 @@ from ..util.backends import load_backend
 from ..util.errors import FastGSError
 
 WIDTH = 400
-"""Pixels of the longer side of the pictures that sensitivities are measured on."""
+"""Pixels of the pictures' longer side."""
 GOLDEN = 0.6180339887498949
 """Its multiples, modulo 1, are spread evenly over 0..1."""
 PLASTIC = 0.7548776662466927
@@ -65,16 +65,14 @@ class Sensitivity:
         return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
 
 
-def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None) -> list[Shot]:
+def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
     """`count` cameras and times at which a model's pictures are measured; another `first` gives other ones.
-
-    width  pixels of the pictures' longer side, instead of WIDTH
 
     The cameras are those of its capture, else guessed_cameras().  Each is moved sideways by a different amount, because Gaussians that are
     hidden from one place may be visible from a place beside it.
     """
-    known = [(camera_of(view), view.distance) for view in model.surroundings.cameras]
-    eyes = [(resized(camera, width or WIDTH), away) for camera, away in known or [(eye, 0.0) for eye in guessed_cameras(model)]]
+    known = [(smaller(camera_of(view)), view.distance) for view in model.surroundings.cameras]
+    eyes = known or [(camera, 0.0) for camera in guessed_cameras(model)]
     part = _seen(model)
     middle, found = np.median(part.position if len(part) else np.zeros((1, 3)), axis=0), []
     for k in range(first, first + count):
@@ -95,12 +93,12 @@ def _seen(model: GaussianModel) -> GaussianModel:
     return part if len(part) else model
 
 
-def resized(camera: Camera, width: int) -> Camera:
-    """The camera with pictures whose longer side has `width` pixels."""
-    factor = width / max(camera.width, camera.height)
-    across, down = (max(1, round(side * factor)) for side in (camera.width, camera.height))
+def smaller(camera: Camera) -> Camera:
+    """The camera with pictures of at most WIDTH pixels."""
+    factor = min(1.0, WIDTH / max(camera.width, camera.height))
+    width, height = (max(1, round(side * factor)) for side in (camera.width, camera.height))
     lens = (value * factor for value in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Camera(across, down, *lens, camera.world_to_camera)
+    return Camera(width, height, *lens, camera.world_to_camera)
 
 
 def guessed_cameras(model: GaussianModel) -> list[Camera]:

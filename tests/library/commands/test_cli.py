@@ -268,11 +268,11 @@ def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
 
 
 def test_convert_shows_how_far_it_is(run, file, tmp_path):
-    code, out, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "fine")
+    code, out, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1")
     assert code == 0 and "small.safetensors: " in out and "compressing: 100/100 steps (100 %)" in told
     code, _, told = run("convert", file, tmp_path / "f_##.ply", "--at", "0:2")
     assert code == 0 and "writing: 300/300 steps (100 %)" in told
-    code, _, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "fine", "--overwrite", "--quiet")
+    code, _, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1", "--overwrite", "--quiet")
     assert code == 0 and "steps" not in told
     code, _, told = run("convert", file, tmp_path / "one.ply")
     assert code == 0 and "steps" not in told

@@ -25,7 +25,6 @@ CAMERA = fg.Camera(96, 72, 90.0, 90.0, 48.0, 36.0, np.array([[1.0, 0, 0, 0], [0,
 @pytest.fixture(autouse=True)
 def few_small_pictures(monkeypatch):
     monkeypatch.setattr(sensitivity, "WIDTH", 64)
-    monkeypatch.setattr(rate, "SHOWN", 64)
     monkeypatch.setattr(rate, "SHOTS", 10)
     monkeypatch.setattr(rate, "JUDGED", 4)
     monkeypatch.setattr(rate, "REFITS", 20)
@@ -100,15 +99,6 @@ def test_refitting_shows_what_was_left_out():
     after = refit.refitted(ready, level, 400, model, sensitivity.shots(model, 40, 100), lambda share: None)
     assert error(after) < 0.75 * error(ready), (error(after), error(ready))
     np.testing.assert_allclose(np.linalg.norm(after.model.rotation, axis=1), 1, atol=1e-5)
-
-
-def test_waves_of_short_lives_move_no_farther_than_their_gaussians_steps():
-    """Within a tenth of the clip eleven functions of time are nearly alike: the steps that they are written in are huge."""
-    model = random_model(np.random.default_rng(2), 300, "paper", "line", "radial", extent=2.0, size=0.06)
-    model = quantising.canonical(replace(model, temporal=np.full_like(model.temporal, 7.0)))
-    ready = quantising.prepared(model, sensitivity.sensitivity(model, sensitivity.shots(model, 10)))
-    after = refit.refitted(ready, -13.0, 400, model, sensitivity.shots(model, 3, 100), lambda share: None)
-    assert 0 < np.abs(after.model.motion - model.motion).max() < 0.1 * np.abs(model.position).max()
 
 
 def test_a_model_that_is_farther_from_the_truth_may_lose_more():
