@@ -6,7 +6,7 @@ import os
 
 import bpy
 from mathutils import Euler
-from training_window import matter, part
+from on_gpu import matter, part
 from window import area_of, press, seen_by, settled, shot, until, within
 
 FRAMES = 24

@@ -5,10 +5,11 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import PurePosixPath
 
 import pytest
-from imports import PACKAGES, ROOT, called, circles, extension_files, imports, operators, targets
+from imports import PACKAGES, ROOT, called, circles, extension_files, imports, operators, parsed, targets
 
 ROOMS = ("util", "model", "cameras", "rendering", "kernels", "formats", "surfaces", "captures", "evaluation",
          "training/core", "training/initial", "training/run", "jobs", "checks", "commands", "")
@@ -101,6 +102,37 @@ def test_every_folder_of_the_library_has_its_place_in_the_order(files):
 def test_no_imports_go_in_a_circle(files):
     found = circles({path: targets(path, source, files) for path, source in files.items()})
     assert not found
+
+
+@cache
+def defined(source: str) -> set[str]:
+    """The names that a module's top level defines or imports."""
+    statements = [node for node in ast.walk(parsed(source)) if isinstance(node, ast.stmt) and node.col_offset == 0]
+    names = {node.name for node in statements if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    names |= {(alias.asname or alias.name).partition(".")[0] for node in statements if isinstance(node, (ast.Import, ast.ImportFrom))
+              for alias in node.names}
+    assigned = [node for node in statements if isinstance(node, (ast.Assign, ast.AnnAssign))]
+    return names | {name.id for node in assigned for name in ast.walk(node) if isinstance(name, ast.Name)}
+
+
+def missing(folder: str, source: str, others: dict[str, str]) -> set[str]:
+    """Names that a script imports from one beside it, or from those shared by tests, though that one does not define them."""
+    found = set()
+    for _, module, name in imports(folder, parsed(source)):
+        path = next((path for path in (f"{folder}/{module}.py", f"tests/shared/{module}.py") if path in others), None)
+        if path and name and name not in defined(others[path]):
+            found.add(f"{path}: {name}")
+    return found
+
+
+def test_scripts_import_what_their_neighbours_define():
+    """Stories in real Blenders run long after this test: a name that was moved is found here."""
+    paths = [path for folder in ("tests", "tools", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py")]
+    others = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in paths}
+    assert any(path.startswith("tests/blender/") for path in others)
+    for path, source in others.items():
+        assert not missing(str(PurePosixPath(path).parent), source, others), path
+    assert missing("tests/blender", "from window import shot, doors", others) == {"tests/blender/window.py: doors"}
 
 
 def test_no_file_is_long():

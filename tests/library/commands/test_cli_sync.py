@@ -46,7 +46,7 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     assert main(["sync", str(shifted), "--quiet", "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["found_by"] == "training" and values["offsets"].keys() == {"cam00", "cam01", "cam02", "cam03"}
-    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=1.6) and seen[-1] == (240, 240)
+    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (240, 240)
     assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
 
 
