@@ -25,7 +25,7 @@ class TrainingRecord:
 
 EVENED = "evened"
 """The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames} and "exposures"
-{view: {"gain": [3], "bias": [3]}}, each only where cameras differed."""
+{view: {"gain": [3], "bias": [3], "fade": [3]}}, each only where cameras differed; "fade" only where an exposure changed over the clip."""
 
 
 def evened_entry(facts: dict) -> dict[str, str]:
@@ -42,12 +42,17 @@ def evened(model) -> dict:
     try:
         facts = parse_json(model.provenance[EVENED])
         exposures = facts.get("exposures", {}).values()
-        numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for key in ("gain", "bias") for value in each[key])]
-        shapes = [len(each[key]) for each in exposures for key in ("gain", "bias")]
+        numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for values in _rows(each) for value in values)]
+        shapes = [len(values) for each in exposures for values in _rows(each)]
     except (KeyError, TypeError, AttributeError, ValueError):
         return {}
     usable = all(type(value) in (int, float) and abs(value) <= MOST for value in numbers) and set(shapes) <= {3}
     return facts if usable else {}
+
+
+def _rows(exposure: dict) -> list:
+    """The lists of numbers of one camera's exposure."""
+    return [exposure["gain"], exposure["bias"], exposure.get("fade", [0.0] * 3)]
 
 
 def sentence(found: dict) -> str:
@@ -60,6 +65,8 @@ def sentence(found: dict) -> str:
         middle = {view: sum(0.5 * g + b for g, b in zip(each["gain"], each["bias"])) / 1.5 for view, each in exposures.items()}
         parts.append("exposures differ, and were evened: " + ", ".join(
             f"{view} {value:.2f}" for view, value in sorted(middle.items(), key=lambda item: -abs(item[1] - 1))[:6]))
+        if changing := [view for view, each in exposures.items() if "fade" in each]:
+            parts.append(f"exposures change over the clip, and were evened: {', '.join(changing)}")
     return "; ".join(parts)
 
 

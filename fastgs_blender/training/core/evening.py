@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates each camera's exposure and clock offset during training, and compensates for them.
 
-A camera's picture at time t is modelled as gain * model(t + late) + bias, for each channel.  Targets are converted to the model's colours,
-and the model is rendered at the camera's own time, so that the model itself contains neither exposures nor clock offsets.  Both are found
-in closed form, by least squares over the latest pictures of each camera: gain and bias by linear regression of the picture on the render,
-the clock by one Gauss-Newton step along the model's derivative by time, (model(t + d) - model(t - d)) / 2d.  Every backend can compute it.
+A camera's picture at time t is modelled as exp(fade * (2 t - 1)) * (gain * model(t + late) + bias), for each channel.  Targets are
+converted to the model's colours, and the model is rendered at the camera's own time, so that the model itself contains neither exposures
+nor clock offsets.  Both are found in closed form, by least squares over the latest pictures of each camera: gain and bias by linear
+regression of the picture on the render, the clock by one Gauss-Newton step along the model's derivative by time,
+(model(t + d) - model(t - d)) / 2d.  Every backend can compute it.
+Fades, exposures that change while a camera films, are known before training (initial/fading.py) and stay as they are.
 
 A change that all cameras share cannot be told from the model, so medians are fixed: 1 for the gains, 0 for biases and clocks.
 """
@@ -59,6 +61,7 @@ class Evening:
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
     gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
     told     [V, 3] gains that starting points told; 0: they did not
+    fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
     colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
     clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
     """
@@ -71,19 +74,23 @@ class Evening:
     biases: np.ndarray
     late: np.ndarray
     told: np.ndarray
+    fades: np.ndarray
     colour: np.ndarray
     clock: np.ndarray
 
     @classmethod
-    def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None) -> Evening:
+    def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
+              fades: np.ndarray | None = None) -> Evening:
         """The state at the first step: no clock offsets, no sums, and equal exposures, or those gains [V, 3] that starting points told
-        (0: they did not)."""
+        (0: they did not), and fades [V, 3]."""
         v = len(views)
         told = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
         several = v > 1
         exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
+        steady = fades is None or exposures == "off"
         return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told, np.zeros((v, 3, 5)), np.zeros((v, 4)))
+                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told,
+                   np.zeros((v, 3)) if steady else np.array(fades, np.float64), np.zeros((v, 3, 5)), np.zeros((v, 4)))
 
     def state(self) -> dict[str, np.ndarray]:
         """The arrays that a checkpoint holds."""
@@ -107,9 +114,10 @@ class Evening:
 
     @property
     def colours_differ(self) -> bool:
-        """Whether colours are corrected: always, never, or (auto) where a camera's middle grey differs by more than NOTICED."""
+        """Whether colours are corrected: always, never, or (auto) where a camera's middle grey differs by more than NOTICED,
+        or changes."""
         off = np.abs(0.5 * self.gains + self.biases - 0.5).max()
-        return self.exposures == "on" or (self.exposures == "auto" and bool(off > NOTICED))
+        return self.exposures == "on" or (self.exposures == "auto" and bool(off > NOTICED or self.fades.any()))
 
     @property
     def clocks_differ(self) -> bool:
@@ -125,12 +133,17 @@ class Evening:
         """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed ones only say how bright it is at least."""
         if not self.colours_differ or shot.view not in self.views:
             return pixels
-        rgb = self.seen_as(shot.view, pixels.rgb)
+        rgb = self.seen_as(shot.view, self._steady(shot, pixels.rgb))
         least = (pixels.rgb > CLIPPED) & (rgb < pixels.rgb)
         return replace(pixels, rgb=rgb, stored=None, least=least if least.any() else None)
 
+    def _steady(self, shot, rgb: np.ndarray) -> np.ndarray:
+        """A picture's colours [h, w, 3] with the exposure that the camera had in the middle of the clip."""
+        fade = self.fades[self.views.index(shot.view)]
+        return rgb * np.exp(fade * (1 - 2 * shot.t)).astype(rgb.dtype) if fade.any() else rgb
+
     def seen_as(self, view: str, rgb: np.ndarray) -> np.ndarray:
-        """Colours [..., 3] of a view's pictures as the model has them."""
+        """Colours [..., 3] of a view's pictures, without fades, as the model has them."""
         if not self.colours_differ or view not in self.views:
             return rgb
         k = self.views.index(view)
@@ -230,7 +243,8 @@ class Evening:
             found["clocks"] = {view: round(float(late), 4) for view, late in zip(self.views, self.late)}
         if self.colours_differ:
             found["exposures"] = {view: {"gain": np.round(gain, 4).tolist(), "bias": np.round(bias, 4).tolist()}
-                                  for view, gain, bias in zip(self.views, self.gains, self.biases)}
+                                  | ({"fade": np.round(fade, 4).tolist()} if fade.any() else {})
+                                  for view, gain, bias, fade in zip(self.views, self.gains, self.biases, self.fades)}
         return found
 
 
@@ -245,9 +259,10 @@ class Evened:
         return self.evening.pixels(shot, self.store.pixels(shot))
 
 
-ARRAYS = ("gains", "biases", "late", "told", "colour", "clock")
+ARRAYS = ("gains", "biases", "late", "told", "fades", "colour", "clock")
 
 
 def shapes(views: int) -> dict[str, tuple[int, ...]]:
     """Shapes of Evening.state() by name; all are float64."""
-    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "colour": (views, 3, 5), "clock": (views, 4)}
+    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "fades": (views, 3),
+            "colour": (views, 3, 5), "clock": (views, 4)}

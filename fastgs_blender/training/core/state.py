@@ -12,6 +12,8 @@ from .hold import HELD
 
 DECODER = ("w1", "w2")
 STATISTICS = ("gradient", "absolute", "seen", "radius")
+NEWER = ("told", "fades")
+"""Arrays of the evening that checkpoints of earlier versions lack."""
 LARGEST_COUNT = 2**31 - 2
 """Steps that fit in the optimiser's int32 counters."""
 ADVICE = "the checkpoint is damaged or of another run, so delete it to train from the beginning."
@@ -82,7 +84,7 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
     late = arrays.get("evening.late")
     if late is not None and late.ndim == 1:  # earlier versions had none
         expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()
-                     if name != "told" or "evening.told" in arrays}
+                     if name not in NEWER or f"evening.{name}" in arrays}
     expected |= {f"statistics.{name}": (np.float32, (count,)) for name in STATISTICS}
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 
@@ -94,6 +96,8 @@ def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
         return array.size == 0 or bool(array.min() >= 0 and array.max() <= iteration)
     if name == "evening.gains":
         return bool(((array > 0.01) & (array < 100)).all())
+    if name == "evening.fades":
+        return bool((np.abs(array) < 5).all())
     if part == "steps":
         return int(array[0]) == iteration
     if part == "betas":
