@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
+from ..clocks.files import FILE, read_clocks
 from ..rigs import ranges
 from ..sources import Source
 from .probe import Facts, facts
@@ -15,6 +16,9 @@ from .video import index
 
 MOST = 12
 """Problems that one sentence lists."""
+DRIFT = 1.0
+"""Frames by which videos of different rates may drift apart over the clip where sync.json has their offsets: half before its middle, half
+after it."""
 
 
 def check(capture: Capture) -> None:
@@ -91,7 +95,12 @@ def _facts(source: Source, unreadable: dict) -> Facts | None:
 
 
 def _synchronisation(capture: Capture) -> list[str]:
-    """Videos of one rig whose rates differ or that are not evenly spaced cannot be filmed together."""
+    """Videos of one rig whose rates differ or that are not evenly spaced do not belong together frame by frame.
+
+    That is no problem where the layout states the time of each frame; and rates may differ a little where sync.json has offsets.
+    """
+    if _times_stated(capture):
+        return []
     videos: dict[Path, str] = {}
     for shot in capture.shots:
         if shot.image.frame is not None:
@@ -107,10 +116,24 @@ def _synchronisation(capture: Capture) -> list[str]:
         rates.setdefault(round(known.fps, 2), []).append(view)
         if not known.constant:
             found.append(f"{view} has a varying frame rate, so that its frames do not belong to the other cameras' frames")
-    if len(rates) > 1:
+    apart = capture.clip.frame_count * (1 - min(rates) / max(rates)) if rates else 0.0
+    known_offsets = read_clocks(capture.path) is not None
+    if len(rates) > 1 and not (known_offsets and apart <= DRIFT):
         text = ", ".join(f"{', '.join(views[:4])}{' ...' if len(views) > 4 else ''} at {rate:g}" for rate, views in rates.items())
-        found.append(f"the videos have different frame rates ({text}), so they are not synchronised")
+        so = "so they are not synchronised"
+        if known_offsets:
+            so = f"and drift apart by {apart:.1f} frames, which offsets in {FILE} cannot express"
+        found.append(f"the videos have different frame rates ({text}), {so}")
     return found
+
+
+def _times_stated(capture: Capture) -> bool:
+    """Whether the layout says when each frame was taken, as timestamps.csv does: a view's frames are not equally far from their numbers."""
+    for shots in _by_view(capture.shots).values():
+        late = [shot.t * capture.clip.frame_count - shot.frame for shot in shots]
+        if max(late) - min(late) > 1e-3:
+            return True
+    return False
 
 
 def _text(size) -> str:

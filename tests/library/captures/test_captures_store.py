@@ -280,19 +280,41 @@ def test_a_whole_camera_that_is_missing(capture):
     assert problems(open_capture(capture.path)) == ["cam1 lacks 8 frames: 1-8"]
 
 
-def test_videos_of_different_length_and_rate(tmp_path):
+def write_videos(folder, *videos):
+    """Films of 32 x 32 pixels: (name, rate, number of frames) each."""
     av = pytest.importorskip("av")
-    for name, rate, count in (("a", 25, 10), ("b", 30, 10), ("c", 25, 7)):
-        with av.open(str(tmp_path / f"{name}.mp4"), "w") as container:
+    for name, rate, count in videos:
+        with av.open(str(folder / f"{name}.mp4"), "w") as container:
             stream = container.add_stream("mpeg4", rate=rate)
             stream.width, stream.height = 32, 32
             for _ in range(count):
                 container.mux(stream.encode(av.VideoFrame(32, 32, "yuv420p")))
             container.mux(stream.encode(None))
+
+
+def test_videos_of_different_length_and_rate(tmp_path):
+    write_videos(tmp_path, ("a", 25, 10), ("b", 30, 10), ("c", 25, 7))
     (tmp_path / "d.mp4").write_bytes(b"x")
     found = "\n".join(problems(open_capture(tmp_path)))
     for words in ("c lacks 3 frames: 7-9", "different frame rates (a, c at 25, b at 30)", "d.mp4: it cannot be read (Invalid data"):
         assert words in found
+
+
+def test_rates_that_hardly_differ_are_no_problem_where_offsets_are_known(tmp_path):
+    """Phones film at 29 or 30 frames per second, whatever they were told: over ten frames that is a third of a frame."""
+    write_videos(tmp_path, ("a", 30, 10), ("b", 29, 10))
+    assert "so they are not synchronised" in problems(open_capture(tmp_path))[0]
+    offsets = tmp_path / "sync.json"
+    offsets.write_text('{"format": "fast-gs sync", "version": 1, "offsets": {"a": 0.0, "b": 2.0}}')
+    assert problems(open_capture(tmp_path)) == []
+    write_videos(tmp_path, ("b", 24, 10))
+    (found,) = problems(open_capture(tmp_path))
+    assert "drift apart by 2.0 frames, which offsets in sync.json cannot express" in found
+    offsets.unlink()
+    capture = open_capture(tmp_path)
+    for shot in capture.shots:
+        object.__setattr__(shot, "t", shot.t * (30 / 24 if shot.view == "b" else 1))  # as timestamps.csv would have it
+    assert problems(capture) == []
 
 
 def test_cameras_json_written_by_us_is_plain_json(capture):
