@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What fastgs check says of lenses, white balance, disk and memory, which needs no features of pictures or gets them made up here."""
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from filmed_room import write_room
+
+from fastgs_blender.captures import open_capture
+from fastgs_blender.checks import calibration, cost, exposure
+from fastgs_blender.checks.matching import Matches, Pair
+from fastgs_blender.checks.reprojection import Judged
+from fastgs_blender.checks.samples import Looked, look
+from fastgs_blender.training.initial.features import Features
+
+VIEWS = ("cam00", "cam01", "cam02")
+
+
+@pytest.fixture
+def looked(tmp_path):
+    """looked(capture, matches): the samples of a capture of the room, with these matches, and the same misses for all cameras."""
+    def of(path, matches=None):
+        found = Looked(open_capture(path), path)
+        look(found)
+        found.__dict__["matches"] = matches or Matches({}, {}, [], 3)
+        found.__dict__["judged"] = Judged(dict.fromkeys(VIEWS, 0.4), dict.fromkeys(VIEWS, "lines"), [])
+        return found
+
+    return of
+
+
+def told(section):
+    return {view: finding.sentence for finding in section.findings for view in finding.views}
+
+
+def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    values = json.loads((path / "cameras.json").read_text("utf-8"))
+    zero, one, two = values["cameras"]
+    zero["fy"] *= 1.2
+    zero["cx"] += 60
+    one["distortion"] = {"model": "opencv", "p1": 0.8, "p2": 1.2}
+    two["fy"] *= 1.02
+    two["cx"] += 20
+    (path / "cameras.json").write_text(json.dumps(values), "utf-8")
+    found = told(calibration.run(looked(path)))
+    assert found.keys() == {"cam00", "cam01"}, "a few per cent are usual"
+    assert "its focal lengths are 300 and 360 pixels and its optical axis is 19% of the picture off its middle" in found["cam00"]
+    assert "Undoing the lens of cam01 leaves" in found["cam01"]
+
+
+def made_up(path, distance, features=60):
+    """Matches between neighbours, whose features lie on the diagonals of the picture; distance(view, radius) in pixels for each, radius 1
+    at the corner."""
+    capture = open_capture(path)
+    cameras = {shot.view: shot.camera for shot in capture.shots}
+    radius, corner = np.linspace(0.05, 0.98, features), np.array([(160, 120), (-160, 120)])[np.arange(features) % 2]
+    places = (160, 120) + radius[:, None] * corner
+    each = {(0, view): Features(places, np.zeros((features, 1)), cameras[view]) for view in VIEWS}
+    rows = np.repeat(np.arange(features)[:, None], 2, 1)
+    return each, [Pair(0, a, b, rows, (distance(a, radius) + distance(b, radius)) / 2) for a, b in itertools.pairwise(VIEWS)]
+
+
+def test_a_lens_that_bends_more_than_its_calibration_is_seen_near_the_borders(tmp_path, looked):
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    for wrong, views in ((20.0, {"cam02"}), (0.0, set())):
+        each, pairs = made_up(path, lambda view, radius, wrong=wrong: 0.3 + (wrong * radius**4 if view == "cam02" else 0 * radius))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Matches, "good_points", lambda self, bad: np.zeros((0, 3)))
+            section = calibration.run(looked(path, Matches(each, {}, pairs, 2)))
+        assert views <= set(told(section)) and "cam00" not in told(section)
+        assert all("its lens is not what the calibration says" in told(section)[view] for view in views)
+
+
+def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
+    yellow = {1: lambda image, frame: image * (1, 1, 0.78)}
+    path = write_room(tmp_path / "made", 3, 2, spread=0.0, change=yellow, detail=1)
+    each, pairs = made_up(path, lambda view, radius: 0 * radius)
+    found = looked(path)
+    found.__dict__["matches"] = Matches(each, {(0, view): found.samples[view][0] for view in VIEWS}, pairs, 2)
+    section = exposure.run(found)
+    (sentence,) = {finding.sentence for finding in section.findings}
+    assert sentence == "cam01 (blue x 0.85) has another white balance than the others." and set(told(section)) == {"cam01"}
+    assert np.array(section.measures["channels"]["cam01"]) == pytest.approx([1, 1, 0.78], abs=0.02)
+
+
+@pytest.mark.parametrize(("free", "memory", "words"), [(1e12, 1e12, ""), (1e6, 1e12, "The cache of decoded pictures needs"),
+                                                       (1e12, 1e6, "Training with the preset standard takes about"), (None, None, "")])
+def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looked, free, memory, words):
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    monkeypatch.setattr(cost, "_free", lambda folder: free)
+    monkeypatch.setattr(cost.checks, "available_memory", lambda: memory)
+    section = cost.run(looked(path))
+    assert [finding.sentence[:len(words)] for finding in section.findings] == ([words] if words else [])
+    assert section.measures["cache_gb"] == pytest.approx(3 * 2 * 320 * 240 * 3 / 1e9, abs=6e-5)
+    assert set(section.measures["presets"]) == {"draft", "standard", "final"} and "Cache: 0.00 GB" in section.summary
+
+
+def test_disk_without_an_answer_is_no_fault(monkeypatch, tmp_path):
+    def gone(folder):
+        raise OSError("the drive is gone")
+
+    monkeypatch.setattr(cost.shutil, "disk_usage", gone)
+    assert cost._free(tmp_path / "none" / "below") is None
