@@ -2,14 +2,11 @@
 """Operators of the preferences: compile and clear the renderer's kernels, open the guide, copy diagnostics."""
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 
 from ..engine import compiling, diagnostics
 from ..fastgs_blender.kernels.cpu import cache
-
-GUIDE = Path(__file__).resolve().parents[1] / "docs" / "guide.md"
+from ..scene import pages
 
 
 class FASTGS_OT_compile_kernels(bpy.types.Operator):
@@ -69,10 +66,11 @@ class FASTGS_OT_open_guide(bpy.types.Operator):
     bl_label = "User Guide"
 
     def execute(self, context):
+        guide = pages.path("guide")
         try:
-            bpy.ops.wm.path_open(filepath=str(GUIDE))
+            bpy.ops.wm.path_open(filepath=str(guide))
         except RuntimeError as error:  # nothing on this machine opens such files
-            self.report({'ERROR'}, f"{GUIDE} could not be opened ({str(error).strip()}); open it yourself")
+            self.report({'ERROR'}, f"{guide} could not be opened ({str(error).strip()}); open it yourself")
             return {'CANCELLED'}
         return {'FINISHED'}
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -20,10 +21,11 @@ import tempfile
 import tomllib
 from pathlib import Path
 
+import html_pages
 import wheels
 
 ROOT = Path(__file__).resolve().parents[1]
-CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples", "fastgs_blender", "scene", "engine",
+CONTENT = ("__init__.py", "blender_manifest.toml", "LICENSE", "examples", "fastgs_blender", "scene", "engine",
            "operators", "ui")
 NOTICES = "THIRD-PARTY.md"
 
@@ -104,22 +106,21 @@ def copy_content(stage: Path):
 
 
 def copy_pages(stage: Path):
-    """README, CHANGELOG and docs/ without pictures; a link to what the extension leaves out becomes its words."""
+    """README, CHANGELOG and docs/ as HTML, without pictures; a link to what the extension leaves out becomes its words."""
     pages = [Path("README.md"), Path("CHANGELOG.md"), *(page.relative_to(ROOT) for page in (ROOT / "docs").glob("*.md"))]
     (stage / "docs").mkdir()
-    for page in pages:
-        shutil.copy(ROOT / page, stage / page)
 
     def kept(link: re.Match) -> str:
         picture, words, target = link.groups()
-        if "://" in target or target.startswith("#") or (folder / target.partition("#")[0]).exists():
+        inside = Path(os.path.normpath(page.parent / target.partition("#")[0]))
+        if "://" in target or target.startswith("#") or inside in pages or (stage / inside).exists():
             return link[0]
         return "" if picture else words
 
     for page in pages:
-        folder = (stage / page).parent
-        text = re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", kept, (stage / page).read_text("utf-8"))
-        (stage / page).write_text(text.lstrip("\n"), "utf-8")
+        text = re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", kept, (ROOT / page).read_text("utf-8"))
+        home = "README.html" if page.parent.name else "docs/README.html"
+        (stage / page).with_suffix(".html").write_text(html_pages.page(text, home), "utf-8")
 
 
 def completed(manifest: str, platform: str, bundled: list[Path], website: str | None = None) -> str:

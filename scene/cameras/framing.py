@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shows captures in the window's 3D views: from where the file's author wants, from where a camera filmed, or framed where they are."""
+"""Shows captures in 3D views: from where the file's author wants, from where cameras filmed or seem to have, or framed as they are."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
+from ...fastgs_blender.model.filmed_from import filmed_from
 from ...fastgs_blender.model.surroundings import Surroundings, Viewpoint
 from .. import camera as cameras
 from .. import objects
@@ -66,7 +67,7 @@ def _look(splats, area, view) -> Look:
     fit = radius / np.sin(np.arctan(_half_angle(area)))
     known = _known(splats[0]) if len(splats) == 1 else None
     if known is None:
-        return Look(view.view_rotation.copy(), middle, fit)
+        return (_estimated(splats[0], fit) if len(splats) == 1 else None) or Look(view.view_rotation.copy(), middle, fit)
     camera, distance, wanted = known
     pose = Matrix(cameras.pose_of(camera).tolist())
     forward = pose.to_3x3() @ Vector((0, 0, -1))
@@ -90,6 +91,18 @@ def _known(splat) -> tuple[fg.Camera, float, bool]:
     except fg.FastGSError:  # it is stretched
         return None
     return camera, viewpoint.distance * world.median_scale, around.view is not None
+
+
+def _estimated(splat, fit: float) -> Look | None:
+    """The look of somebody who stands where the Gaussians' shapes say that cameras stood, or nearer so that a subject seen whole from `fit`
+    away is large; None where they say nothing."""
+    world = space.world_matrix(splat, "")
+    model, t = objects.load_model(objects.abspath(splat)).moment(0.5)
+    found = filmed_from(model, t, np.array(world[2][:3]) / max(Vector(world[2][:3]).length, 1e-30))
+    if found is None:
+        return None
+    eye, middle = (world @ Vector(place) for place in found)
+    return Look((middle - eye).to_track_quat('-Z', 'Y'), middle, min((middle - eye).length, fit))
 
 
 def _half_angle(area) -> float:

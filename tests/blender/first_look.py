@@ -2,6 +2,8 @@
 """A story in Blender's window (see inside.py): the first minute of a newcomer, in Blender's own startup file."""
 from __future__ import annotations
 
+from importlib import import_module
+
 import bpy
 from background import ADDON
 from window import area_of, press, seen_by, settled, shot, sidebar, within
@@ -56,4 +58,5 @@ def preferences():
         bpy.ops.preferences.addon_expand(module=ADDON)
     yield 2.0
     shot("first-preferences")
-    return {}
+    guide = import_module(f"{ADDON}.scene.pages").path("guide")
+    return {"guide": guide.name, "words": guide.read_text("utf-8").count("FAST-GS")}

@@ -57,7 +57,8 @@ def test_colours_are_the_users(looked):
     assert [looked[name]["transform"] for name in ("solid", "rendered", "standard")] == ['AgX', 'AgX', 'Standard']
 
 
-def test_preferences_are_drawn(user):
-    user.story("first_look.preferences", window=True)
+def test_preferences_are_drawn_and_their_guide_is_a_page_for_browsers(user):
+    facts = user.story("first_look.preferences", window=True)
+    assert facts["guide"] == "guide.html" and facts["words"] > 10
     picture = read_png(user.folder / "first-preferences.png")[..., :3]
     assert picture.std() > 0.05

@@ -7,6 +7,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import json
+import os
 import re
 import tomllib
 import zipfile
@@ -94,26 +95,32 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     (path,) = builder.main(["--no-wheels", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         names = {name for name in file.namelist() if not name.endswith("/")}
-    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "examples/playground.safetensors",
+    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.html", "examples/playground.safetensors",
               "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
                for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
-    wanted |= {"CHANGELOG.md", *(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))}
+    wanted |= {"CHANGELOG.html", *(f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md"))}
     assert {"scene/__init__.py", "engine/__init__.py"} <= wanted
     assert names == wanted
     assert str(path) in capsys.readouterr().out
 
 
-def test_links_of_the_zips_pages_lead_into_the_zip(builder, tmp_path):
+def test_the_zips_pages_lead_to_one_another(builder, tmp_path):
+    """Every link of every page ends at a file of the zip and, where it names one, at a heading of it."""
     stage = tmp_path / "stage"
     builder.copy_content(stage)
-    links = {(page, link) for page in stage.rglob("*.md")
-             for link in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")) if "://" not in link}
-    assert len(links) >= 12 and all((page.parent / link).exists() for page, link in links)
-    assert (stage / "README.md", "docs/colour.md") in links
-    readme = (stage / "README.md").read_text("utf-8")
-    assert readme.startswith("# ") and "first-light" not in readme
-    assert "CONTRIBUTING.md" in readme  # a name, where the file is not there
+    pages = {page: page.read_text("utf-8") for page in stage.rglob("*.html")}
+    headings = {page: set(re.findall(r'<h\d id="([^"]+)"', text)) for page, text in pages.items()}
+    links = {(page, link) for page, text in pages.items() for link in re.findall(r'(?:href|src)="([^"]+)"', text) if "://" not in link}
+    for page, link in links:
+        name, _, heading = link.partition("#")
+        target = Path(os.path.normpath(page.parent / name)) if name else page
+        assert target.exists() and (not heading or heading in headings[target]), (page.name, link)
+    readme = pages[stage / "README.html"]
+    assert "<h1" in readme and "<table>" in readme and "first-light" not in readme
+    assert (stage / "README.html", "docs/colour.html") in links
+    assert (stage / "docs" / "README.html", "captures.html#check-my-capture") in links
+    assert "CONTRIBUTING.md" in readme and "CONTRIBUTING.html" not in readme  # a name, where the file is not there
 
 
 def test_wheels_and_website_are_named_in_the_staged_manifest_alone(builder, manifest, tmp_path):

@@ -72,6 +72,19 @@ def test_without_cameras_the_subject_is_framed_from_this_side(startup, make_mode
     assert 1 < view().view_distance < 10
 
 
+def test_without_cameras_long_gaussians_tell_where_they_stood(startup, make_model, model_file):
+    """They point at a camera far to the left of the model, in the world of the object, which is moved."""
+    model = make_model(1000, axes="RFU")
+    turns = [Vector((-9, 0, 1) - place).to_track_quat('X', 'Z') for place in model.position.astype(float)]
+    model = replace(model, rotation=np.array(turns), scale=np.log(np.full((1000, 3), 0.03)) + np.log([10, 1, 1]))
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    eye, forward = pose()
+    assert forward.dot(Vector((9, 0, -1)).normalized()) > 0.97 and eye.x < -2 and view().view_location.length < 0.2
+    bpy.context.object.matrix_world = Matrix.Translation((10, 0, 0)) @ Matrix.Rotation(np.pi / 2, 4, 'Z')
+    assert bpy.ops.fastgs.frame_capture() == {'FINISHED'}
+    assert pose()[1].dot(Vector((0, 9, -1)).normalized()) > 0.97 and (view().view_location - Vector((10, 0, 0))).length < 0.2
+
+
 def test_the_middle_camera_of_a_dome_looks_from_the_side(module, around):
     middle, turn = module("scene.cameras.framing").middle_camera, np.linspace(0, 2 * np.pi, 8, endpoint=False)
     ring = [(np.cos(a), np.sin(a), height) for height in (0.2, 0.6) for a in turn]

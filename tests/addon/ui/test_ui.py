@@ -106,7 +106,6 @@ def test_preferences_have_headings_and_say_what_zero_threads_are(module):
             assert any("on this machine" in text for text in labels) is (threads == 0)
     finally:
         preferences.threads = before
-    assert module("operators.maintenance").GUIDE.is_file()
 
 
 def test_viewports_that_cannot_show_splats_say_so(panels, obj, module, monkeypatch):
