@@ -181,6 +181,16 @@ def test_a_fit_on_the_left_half_is_judged_on_the_right_one():
     assert halves.fitted(picture, truth, np.zeros((20, 30))) is picture
 
 
+def test_what_a_model_shows_wrongly_does_not_bend_the_fit():
+    """A third of the left half shows something else: plain least squares would find half the gain."""
+    truth = np.random.default_rng(3).random((40, 60, 3))
+    picture = (truth - 0.05) / 1.2
+    picture[:, :10] = 0.9 - 0.8 * picture[:, :10]
+    assert psnr(*halves.right(halves.fitted(picture, truth), truth)) > 35
+    large = [np.repeat(np.repeat(image, 12, 0), 12, 1) for image in (picture, truth)]
+    assert psnr(*halves.right(halves.fitted(*large), large[1])) > 35, "some of many pixels tell as much"
+
+
 def test_a_restored_run_goes_on_exactly(tmp_path):
     made = uneven_capture(4, 4, {"cam02": 0.4}, {"cam01": 1.3}, terms=2)
     straight = trainer(made, iterations=60, exposures="on", clocks="on")
