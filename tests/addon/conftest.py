@@ -22,6 +22,7 @@ ADDON = "bl_ext.user_default.fastgs_blender"
 
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before the first test module imports bpy, which reads it once
+os.environ.setdefault("FASTGS_CACHE_DIR", str(ROOT / "build" / "cache"))  # all processes, and the library's tests, share compiled kernels
 
 
 @pytest.fixture(scope="session")

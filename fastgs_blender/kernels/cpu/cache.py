@@ -40,7 +40,8 @@ def user_folder() -> Path:
 @cache
 def _digest() -> str:
     sources = sorted(Path(__file__).parent.glob("*.py"))
-    names = __package__.encode()  # compiled code refers to its modules by name, and Blender has names of its own
+    # compiled code refers to its modules by name, and Blender has names of its own; each Python compiles for itself
+    names = f"{__package__} {sys.implementation.cache_tag}".encode()
     return hashlib.sha256(b"".join([names, *(p.read_bytes() for p in sources)])).hexdigest()[:12]
 
 

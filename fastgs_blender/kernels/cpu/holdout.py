@@ -16,6 +16,7 @@ from ...util.threads import ranges, run, thread_count
 from .jit import kernel
 from .raster import NOTHING, PIXELS, TILE
 from .tile_lists import TileLists, list_tiles
+from .tiles import grown
 
 CHUNK = 65_536
 """Triangles in one piece of work."""
@@ -104,7 +105,8 @@ def project(triangles, view, lens, orthographic, window):
         for i in range(3):
             j = (i + 1) % 3
             if seen[i, 2] >= near:
-                clipped[corners] = seen[i]
+                for k in range(3):
+                    clipped[corners, k] = seen[i, k]
                 corners += 1
             if (seen[i, 2] >= near) != (seen[j, 2] >= near):
                 share = (near - seen[i, 2]) / (seen[j, 2] - seen[i, 2])
@@ -122,7 +124,8 @@ def project(triangles, view, lens, orthographic, window):
         if not (most_x >= x0 and left <= right and most_y >= y0 and top <= bottom):
             continue
         for i in range(1, corners - 1):
-            out[n, 0], out[n, 1], out[n, 2] = clipped[0], clipped[i], clipped[i + 1]
+            for k in range(3):
+                out[n, 0, k], out[n, 1, k], out[n, 2, k] = clipped[0, k], clipped[i, k], clipped[i + 1, k]
             n += 1
     return out[:n].copy()
 
@@ -156,7 +159,7 @@ def spans(first, last, screen, tile_x, tile_y, columns, rows, counts):
             if a > b:
                 continue
             if n == len(triangle):
-                triangle, begin, end = (np.concatenate((triangle, triangle)), np.concatenate((begin, begin)), np.concatenate((end, end)))
+                triangle, begin, end = grown(triangle), grown(begin), grown(end)
             triangle[n], begin[n], end[n] = t, row * columns + a, row * columns + b + 1
             for tile in range(begin[n], end[n]):
                 counts[tile] += 1

@@ -7,6 +7,7 @@ that the user may write to (cache.py).
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 
 import numba
@@ -29,6 +30,8 @@ def _numba_cache():
 def kernel(function):
     """Decorator: compile on the first call, run without Python's lock, keep the machine code."""
     options = dict(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False)
+    # numba files code under the path of its source: a folder that several Blenders link to is compiled once for all of them
+    function.__code__ = function.__code__.replace(co_filename=os.path.realpath(function.__code__.co_filename))
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
         with _numba_cache():

@@ -131,7 +131,7 @@ def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, start
     channels, hides, infinite = out.shape[2], len(held) > 0, float32(np.inf)
     state = np.empty((1 + channels + len(probes)) * PIXELS, np.float32)
     left_over, stopped, taken = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32), np.zeros(PIXELS, np.int64)
-    depths, opacities = np.full((PIXELS, SAMPLES), infinite, np.float32), np.empty(simd.LANES, np.float32)
+    depths, opacities = np.empty((PIXELS, SAMPLES), np.float32), np.empty(simd.LANES, np.float32)
     canvas = (state, attributes, channels, probes, depths, taken, left_over, stopped)
     head, tail = np.empty(PIXELS, np.int64), np.empty(PIXELS, np.int64)
     near, alphas = np.empty((PIXELS, WAITING), np.float32), np.empty((PIXELS, WAITING), np.float32)
@@ -140,15 +140,12 @@ def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, start
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
         x_middle, y_middle = left + 0.5 - middle_x, top + 0.5 - middle_y
         begin(state, left, top, x0, y0, right, bottom)
-        for k in range(len(probes)):
-            at = PIXELS * (1 + channels + k)
-            state[at:at + PIXELS] = float32(0.0) if probes[k] < float32(0.0) else infinite
-        head[:], tail[:], left_over[:], stopped[:], taken[:] = 0, 0, SAMPLES, float32(0.0), 0
+        for p in range(PIXELS):
+            head[p], tail[p], left_over[p], stopped[p], taken[p] = 0, 0, SAMPLES, float32(0.0), 0
+            for k in range(len(probes)):
+                state[PIXELS * (1 + channels + k) + p] = float32(0.0) if probes[k] < float32(0.0) else infinite
         if hides:
-            depths[:] = infinite
-            if len(hiding):
-                for p in range(PIXELS):
-                    depths[p] = np.sort(hiding[tile - first, p])
+            _sort(hiding, tile - first, depths)
         count = starts[tile + 1] - starts[tile]
         least = np.empty(count, np.float32)
         for k in range(count):
@@ -199,8 +196,22 @@ def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, start
 def _wider(array):
     """The array with twice as many columns."""
     larger = np.empty((array.shape[0], 2 * array.shape[1]), array.dtype)
-    larger[:, :array.shape[1]] = array
+    for p in range(array.shape[0]):
+        for k in range(array.shape[1]):
+            larger[p, k] = array[p, k]
     return larger
+
+
+@inline
+def _sort(hiding, tile, depths):
+    """Fill depths [PIXELS, SAMPLES] with those of a tile's points, each pixel's from the nearest on; with inf where nothing hides."""
+    for p in range(PIXELS):
+        for k in range(SAMPLES):
+            z, h = hiding[tile, p, k] if len(hiding) else float32(np.inf), k
+            while h > 0 and depths[p, h - 1] > z:
+                depths[p, h] = depths[p, h - 1]
+                h -= 1
+            depths[p, h] = z
 
 
 @cache
