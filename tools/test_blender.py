@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,8 @@ import wheels
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "build" / "blender"
+FAILED = OUTPUT / "failed"
+"""The releases on which tests failed, in a line; absent while tests run, and where they did not come to their end."""
 PATIENCE = 1200
 """Seconds to wait for a Debian mirror, whatever is slow about it."""
 
@@ -63,10 +66,14 @@ def python_of(folder: str) -> str:
 
 
 def main() -> int:
-    """The exit status: pytest's; 1 where a Blender is left out and ALLOW_MISSING_BLENDER is not set."""
+    """The exit status: 1 where a test fails, or where a Blender is left out and ALLOW_MISSING_BLENDER is not set."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(__doc__)
+        return 0
     suites = os.environ.get("BLENDER_SUITES", "trixie sid").split()
     lenient = os.environ.get("ALLOW_MISSING_BLENDER") == "1"
     start = time.monotonic()
+    FAILED.unlink(missing_ok=True)
     found = roots(suites)
     left_out = [suite for suite in suites if suite not in found]
     if left_out and not lenient:
@@ -88,14 +95,20 @@ def main() -> int:
     for suite, process in tests.items():
         print(f"Blender of Debian {suite}:\n{process.communicate()[0]}", flush=True)
     print(f"make test-blender took {time.monotonic() - start:.0f} s; logs and pictures are in {OUTPUT.relative_to(ROOT)}.")
-    return max(process.returncode for process in tests.values())
+    failed = [suite for suite, process in tests.items() if process.returncode]
+    if failed:
+        FAILED.write_text(" ".join(failed) + "\n")
+    return int(bool(failed))
 
 
 def ring(suite: str, folder: str, environment: dict[str, str]) -> subprocess.Popen:
-    """The tests on one Blender, under way."""
+    """The tests on one Blender, under way.  What failed is remembered for each apart, for --last-failed."""
+    known = OUTPUT / f"tests-{suite}"
+    if not {"--lf", "--last-failed"} & set(sys.argv[1:]):
+        shutil.rmtree(known, ignore_errors=True)
     own = {"FASTGS_BLENDER_ROOT": folder, "FASTGS_BLENDER_OUTPUT": str(OUTPUT / suite)}
-    return subprocess.Popen([sys.executable, "-m", "pytest", "tests/blender", *sys.argv[1:]], cwd=ROOT, env=environment | own,
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return subprocess.Popen([sys.executable, "-m", "pytest", "tests/blender", "-o", f"cache_dir={known}", *sys.argv[1:]], cwd=ROOT,
+                            env=environment | own, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
 if __name__ == "__main__":

@@ -22,5 +22,6 @@ def viewpoint_of(camera: Camera, name: str = "", distance: float = 0.0) -> Viewp
     pose = np.linalg.inv(camera.world_to_camera)
     turn = from_matrices(pose[None, :3, :3])[0]
     position, rotation = (tuple(round(float(v), 9) for v in values) for values in (pose[:3, 3], turn))
-    lens = (float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Viewpoint(camera.width, camera.height, *lens, position, rotation, float(distance), name)
+    lens = {key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy")}
+    return Viewpoint(width=camera.width, height=camera.height, **lens, position=position, rotation=rotation, distance=float(distance),
+                     name=name)

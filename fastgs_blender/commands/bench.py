@@ -78,8 +78,10 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
 
     from ..rendering.api import render
     from ..rendering.instances import Instance
-    from ..util.backends import load_backend
+    from ..util.backends import load_backend, real_name
     from ..util.threads import thread_count
+
+    backend = real_name(backend)
 
     def frame():
         render(model, camera, 0.5, backend=backend)
@@ -87,7 +89,7 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
     first = _milliseconds(frame)
     stages, counts = {}, {}
     if backend != "reference":
-        kernels = load_backend("cpu" if backend == "auto" else backend)
+        kernels = load_backend(backend)
         stages, visible = kernels.measure_stages(Instance(model, np.eye(4), 0.5).viewed(camera), camera, repeat)
         counts = {"visible": visible}
     stages["whole frame"] = statistics.median(_milliseconds(frame) for _ in range(repeat))

@@ -48,7 +48,6 @@ def run(args):
     from ..evaluation.training_record import recorded
 
     use_threads(args.threads)
-    backend = chosen_backend(args)
     file = model_file(args.model)
     if file.is_dir():
         raise FastGSError(f"{file}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
@@ -62,6 +61,7 @@ def run(args):
     views = _views(args.views, capture)
     shots = chosen(capture, views, frames, known)
     check(replace(capture, shots=shots, faults=[]))
+    backend = chosen_backend(args)  # last: the first time a GPU is tested, which takes a moment
     store = FrameStore(capture, 0)
     try:
         with progress(len(store.missing(shots)), "frame", "decoding", quiet=args.quiet) as bar:

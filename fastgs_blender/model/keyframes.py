@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..util.arguments import numbers
+from ..util.arguments import numbers, shown
 from ..util.errors import FastGSError
 from .basis import MAX_TERMS, Basis, Family
 
@@ -32,7 +32,10 @@ class Keyframes(Basis):
     interpolation: str = "linear"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "times", tuple(numbers(self.times, "keyframe times", "(number of keyframes,)").ravel().tolist()))
+        times = numbers(self.times, "keyframe times", "(number of keyframes,)")
+        if times.ndim != 1:
+            raise FastGSError(f"keyframe times must be numbers of the shape (number of keyframes,), not {shown(self.times)}.")
+        object.__setattr__(self, "times", tuple(times.tolist()))
         if self.interpolation not in ("linear", "catmull-rom"):
             raise FastGSError(f"keyframes are interpolated linear or catmull-rom, not {self.interpolation!r}.")
         if not 0 < len(self.times) <= MAX_TERMS or not np.isfinite(self.times).all() or not (np.diff(self.times) >= LEAST_GAP).all():

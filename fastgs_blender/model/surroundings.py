@@ -48,7 +48,7 @@ class Backdrop:
         return np.linalg.norm(np.asarray(position, np.float64) - self.centre, axis=-1) / self.radius
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Viewpoint:
     """A place to look from, in the model's space, with OpenCV axes (x right, y down, z forward); cameras/viewpoints.py makes it a Camera.
 

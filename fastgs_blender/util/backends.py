@@ -79,6 +79,14 @@ def known_verdict(adapter) -> str | None:
     return _module("kernels.gpu.choice").known(adapter)
 
 
+def real_name(backend: str) -> str:
+    """The name of a backend, where "auto" is given: of that which "auto" is here."""
+    if backend != "auto":
+        return backend
+    chosen = load_backend(backend)
+    return next(name for name in ("cpu", "reference") if loaded.get(name) is chosen)
+
+
 def describe_backend(name: str) -> str:
     """Where a backend computes, for people."""
     gpu = name.partition(":")[2] or name if name.startswith("gpu") else ""

@@ -9,6 +9,7 @@ Every reader of models, captures, cameras, checkpoints, job and status files goe
 from __future__ import annotations
 
 import json
+import logging
 import os
 import stat
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from typing import Any, BinaryIO
 
 from .errors import FastGSError
 
+log = logging.getLogger(__name__)
 LARGEST_JSON = 512 * 2**20
 """Bytes of the largest JSON file that is read."""
 DAMAGED = "the file is damaged or of another kind, so copy or export it again"
@@ -41,6 +43,7 @@ def reading(path: str | os.PathLike, advice: str = DAMAGED) -> Iterator[None]:
     except OSError as error:
         raise FastGSError(f"{path}: it cannot be read ({error.strerror or error}); check the file and its permissions.") from error
     except Exception as error:
+        log.debug("%s cannot be read", path, exc_info=error)  # a mistake in a reader looks like a damaged file: developers see its place
         raise FastGSError(f"{path}: it cannot be read ({_reason(error)}); {advice}.") from error
 
 

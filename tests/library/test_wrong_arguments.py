@@ -46,7 +46,7 @@ MAKES = [
     (lambda: camera(window=(0, 0, 65, 2)), "does not lie within"),
     (lambda: fg.Fourier(-1), "order.*not -1"), (lambda: fg.Fourier(2, "a"), "scale and offset"), (lambda: fg.Cosine(None), "not None"),
     (lambda: fg.Polynomial(1.5), "not 1.5"), (lambda: fg.Keyframes(("a", "b")), "keyframe times"),
-    (lambda: fg.Keyframes((1, 0)), "increase"),
+    (lambda: fg.Keyframes((1, 0)), "increase"), (lambda: fg.Keyframes(1), "shape"),
     (lambda: fg.SH(9), "not 9"), (lambda: fg.Clip(0), "frame_count 0, fps 30"), (lambda: fg.Raster(blur=-1), "blur -1"),
     (lambda: fg.GaussianModel("a", 1, 2, 3, 4), r"position must have the shape"),
     (lambda: fg.GaussianModel([["a", "b", "c"]], np.ones((1, 4)), np.zeros((1, 3)), np.ones(1), np.ones((1, 3))), "must be numbers"),

@@ -68,10 +68,6 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     from . import session
     from .plan import plan_from_dict
 
-    backend, about = choose_device(device)
-    if about:
-        note(about)
-
     def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
 
@@ -83,6 +79,9 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             for remark in capture.notes if group.first else ():
                 note(remark)
             check(capture)
+            backend, about = choose_device(device)  # last: the first time a GPU is tested, which takes a moment
+            if about:
+                note(about)
             if not capture.posed:
                 store = FrameStore(capture, session.MEMORY)
                 group.first_does(lambda: with_poses(capture, store, out, note))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
 
+LENS = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
 LEFT = {"position": (-4.0, 0.0, 0.0), "rotation": (0.5, -0.5, 0.5, -0.5)}  # looks along +x of a world with z up, right is -y
 
 
@@ -26,7 +27,7 @@ def around(module):
 @pytest.fixture
 def filmed(fg, make_model, around):
     """A model before a far backdrop, filmed from the left and, nearer to the middle of all cameras, from further left."""
-    left, further, above = (around.Viewpoint(64, 48, 50.0, 50.0, 32.0, 24.0, name=name, distance=4.0, **LEFT) for name in "abc")
+    left, further, above = (around.Viewpoint(**LENS, name=name, distance=4.0, **LEFT) for name in "abc")
     further = replace(further, position=(-5.0, 0.0, 0.0), distance=5.0)
     above = replace(above, position=(-6.0, 0.0, 0.0), distance=6.0)
     model = make_model(300, axes="RFU")
@@ -52,7 +53,7 @@ def test_it_is_seen_from_where_it_was_filmed(startup, filmed, model_file):
 
 
 def test_the_authors_view_comes_first_and_moves_with_the_object(startup, filmed, model_file, around):
-    good = around.Viewpoint(64, 48, 50.0, 50.0, 32.0, 24.0, (0.0, -7.0, 0.0), (0.5**0.5, -(0.5**0.5), 0.0, 0.0), 7.0)
+    good = around.Viewpoint(**LENS, position=(0.0, -7.0, 0.0), rotation=(0.5**0.5, -(0.5**0.5), 0.0, 0.0), distance=7.0)
     bpy.ops.import_scene.fastgs(filepath=model_file(replace(filmed, surroundings=replace(filmed.surroundings, view=good))))
     eye, forward = pose()
     assert np.allclose(eye, (0, -7, 0), atol=1e-4) and np.allclose(forward, (0, 1, 0), atol=1e-5)

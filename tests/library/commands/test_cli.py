@@ -337,9 +337,22 @@ def test_convert_frames_needs_a_place_for_the_number(run, file, tmp_path):
     assert "out_####.ply" in err
 
 
+def test_no_gpu_is_looked_for_before_all_else_is_known_to_be_right(run, file, tmp_path, monkeypatch):
+    """The first time a GPU is tested, which takes a moment and says a line."""
+    def unwanted(device):
+        raise AssertionError("a GPU was looked for")
+
+    monkeypatch.setattr("fastgs_blender.util.backends.choose_device", unwanted)
+    monkeypatch.setattr("fastgs_blender.training.run.launch.choose_device", unwanted)
+    for arguments in (("eval", file, tmp_path / "missing"), ("train", tmp_path / "missing", "--out", tmp_path / "run"),
+                      ("train", tmp_path, "--out", tmp_path / "run", "--iterations", "0")):
+        code, _, err = run(*arguments)
+        assert code == 2 and len(err.splitlines()) == 1
+
+
 def test_bench_prints_a_table(run):
     code, out, _ = run("bench", "--gaussians", "200", "--size", "48x32", "--repeat", "2", "--threads", "1")
-    assert code == 0
+    assert code == 0 and "backend cpu" in out
     assert all(words in out for words in ("200 Gaussians", "48 x 32", "1 threads", "slice and project", "rasterise", "whole frame"))
 
 

@@ -123,7 +123,7 @@ def test_version_2_with_right_checksums(tmp_path, monkeypatch):
 
 def test_everything_that_a_header_may_say(tmp_path):
     """What `fastgs info` shows of it, and what evaluation and training believe of it."""
-    view = Viewpoint(640, 360, 500.0, 500.0, 320.0, 180.0, (1.0, 2.0, 3.0), distance=4.0, name="first")
+    view = Viewpoint(width=640, height=360, fx=500.0, fy=500.0, cx=320.0, cy=180.0, position=(1.0, 2.0, 3.0), distance=4.0, name="first")
     around = Surroundings(Backdrop((0.5, 0.0, 1.0), 4.0), (view, replace(view, name="second")), view)
     facts = {"clocks": {"a": 0.5}, "exposures": {"a": {"gain": [1.0, 1.1, 0.9], "bias": [0.0, 0.01, 0.0]}}}
     origin = {"settings": "{}", "trained_on": '{"views": ["a", "b"], "scale": 0.5}', **training_record.evened_entry(facts)}

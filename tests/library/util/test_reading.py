@@ -17,6 +17,14 @@ def test_whatever_fails_is_one_sentence(error):
         raise error
 
 
+def test_developers_see_where_a_reader_failed(caplog):
+    """A mistake in a reader cannot be told from a damaged file: users get the sentence, the log has the rest."""
+    with caplog.at_level("DEBUG"), pytest.raises(FastGSError) as told, reading("a.ply"):
+        {}.shape  # noqa: B018
+    assert isinstance(told.value.__cause__, AttributeError)
+    assert caplog.records[-1].exc_info[1] is told.value.__cause__ and "test_reading.py" in caplog.text
+
+
 def test_what_says_more_and_interruptions_pass_through():
     with pytest.raises(FastGSError, match=r"^better$"), reading("a.ply"):
         raise FastGSError("better")
