@@ -19,12 +19,13 @@ def dulls_colours(scene: bpy.types.Scene) -> bool:
             and not view.use_curve_mapping)
 
 
-def hide_cube(context, splats: list[bpy.types.Object]) -> bpy.types.Object | None:
-    """Hide the startup file's cube, in viewports and renders, where it is untouched and stands in a splat object; returns it."""
+def hide_cube(context, splats: list[bpy.types.Object], eyes: list[Vector]) -> bpy.types.Object | None:
+    """Hide the startup file's cube, in viewports and renders, where it is untouched and stands in a splat object, or between it and one of
+    the places (`eyes`) that it is looked at from; returns it."""
     if bpy.data.filepath:
         return None
     for obj in context.view_layer.objects:
-        if _is_startup_cube(obj) and not obj.hide_get() and any(_overlap(obj, splat) for splat in splats):
+        if _is_startup_cube(obj) and not obj.hide_get() and any(_in_the_way(obj, splat, eyes) for splat in splats):
             obj.hide_set(True)
             obj.hide_render = True
             return obj
@@ -39,12 +40,13 @@ def _is_startup_cube(obj) -> bool:
     return all(abs(abs(x) - 1) < 1e-6 for vertex in obj.data.vertices for x in vertex.co)
 
 
-def _overlap(a, b) -> bool:
-    """Whether the bounds of two objects meet."""
-    (low, high), (other_low, other_high) = (_bounds(obj) for obj in (a, b))
-    return bool((low <= other_high).all() and (other_low <= high).all())
+def _in_the_way(obj, splat, eyes) -> bool:
+    """Whether an object's bounds meet those of a splat object, or of this and one of the eyes together."""
+    corners, place = _corners(obj), _corners(splat)
+    low, high = corners.min(0), corners.max(0)
+    spaces = [place, *(np.array([*place, eye]) for eye in eyes)]
+    return any((low <= space.max(0)).all() and (space.min(0) <= high).all() for space in spaces)
 
 
-def _bounds(obj):
-    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
-    return corners.min(0), corners.max(0)
+def _corners(obj) -> np.ndarray:
+    return np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])

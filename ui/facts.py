@@ -22,7 +22,7 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     clip = objects.clip_of(obj)
     rows = [("Gaussians", f"{settings.gaussian_count:,}")]
     if clip.free:
-        rows.append(("Frames", f"{clip.frame_count:,} at the scene's frame rate"))
+        rows.append(("Frames", f"{clip.frame_count:,} at the scene's rate"))
     elif clip.frame_count > 1:
         rows.append(("Frames", f"{clip.frame_count:,} at {number(clip.fps)} fps ({clip.duration:.2f} s)"))
     else:
@@ -45,7 +45,7 @@ def scene_facts(scene: bpy.types.Scene) -> list[tuple[str, str]]:
     """(label, value) pairs about all splats of a scene."""
     splats = [obj for obj in scene.objects if objects.is_splat(obj)]
     total = sum(obj.fastgs.gaussian_count for obj in splats)
-    return [("Splat Objects", f"{len(splats):,}"), ("Gaussians", f"{total:,}"), ("In Memory", size(objects.loaded_bytes()))]
+    return [("Objects", f"{len(splats):,}"), ("Gaussians", f"{total:,}"), ("Memory", size(objects.loaded_bytes()))]
 
 
 def number(value: float) -> str:

@@ -56,9 +56,9 @@ def draw_threads(layout, render):
     if render.threads_mode == 'FIXED':
         col.prop(render, "threads")
     elif settings.threads:
-        draw_rows(col, [("Threads", f"{settings.threads}, as the preferences say")])
+        draw_rows(col, [("Threads", f"{settings.threads} (preferences)")])
     else:
-        draw_rows(col, [("Threads", f"all: {available()} on this machine")])
+        draw_rows(col, [("Threads", f"{available()} (all)")])
 
 
 class FASTGS_PT_render(_Engine, bpy.types.Panel):

@@ -62,6 +62,13 @@ def views(context) -> list[tuple[bpy.types.Area, bpy.types.RegionView3D]]:
     return [(area, area.spaces.active.region_3d) for area in areas if area.type == 'VIEW_3D']
 
 
+def eyes(context) -> list[Vector]:
+    """From where the window's 3D views look."""
+    camera = context.scene.camera
+    return [camera.matrix_world.translation.copy() if view.view_perspective == 'CAMERA' and camera
+            else view.view_location + view.view_rotation @ Vector((0, 0, view.view_distance)) for _, view in views(context)]
+
+
 def _look(splats, area, view) -> Look:
     middle, radius = subjects.middle_and_radius(splats)
     fit = radius / np.sin(np.arctan(_half_angle(area)))

@@ -92,10 +92,10 @@ def _set_up(context, done: Imported, options: Options) -> None:
     if options.use_engine:
         scene.render.engine = 'FASTGS'
     if options.view != 'KEEP':
-        cube = startup.hide_cube(context, done.objects)
-        if cube is not None:
-            done.remarks.append(f'"{cube.name}" of the startup file stood in the capture and is hidden')
         _show(context, done, options.view == 'CAMERA')
+        cube = startup.hide_cube(context, done.objects, framing.eyes(context))
+        if cube is not None:
+            done.remarks.append(f'"{cube.name}" of the startup file stood in the capture, or before it, and is hidden')
     if startup.dulls_colours(scene):
         done.remarks.append(startup.REMARK)
 

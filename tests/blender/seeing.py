@@ -2,11 +2,13 @@
 """Stories in Blender's window (see inside.py): viewports beside renders, and work that a viewport avoids."""
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 
 import bpy
 from background import ADDON, bring, look
+from looking import drawn
 from mathutils import Euler, Matrix, Vector
 from window import area_of, f12, seen_by, settled, shot, through_camera, until, within
 
@@ -86,7 +88,7 @@ def world(model):
 
 
 def sparing(model):
-    """Solid shading with a mesh: what redraws cost, at rest and while the view turns; then the object is deleted."""
+    """Solid shading with a mesh: what redraws cost at rest, while the view turns and while the time changes; then the object is deleted."""
     scene = bring(model)
     scene.frame_set(12)
     area = area_of()
@@ -119,8 +121,20 @@ def sparing(model):
             view.update()
             count = redraw(1)
             facts.setdefault("turning", []).append(count)
-    shaders.splats, spaces.scene_depth = splats, depth
     yield from settled("turned")
+    whole, frames = drawn()[0][0], itertools.cycle((13, 15, 17, 14))
+    facts["scrubbing"] = []
+
+    def scrubbed():
+        scene.frame_set(next(frames))
+        facts["scrubbing"].append(redraw(1))
+        return drawn()[0][0] < 0.9 * whole
+
+    facts["fewer"] = yield from until(scrubbed)
+    scene.frame_set(12)
+    yield from settled("scrubbed")
+    facts["rested"] = [whole, drawn()[0][0], *redraw(3)]
+    shaders.splats, spaces.scene_depth = splats, depth
     obj = next(o for o in scene.objects if o.fastgs.filepath)
     with within(area):
         bpy.ops.object.select_all(action='DESELECT')

@@ -71,7 +71,11 @@ def test_f12_has_the_viewports_world(user, model):
 def test_what_a_viewport_spares_itself(user, model, seen):
     facts = user.story("seeing.sparing", window=True, model=model[1])
     assert facts["still"] == [0, 0]
-    assert all(read == 0 for _, read in facts["turning"]) and any(blended for blended, _ in facts["turning"])
-    with_splats, deleted, nothing = (seen(name, facts) for name in ("turned", "deleted", "nothing-left"))
+    for moving in ("turning", "scrubbing"):
+        assert all(read == 0 for _, read in facts[moving]) and any(blended for blended, _ in facts[moving]), moving
+    whole, rested, *redrawn = facts["rested"]
+    assert facts["fewer"] and rested == whole and redrawn == [0, 0], "fewer while the time changes, and then all of them, once"
+    with_splats, again, deleted, nothing = (seen(name, facts) for name in ("turned", "scrubbed", "deleted", "nothing-left"))
+    assert psnr(with_splats, again) > 45
     assert psnr(with_splats, nothing) < 25
     assert psnr(deleted, nothing) > 35, "the picture is cleared by the very next redraw"

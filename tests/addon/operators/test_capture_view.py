@@ -118,19 +118,19 @@ def test_looking_through_a_capture_camera(startup, filmed, model_file, capfd):
         bpy.ops.fastgs.look_through()
 
 
-@pytest.mark.parametrize("change", [None, "moved", "renamed", "far"])
+@pytest.mark.parametrize("change", [None, "between", "moved", "renamed", "far"])
 def test_the_startup_cube_is_hidden_where_it_is_nobodys_and_in_the_way(startup, filmed, model_file, change, capfd):
     cube = startup.objects["Cube"]
     if change == "moved":
         cube.location.x = 0.5
     if change == "renamed":
         cube.name = "Mine"
-    if change == "far":
-        filmed.position[:200] += (30, 0, 0)
+    if change in ("far", "between"):  # behind those who look at it, or before them, with the cube on the way
+        filmed.position[:200] += (-30 if change == "far" else 30, 0, 0)
     bpy.context.view_layer.update()
     bpy.ops.import_scene.fastgs(filepath=model_file(filmed))
-    assert cube.hide_get() is cube.hide_render is (change is None)
-    assert ("stood in the capture and is hidden" in capfd.readouterr().out) is (change is None)
+    assert cube.hide_get() is cube.hide_render is (change in (None, "between"))
+    assert ("stood in the capture, or before it, and is hidden" in capfd.readouterr().out) is cube.hide_get()
 
 
 def test_the_view_is_stored_in_the_file(startup, fg, filmed, model_file):

@@ -83,8 +83,8 @@ def test_crop_boxes_are_listed(panels, obj):
 
 def test_threads_say_what_they_mean(panels, module, scene, monkeypatch):
     settings, available = module("scene.settings"), module("fastgs_blender.util.threads").available()
-    everything = f"all: {available} on this machine"
-    for mode, chosen, wanted in (('AUTO', 0, everything), ('AUTO', 3, "3, as the preferences say"), ('FIXED', 3, None)):
+    everything = f"{available} (all)"
+    for mode, chosen, wanted in (('AUTO', 0, everything), ('AUTO', 3, "3 (preferences)"), ('FIXED', 3, None)):
         scene.render.threads_mode = mode
         monkeypatch.setattr(settings, "threads", chosen)
         record = drawn(panels["FASTGS_PT_render"])
@@ -184,7 +184,7 @@ def test_numbers_in_words(module):
 def test_scene_summary(module, obj, scene, make_model, model_file):
     bpy.ops.import_scene.fastgs(filepath=model_file(make_model(66), "second.safetensors"))
     rows = dict(module("ui.facts").scene_facts(scene))
-    assert (rows["Splat Objects"], rows["Gaussians"]) == ("2", "1,300")
+    assert (rows["Objects"], rows["Gaussians"]) == ("2", "1,300")
 
 
 def test_import_options_draw(module):
