@@ -11,8 +11,7 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
-from ..fastgs_blender.rendering.processor import left_to_processor
-from ..fastgs_blender.util.backends import describe_backend, failure_of, load_backend
+from ..fastgs_blender.util.backends import describe_backend, failure_of
 from ..fastgs_blender.util.threads import set_threads
 from ..scene import camera, devices, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
 from . import compiling, passes, worker
@@ -70,8 +69,6 @@ def _render_layer(engine, depsgraph):
         before, after = moments[:2] if vectors else (None, None)
         found = replace(settings_now, before=before, after=after)
         blur = exposure.exposure(scene, moments[len(vectors):], now.lens)
-        if left := left_to_processor(load_backend(backend), blur, now.holdout, found):
-            notices.inform(engine, left)
         images = worker.run(
             lambda progress, eye=eye, found=found, blur=blur: passes.images(
                 instances, eye, wanted, background(eye), progress, found, blur, now.holdout, backend),

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model.gaussians import GaussianModel
+from ..model.gaussians import GaussianModel, unchanging
 from ..model.sequence import Source
 from ..util.arguments import file_path
 from ..util.errors import FastGSError, LossWarning, printable
@@ -82,7 +82,8 @@ def open_source(path: str | os.PathLike) -> Source:
     """What a path shows, as a source: the model in a file, or a Sequence whose frames are read when they are shown.
 
     A sequence is a folder or a zip file of numbered model files, a pattern of their names such as frame_####.ply (sequences.py), or a
-    file of a format that is one.  Raises FastGSError.
+    file of a format that is one.  A source is there to be shown, and its arrays are not to be changed: a GPU keeps them from one picture
+    to the next (load() gives models that may be changed).  Raises FastGSError.
 
     Example:
         model, t = fg.open_source("examples/playground.safetensors").moment(0.25)
@@ -93,6 +94,8 @@ def open_source(path: str | os.PathLike) -> Source:
         source = known.open(path, load)
     if not source.provenance:
         source.provenance = {"source": path.name, "format": known.name}
+    if isinstance(source, GaussianModel):
+        unchanging(source, declared=True)
     return source
 
 

@@ -52,10 +52,7 @@ class MotionNorm:
 
 
 class PictureBackend(Protocol):
-    """The operations that render() and viewports need.
-
-    A backend of a GPU may leave features to the processor: it names them in a set `leaves`, as rendering/processor.py calls them.
-    """
+    """The operations that render() and viewports need."""
 
     def array(self, values: np.ndarray) -> Array:
         """The values as an array of the backend; the caller no longer changes them."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar
+from weakref import WeakSet
 
 import numpy as np
 
@@ -182,3 +183,14 @@ class GaussianModel:
         kinds = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)
                           if f.name in ("basis", "rotation_basis", "temporal_kind", "appearance", "clip"))
         return f"GaussianModel(N={len(self)}, {kinds})"
+
+
+_unchanging: WeakSet[GaussianModel] = WeakSet()
+
+
+def unchanging(model: GaussianModel, declared: bool = False) -> bool:
+    """Whether nobody changes the model's arrays, so that copies of them may be kept: because they are read-only, or because it was once
+    declared here, as open_source() does."""
+    if declared:
+        _unchanging.add(model)
+    return model in _unchanging or not any(array.flags.writeable for array in model.arrays.values() if array.size)

@@ -25,7 +25,6 @@ from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
 from .panorama import render_panorama
 from .passes import DEFAULTS, PASSES, Blended, PassSettings
-from .processor import left_to_processor, tell_once
 from .quantities import shares
 
 AT_ONCE = 16
@@ -87,7 +86,6 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     sharp = [entry for entry in entries if not (entry.exposed and exposure)]
     needs = {part for entry in sharp for part in entry.needs} | {"alpha"}
     kernels = load_backend(backend)
-    tell_once(left_to_processor(kernels, exposure, holdout, settings))
     progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
     blended, blurred = None, None

@@ -9,13 +9,16 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from ...rendering.layout import PROBES, Layout
+from ...rendering.layout import Layout
 from ..cpu.backend import CPU
 from . import steps, training
 from .adapters import find
+from .blend import How, blend_all
 from .device import Array, Device, Failure
+from .expose import expose
+from .holdout import surface
 from .lists import front_to_back
-from .picture import NOWHERE, Bands, DeviceBuffers, Models, blend_all, colour, project
+from .picture import NOWHERE, Bands, DeviceBuffers, Models, colour, draw, project
 
 
 class GPU(CPU):
@@ -25,8 +28,6 @@ class GPU(CPU):
 
     Whatever goes wrong on the device, the picture is drawn by the CPU, and so are all others from then on; a line of the log says why.
     """
-
-    leaves = frozenset(("motion blur", "depth of field", "meshes that hide splats", "shadows on meshes", "sorting by pixel"))
 
     def __init__(self, open):  # noqa: A002
         self.open, self.failed = open, None
@@ -57,18 +58,17 @@ class GPU(CPU):
         return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
 
     def draw(self, instances, camera, layout, probes, progress, holdout=None):
-        wanted = [name for name in PROBES if name in probes]
         again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
-        if holdout is not None or layout.by_pixel:  # only the CPU's rasterisers know triangles, and lists of their own for pixels
-            return again()
-        return self._or_else(lambda: self._draw(instances, camera, layout, wanted, progress, again), again)
+        return self._or_else(
+            lambda: draw(self.device, self.models, instances, camera, layout, probes, progress, holdout, again), again)
 
-    def _draw(self, instances, camera, layout, probes, progress, again):
-        splats = project(self.device, instances, camera, layout, [self.models.packs(instance.model) for instance in instances])
-        progress(0.3)
-        order = front_to_back(self.device, splats.depths, splats.rows)
-        bands = blend_all(self.device, order, splats, camera, probes, lambda share: progress(0.3 + 0.6 * share))
-        return DeviceBuffers.of(bands, layout, probes, again)
+    def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):
+        given = exposure, instances, camera, colours
+        return self._or_else(lambda: expose(self.device, self.models, *given, progress, holdout, objects, by_pixel),
+                             lambda: super(GPU, self).expose(*given, progress, holdout, objects, by_pixel))
+
+    def surface(self, triangles, camera):
+        return self._or_else(lambda: surface(self.device, triangles, camera), lambda: super(GPU, self).surface(triangles, camera))
 
     def colour(self, buffers, layout, camera):
         if not isinstance(buffers, DeviceBuffers):
@@ -93,7 +93,7 @@ class GPU(CPU):
 
             splats = done(project(self.device, [instance], camera, layout, found))
             order = done(front_to_back(self.device, splats.depths, splats.rows))
-            done(blend_all(self.device, order, splats, camera, [], lambda share: None))
+            done(blend_all(self.device, order, splats, camera, How(), lambda share: None))
             for values, begin, end in zip(times.values(), clock, clock[1:]):
                 values.append(1000 * (end - begin))
         drawn = 0 if splats is None else int((self.device.read(splats.depths, np.uint32, splats.rows) != NOWHERE).sum())

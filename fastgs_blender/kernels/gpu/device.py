@@ -42,14 +42,16 @@ class TooLarge(Failure):
 
 @dataclass(eq=False)
 class Buffer:
-    """Memory of a device; it goes back to the device's store when nothing refers to it any more."""
+    """Memory of a device; when nothing refers to it any more, it goes back to the device's store, or is freed if it is not to be reused."""
 
     device: Device
     native: Any
     size: int
+    reused: bool = True
 
     def __del__(self):
-        self.device.take_back(self)
+        if self.reused:
+            self.device.take_back(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +93,7 @@ class Device:
     broken    whether it has failed
     guessing  whether tile lists of training take their lengths for what these have been (lists.py), and
     rooms     lists.Room by the number of tiles
+    when_full functions that are called where its memory is full, and let go what can be made again
 
     Several threads may use it: each piece of work is recorded whole.
     """
@@ -99,6 +102,7 @@ class Device:
     broken: bool = False
     guessing: bool = False
     rooms: dict = field(default_factory=dict)
+    when_full: list[Callable[[], None]] = field(default_factory=list)
     _pipelines: dict = field(default_factory=dict)
     _spare: dict[int, list] = field(default_factory=dict)
     _spare_bytes: int = 0
@@ -147,16 +151,23 @@ class Device:
 
     # memory
 
-    def buffer(self, numbers: int) -> Buffer:
-        """A buffer for so many numbers of 4 bytes, not initialised."""
-        size = 4 * max(int(numbers), 4)
+    def fits(self, numbers: int) -> int:
+        """The bytes of so many numbers of 4 bytes; raises TooLarge where no shader can see them at once."""
+        size = 4 * int(numbers)
         if size > self.binding:
             raise TooLarge(f"{size / 2**20:.0f} MiB in one piece are more than it can use at once ({self.binding / 2**20:.0f} MiB)")
+        return size
+
+    def buffer(self, numbers: int) -> Buffer:
+        """A buffer for so many numbers of 4 bytes, not initialised."""
+        size = self.fits(max(numbers, 4))
         size = min(_rounded(size), self.binding // 16 * 16)
         with self._lock:
-            if self._spare.get(size):
+            while self._spare.get(size):
                 self._spare_bytes -= size
-                return Buffer(self, self._spare[size].pop(), size)
+                native = self._spare[size].pop()
+                if getattr(native, "_internal", True) is not None:  # wgpu frees what Python's collector of cycles has found
+                    return Buffer(self, native, size)
         try:
             return Buffer(self, self._create(size), size)
         except TooLarge:
@@ -184,6 +195,8 @@ class Device:
 
     def _let_go(self) -> None:
         self.submit()
+        for let_go in self.when_full:
+            let_go()
         with self._lock:
             self._spare.clear()
             self._spare_bytes = 0
@@ -232,7 +245,8 @@ class Device:
         """A function that gives the values that several small arrays, no columns of others, have now: it waits only as far as the GPU has
         not come to this place yet."""
         sizes = [math.prod(array.shape) for array in arrays]
-        coming = Buffer(self, self._try(lambda: self._mappable(4 * max(sum(sizes), 1))), SPARE + 1)  # never kept
+        size = 4 * max(sum(sizes), 1)
+        coming = Buffer(self, self._try(lambda: self._mappable(size)), size, reused=False)
         for array, at, size in zip(arrays, np.cumsum([0, *sizes]).tolist(), sizes):
             self.copy(array.buffer, coming, size, 0, at)
         self.submit()

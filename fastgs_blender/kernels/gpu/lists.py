@@ -59,14 +59,13 @@ class TileLists:
     """The splats of each tile of a grid, front to back.
 
     grid     first tile in x and y of the image, columns, rows
-    starts   [tiles + 1] where each tile's list begins in ids, which holds rows of splats
+    lists    [tiles + 1 + entries]: where in it each tile's list begins and the last one ends, and then the lists: rows of splats
     values   of each entry: which it is among the entries of its splat and of those before it; runs [splats + 1] says where these begin
     entries  their number; the room for them, where it was guessed
     """
 
     grid: tuple[int, int, int, int]
-    starts: Array
-    ids: Array
+    lists: Array
     values: Buffer
     runs: Buffer
     entries: int
@@ -85,18 +84,22 @@ def room_for(entries: int) -> int:
     return max(int(HEADROOM * entries), LEAST)
 
 
-def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False) -> TileLists:
+def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False,
+               only: tuple[Array, int] | None = None) -> TileLists:
     """The lists of a grid of tiles for splats (picture.Splats) in their order; raises TooLarge where they have over `most` entries.
 
     guess  take their length for what it has been for pictures of this size (device.rooms) and read nothing back; where they are longer,
            device.spilled becomes 1
+    only   numbers of tiles, and which of them is that of the grid's first tile: a tile whose number is 0 gets an empty list
     """
     count, tiles = splats.rows, grid[2] * grid[3]
     if tiles > TILES:
         raise TooLarge(f"a picture of {tiles} tiles is more than it draws at once")
     runs = device.buffer(count + 1)
     device.clear(runs)
-    device.run("tiles_count", count, [list(grid), [count, 0, 0, 0]], order, splats.depths, splats.a, splats.b, runs)
+    wanted, first = (order, 0) if only is None else only
+    chosen = {"ALL": only is None}
+    device.run("tiles_count", count, [list(grid), [count, 0, first, 0]], order, splats.depths, splats.a, splats.b, wanted, runs, **chosen)
     scan(device, runs, count + 1)
     room = device.rooms.get(tiles) if guess else None
     if room is not None and room.entries <= most:
@@ -107,16 +110,16 @@ def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int,
             raise TooLarge(f"{entries} tile entries are more than it holds at once")
         if guess:
             device.rooms[tiles] = Room(room_for(entries), device.zeros((1,), np.uint32))
-    starts, ids = device.zeros((tiles + 1,), np.uint32), device.empty((entries,), np.uint32)
+    lists = device.zeros((tiles + 1 + entries,), np.uint32)
     keys, owner, values = (device.buffer(entries) for _ in range(3))
     if entries:
-        job = [list(grid), [count, entries, 0, 0]]
-        device.run("tiles_emit", count, job, order, runs, splats.a, splats.b, keys, owner, values)
+        job = [list(grid), [count, entries, first, 0]]
+        device.run("tiles_emit", count, job, order, runs, splats.a, splats.b, wanted, keys, owner, values, **chosen)
         if room is not None:
             device.run("tiles_pad", entries, [[entries, tiles, count, 0]], runs, keys, values, room.longest, device.spilled)
         keys, values = sort(device, keys, values, entries, tiles.bit_length())
-        device.run("tiles_ranges", entries + 1, [[entries, tiles, 0, 0]], keys, values, owner, starts, ids)
-    return TileLists(grid, starts, ids, values, runs, entries)
+        device.run("tiles_ranges", entries + 1, [[entries, tiles, 0, 0]], keys, values, owner, lists)
+    return TileLists(grid, lists, values, runs, entries)
 
 
 def grid_of(window: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

@@ -1,32 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draws instances on a GPU: projects them, sorts and lists the splats, blends them, and decodes features.
+"""Pictures of instances on a GPU: projects them, and decodes features.
 
 A picture that does not fit into the GPU's memory is drawn in bands of rows of tiles; its buffers are then several Arrays (Bands).
 """
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ...cameras.camera import Camera
 from ...model.appearance import ACTIVATIONS, Features
-from ...model.gaussians import GaussianModel
+from ...model.gaussians import GaussianModel, unchanging
 from ...rendering.instances import ViewedInstance
-from ...rendering.layout import PROBES, Buffers, ChannelGroup, Layout
+from ...rendering.layout import Buffers, ChannelGroup, Layout
 from ...rendering.quantities import Shown
-from .device import Array, Buffer, Device, TooLarge
-from .lists import ENTRIES, TileLists, grid_of, list_tiles, scan
+from .blend import Band, How, blend_all
+from .device import Array, Buffer, Device
+from .holdout import Occluder
+from .lists import front_to_back, scan
 from .scene import Pack, View, packs
-from .shaders import TILE
 
 NOWHERE = 0xFFFFFFFF
 """The depth of what is not drawn."""
 PLAIN = len(ACTIVATIONS)
-KEPT = 8
-"""Models that stay on the device."""
+KEPT = 2 << 30
+"""Bytes of models that stay on the device."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,40 +70,63 @@ class Splats:
 
 
 class Models:
-    """The models that stay on a device, because nothing can change their arrays: those read from files, as long as few others are drawn."""
+    """The models that stay on a device from one picture to the next: those whose arrays nothing changes (model.gaussians.unchanging).
+
+    They are kept up to KEPT bytes, those that were drawn last, and until nothing else refers to them or the device's memory is full.
+    """
 
     def __init__(self, device: Device):
-        self.device, self.kept = device, OrderedDict()
+        self.device = device
+        self.kept: WeakKeyDictionary[GaussianModel, list[Pack]] = WeakKeyDictionary()
+        device.when_full.append(self.kept.clear)
 
     def packs(self, model: GaussianModel) -> list[Pack]:
         """The model's arrays on the device."""
-        if id(model) in self.kept:
-            self.kept.move_to_end(id(model))
-            return self.kept[id(model)][1]
-        found = packs(self.device, model.arrays, len(model))
-        if not any(array.flags.writeable for array in model.arrays.values() if array.size):
-            self.kept[id(model)] = model, found
-            if len(self.kept) > KEPT:
-                self.kept.popitem(last=False)
+        found = self.kept.pop(model, None) or packs(self.device, model.arrays, len(model))
+        if unchanging(model):
+            for pack in found:
+                pack.buffer.reused = False
+            self.kept[model] = found  # the last one, so that it goes last
+            sizes = {other: sum(pack.buffer.size for pack in its) for other, its in list(self.kept.items())}
+            for other in list(sizes)[:-1]:
+                if sum(sizes.values()) > KEPT:
+                    del sizes[other], self.kept[other]
         return found
 
 
 def project(device: Device, instances: list[ViewedInstance], camera: Camera, layout: Layout, found: list[list[Pack]],
-            every: bool = False) -> Splats:
+            every: bool = False, then: Callable[[Splats, int], None] | None = None) -> Splats:
     """The splats of all instances, in the order of their Gaussians; found: the packs of each one's model.
 
     There is a row for each Gaussian; where these would be more than the device can use at once, for each that is drawn.
     every  a row for each Gaussian in any case, as the backward pass needs
+    then   called with splats that have a row for each Gaussian, and the number of the first one, counted through all instances
     """
     quads, views = -(-layout.channels // 4), [View(device, instance, camera, layout) for instance in instances]
     parts = [(view, pack) for view, packs_ in zip(views, found, strict=True) for pack in packs_]
     rows = sum(pack.count for _, pack in parts)
     if every or 16 * quads * rows <= device.binding:
-        return _projected(device, parts, layout, quads)
-    return _joined(device, [_squeezed(device, _projected(device, [part], layout, quads)) for part in parts], quads)
+        return _projected(device, parts, layout, quads, then)
+    squeezed, done = [], 0
+    for view, pack in parts:
+        found = _projected(device, [(view, pack)], layout, quads, then and (lambda splats, first, done=done: then(splats, done + first)))
+        squeezed.append(_squeezed(device, found))
+        done += pack.count
+    return _joined(device, squeezed, quads)
 
 
-def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int) -> Splats:
+def draw(device: Device, models: Models, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
+         progress: Callable[[float], None], holdout: np.ndarray | None, again: Callable[[], Buffers]) -> DeviceBuffers:
+    """PictureBackend.draw()."""
+    occluder = None if holdout is None else Occluder(device, holdout, camera)
+    splats = project(device, instances, camera, layout, [models.packs(instance.model) for instance in instances])
+    progress(0.3)
+    how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0)
+    bands = blend_all(device, front_to_back(device, splats.depths, splats.rows), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
+    return DeviceBuffers.of(bands, layout, how, again)
+
+
+def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int, then=None) -> Splats:
     """The splats of packs, each before its view: a row for each Gaussian."""
     splats, done = _room(device, sum(pack.count for _, pack in parts), quads), 0
     for view, pack in parts:
@@ -111,6 +135,8 @@ def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, q
         done += pack.count
     if layout.quantities:
         _fill(device, splats, parts, layout)
+    if then is not None:
+        then(splats, 0)
     return splats
 
 
@@ -156,72 +182,13 @@ def _fill(device: Device, splats: Splats, parts: list[tuple[View, Pack]], layout
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
-    """A part of a picture: rows top..bottom of the image.
-
-    channels  [h, w, 4 quads]
-    flat      [h, w, P]: alpha, then the probes that were asked for; with a trace: alpha, transmittance, and the place of the last splat
-    """
-
-    top: int
-    bottom: int
-    channels: Array
-    flat: Array
-    lists: TileLists
-
-
-def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: tuple[int, int], probes: list[str], trace: bool,
-          band: float) -> Band:
-    """Blend the splats into the rows of tiles first..last of the camera's window; raises TooLarge."""
-    x0, y0, width, height = camera.window
-    left, top, columns, _ = grid_of(camera.window)
-    first, last = max(y0, (top + rows[0]) * TILE), min(y0 + height, (top + rows[1]) * TILE)
-    entry = 16 * (splats.quads + 2) if trace else 4  # bytes: the backward pass has a row of sums for each
-    most = min(ENTRIES, device.binding // entry)
-    lists = list_tiles(device, order, splats, (left, top + rows[0], columns, rows[1] - rows[0]), most, trace and device.guessing)
-    shape, numbers = (last - first, width), 3 if trace else 1 + len(probes)
-    channels, flat = device.empty((*shape, 4 * splats.quads)), device.empty((*shape, numbers))
-    places = {name.upper(): 1 + probes.index(name) if name in probes else 0 for name in PROBES}
-    device.run("raster", columns * (rows[1] - rows[0]), [[x0, first, x0 + width, last], list(lists.grid), [first, numbers, 0, 0]],
-               lists.starts, lists.ids, splats.a, splats.b, splats.channels, splats.depths, channels, flat, groups=True,
-               QUADS=splats.quads, TRACE=trace, **places, **smooth(band))
-    return Band(first, last, channels, flat, lists)
-
-
-def smooth(band: float) -> dict:
-    """The constants of shaders that let alpha fade in over a band above the cut (protocol.TrainingBackend.splat)."""
-    return {"SMOOTH": band > 0, "PER_BAND": 1 / band if band > 0 else 0.0}
-
-
-def blend_all(device: Device, order: Buffer, splats: Splats, camera: Camera, probes: list[str], progress, trace: bool = False,
-              band: float = 0.0) -> list[Band]:
-    """Blend the splats into the camera's window: in one go, or in as many bands as it takes.  A row of tiles that does not fit fails.
-
-    trace  keep what the backward pass needs instead of probes
-    """
-    rows = grid_of(camera.window)[3]
-    waiting, bands = [(0, rows)], []
-    while waiting:
-        first, last = waiting.pop()
-        try:
-            bands.append(blend(device, order, splats, camera, (first, last), probes, trace, band))
-            progress(last / rows)
-        except TooLarge:
-            if last - first == 1:
-                raise
-            middle = (first + last) // 2
-            waiting += [(middle, last), (first, middle)]
-    return bands
-
-
-@dataclass(frozen=True, eq=False)
 class DeviceBuffers(Buffers):
     """The Buffers of a picture on a device; again: gives those that the CPU draws."""
 
     again: Callable[[], Buffers] = Buffers  # always given
 
     @classmethod
-    def of(cls, bands: list[Band], layout: Layout, probes: list[str], again: Callable[[], Buffers]) -> DeviceBuffers:
+    def of(cls, bands: list[Band], layout: Layout, how: How, again: Callable[[], Buffers]) -> DeviceBuffers:
         """The bands by what their numbers mean."""
         def columns(array: Array, first: int, last: int, squeeze: bool) -> Array:
             shape = array.shape[:2] if squeeze else (*array.shape[:2], last - first)
@@ -233,9 +200,11 @@ class DeviceBuffers(Buffers):
         def flat(place: int, instead) -> Bands:
             return Bands([columns(band.flat, place, place + 1, True) for band in bands], instead)
 
+        held = {name: flat(how.places[name], lambda name=name: getattr(again(), name)) for name in ("held", "covered") if how.occluder}
         return cls(channels(slice(0, layout.channels), lambda: again().channels), flat(0, lambda: again().alpha),
                    {name: channels(where, lambda name=name: again().sums[name]) for name, where in layout.places.items()},
-                   {name: flat(1 + i, lambda name=name: again().probes[name]) for i, name in enumerate(probes)}, again=again)
+                   {name: flat(place, lambda name=name: again().probes[name]) for name, place in how.places.items() if name not in held},
+                   **held, again=again)
 
 
 def colour(device: Device, buffers: DeviceBuffers, layout: Layout, camera: Camera, instead: Callable[[], np.ndarray]) -> Bands:

@@ -14,15 +14,14 @@ from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
 from ...rendering.looks import Look
 from .device import Array, Buffer, Device, TooLarge
+from .shaders import FARTHEST
 
 ORDER = ("position", "rotation", "scale", "opacity", "mu_tau", "temporal", "motion", "rotation_motion", "features")
 """The arrays of a model as they follow each other in its buffer."""
 CODES = {RGB: 0, SH: 1, Features: 2}
-MOTION_CENTRED, ROTATION_CENTRED, COLOUR_CENTRED, ANTIALIASED, ORTHOGRAPHIC, HIDDEN, DETACHED = (1 << bit for bit in range(7))
+MOTION_CENTRED, ROTATION_CENTRED, COLOUR_CENTRED, ANTIALIASED, ORTHOGRAPHIC, HIDDEN, DETACHED, BLURRED = (1 << bit for bit in range(8))
 ROWS = 64
 """A pack holds a multiple of so many Gaussians, but for the last."""
-FARTHEST = 3e38
-"""Stands for infinity, which shaders need not know."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +76,7 @@ class View:
         self.flags = sum(flag for flag, on in (
             (MOTION_CENTRED, model.basis.centred), (ROTATION_CENTRED, model.rotation_basis.centred),
             (COLOUR_CENTRED, basis is not None and basis.centred), (ANTIALIASED, model.raster.antialiased),
-            (ORTHOGRAPHIC, camera.orthographic), (HIDDEN, len(instance.hidden) > 0)) if on)
+            (ORTHOGRAPHIC, camera.orthographic), (HIDDEN, len(instance.hidden) > 0), (BLURRED, layout.by_pixel)) if on)
 
     def parameters(self, pack: Pack, row: int, channels: int) -> list:
         """The numbers of View for a pack whose first splat is in a row, with so many channels to a splat."""

@@ -17,9 +17,10 @@ from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
 from ..parameters import DECODER
 from ..protocol import Comparison, Splatted
+from .blend import Band, How, blend_all
 from .device import Array, Buffer, Device, Failure
 from .lists import front_to_back
-from .picture import Band, Bands, Splats, blend_all, decoder, project, smooth
+from .picture import Bands, Splats, decoder, project
 from .scene import DETACHED, ORDER, Pack, View, packs
 
 WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
@@ -52,7 +53,8 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
     layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
     splats = project(device, [instance], camera, layout, [found], every=True)
     order = front_to_back(device, splats.depths, splats.rows)
-    bands = blend_all(device, order, splats, camera, [], lambda share: None, True, band)
+    how = How(trace=True, band=band)
+    bands = blend_all(device, order, splats, camera, how, lambda share: None)
     alpha = _bands([_columns(band.flat, 0) for band in bands])
     if isinstance(template.appearance, Features):
         matrices = device.empty((90,))
@@ -64,7 +66,7 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
         matrices, rgb, features = None, _bands([_columns(band.channels, 0, 3) for band in bands]), None
     deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
     shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
-    seen = Seen(instance, camera, layout, found, matrices, splats, order, bands, smooth(band), shapes)
+    seen = Seen(instance, camera, layout, found, matrices, splats, order, bands, how.smooth, shapes)
     return Splatted(rgb, alpha, deep, seen, features)
 
 
@@ -166,7 +168,7 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
                    QUADS=quads)
         x0 = view.camera.window[0]
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
-                   band.lists.starts, band.lists.ids, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
+                   band.lists.lists, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
                    QUADS=quads, **view.smooth)
         device.run("collect", splats.rows, [[splats.rows, 0, 0, 0]], view.order, band.lists.runs, rows, sums, QUADS=quads)
         done += pixels

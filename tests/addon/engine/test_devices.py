@@ -82,17 +82,6 @@ def test_why_the_processor_renders_is_told_once(scene, card, shot, capfd):
     assert drawn and "Arc fails, so the processor goes on: Parent device is lost." in capfd.readouterr().out
 
 
-def test_what_a_gpu_leaves_to_the_processor_is_told_once_in_a_render(scene, card, shot, backends, capfd, monkeypatch):
-    card()
-    monkeypatch.setattr(type(backends.loaded["gpu:Arc"]), "leaves", {"sorting by pixel", "motion blur"}, raising=False)
-    shot()
-    assert "The GPU does not compute" not in capfd.readouterr().out
-    scene.fastgs.sorting = 'PIXEL'
-    for _ in range(2):  # each render tells it
-        shot()
-        assert capfd.readouterr().out.count("The GPU does not compute sorting by pixel: the processor draws this picture.") == 1
-
-
 def test_an_untested_gpu_is_tested_before_the_first_picture(scene, card, shot, devices, monkeypatch):
     asked = []
 

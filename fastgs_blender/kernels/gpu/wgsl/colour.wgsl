@@ -14,6 +14,7 @@ fn look_at(which: u32) -> f32 {
 }
 
 //include decode
+//include srgb
 //include grade
 
 @compute @workgroup_size(256)

@@ -2,7 +2,7 @@
 
 struct Grid {
     tiles: vec4i,  // first tile in x and in y, columns, rows
-    size: vec4u,   // splats, the most entries of the lists
+    size: vec4u,   // splats, the most entries of the lists, number of the grid's first tile in `wanted`
 }
 
 const SIDE = {TILE};

@@ -1,14 +1,5 @@
 // Looks of colour (rendering/looks.py, graded): `look` is what look_numbers() gives.
 
-fn to_linear(x: f32) -> f32 {
-    let a = abs(x);
-    return sign(x) * select(pow((a + {SRGB_OFFSET}) / (1.0 + {SRGB_OFFSET}), {SRGB_GAMMA}), a / {SRGB_SLOPE}, a <= {SRGB_CUT});
-}
-
-fn to_srgb(x: f32) -> f32 {
-    return select((1.0 + {SRGB_OFFSET}) * pow(x, 1.0 / {SRGB_GAMMA}) - {SRGB_OFFSET}, x * {SRGB_SLOPE}, x <= {SRGB_LINEAR_CUT});
-}
-
 fn graded(colour: vec3f) -> vec3f {
     let linear = look_at({LOOK_LINEAR}u) != 0.0;
     let given = select(vec3f(to_linear(colour.x), to_linear(colour.y), to_linear(colour.z)), colour, linear);

@@ -17,6 +17,7 @@
 
 //include slice
 //include spherical
+//include srgb
 //include grade
 //include crop
 
@@ -31,8 +32,14 @@ fn size_factor(largest: f32) -> f32 {
 
 // Change of a splat's depth by pixel in x and y (oracle.plane); deep: how far the ends of the axes lie in depth; normal: u x v.
 // Written with cross products, which lose fewer digits than the covariances.
-fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, z: f32, radius: vec2f) -> vec2f {
-    var change = vec2f(dot(cross(deep, v), normal), dot(cross(u, deep), normal)) / dot(normal, normal);
+// With BLURRED planes the blur is a part of the covariance, and det its determinant.
+fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, det: f32, z: f32, radius: vec2f) -> vec2f {
+    var change = vec2f(dot(cross(deep, v), normal), dot(cross(u, deep), normal));
+    if has(BLURRED) {
+        change = (change + view.raster.x * vec2f(dot(u, deep), dot(v, deep))) / det;
+    } else {
+        change /= dot(normal, normal);
+    }
     let total = dot(abs(change), radius);
     if total > z {
         change = change * (z / total);
@@ -198,7 +205,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         channels[first + view.plan.z - 1u] = p.z;
     }
     if view.plan.w > 0u {
-        let change = slope(deep * sizes, u, v, normal, p.z, radius);
+        let change = slope(deep * sizes, u, v, normal, det, p.z, radius);
         channels[first + view.plan.w - 1u] = p.z - dot(change, centre - view.depths.zw);
         channels[first + view.plan.w] = change.x;
         channels[first + view.plan.w + 1u] = change.y;

@@ -5,25 +5,28 @@
 struct Job {
     window: vec4i, // x0, y0, right, bottom in pixels of the image
     tiles: vec4i,  // first tile in x and in y, columns, rows
-    rows: vec4i,   // the picture's first row, of the image; numbers of a pixel in `flat`
+    rows: vec4i,   // the picture's first row, of the image; numbers of a pixel in `flat`; first channel of the splats' planes
+    middle: vec4f, // of the image, where planes begin
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
-@group(0) @binding(1) var<storage, read> starts: array<u32>;
-@group(0) @binding(2) var<storage, read> ids: array<u32>;
-@group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
-@group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
-@group(0) @binding(5) var<storage, read> channels: array<vec4f>;
-@group(0) @binding(6) var<storage, read> depths: array<f32>;
+@group(0) @binding(1) var<storage, read> lists: array<u32>;
+@group(0) @binding(2) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(3) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(4) var<storage, read> channels: array<vec4f>;
+@group(0) @binding(5) var<storage, read> depths: array<f32>;
+@group(0) @binding(6) var<storage, read> cover: array<f32>; // cover.wgsl
 @group(0) @binding(7) var<storage, read_write> picture: array<vec4f>;
 @group(0) @binding(8) var<storage, read_write> flat: array<f32>; // alpha, then the probes; or with TRACE what the backward pass needs
 
 const MEDIAN = {MEDIAN}; // places of the probes in `flat`, 0: not wanted
 const FIRST = {FIRST};
 const COUNT = {COUNT};
+const HELD = {HELD}u; // the first place of two, with a holdout: the light that it stops, and which share of the pixel it covers
 const TRACE = {TRACE};
 
 //include fade
+//include occlusion
 
 var<workgroup> batch_a: array<vec4f, 256>;
 var<workgroup> batch_b: array<vec4f, 256>;
@@ -40,6 +43,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let pixel = corner + vec2i(i32(lane % {TILE}u), i32(lane / {TILE}u));
     let at = vec2f(pixel - corner);
     let inside = all(pixel >= job.window.xy) && all(pixel < job.window.zw);
+    let out = u32((pixel.y - job.rows.x) * (job.window.z - job.window.x) + pixel.x - job.window.x);
+    let from_middle = vec2f(pixel) + 0.5 - job.middle.xy;
+    let behind = farthest_cover(out, inside);
     var done = !inside;
     var t = 1.0;
     var sum = array<vec4f, {QUADS}>();
@@ -47,8 +53,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var nearest = median;
     var count = 0.0;
     var last = -1.0;
-    let begin = starts[tile];
-    let end = starts[tile + 1u];
+    let begin = lists[tile];
+    let end = lists[tile + 1u];
     for (var first = begin; first < end; first += 256u) {
         if lane == 0u {
             live = 0u;
@@ -61,7 +67,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             break;
         }
         if first + lane < end {
-            let row = ids[first + lane];
+            let row = lists[first + lane];
             batch_row[lane] = row;
             let a = splat_a[row];
             batch_a[lane] = vec4f(a.xy - vec2f(corner) - 0.5, a.zw);
@@ -73,6 +79,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             if done {
                 break;
             }
+            let row = batch_row[i];
+            if HOLDOUT {
+                t = uncovered(t, out, depths[row]);
+            }
             let a = batch_a[i];
             let b = batch_b[i];
             let d = at - a.xy;
@@ -80,6 +90,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             let v = b.x * d.y;
             let exponent = b.y - v * v - u * u;
             if !(exponent >= b.w) {
+                continue;
+            }
+            if HOLDOUT && !(behind >= plane_depth(row * 4u * {QUADS}u + u32(job.rows.z), from_middle)) {
                 continue;
             }
             var alpha = min(exp2(exponent), b.z);
@@ -92,7 +105,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                 done = true;
                 break;
             }
-            let row = batch_row[i];
             for (var c = 0u; c < {QUADS}u; c++) {
                 sum[c] += weight * channels[row * {QUADS}u + c];
             }
@@ -111,12 +123,14 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if !inside {
         return;
     }
-    let out = u32((pixel.y - job.rows.x) * (job.window.z - job.window.x) + pixel.x - job.window.x);
+    if HOLDOUT {
+        t = uncovered(t, out, FARTHEST);
+    }
     for (var c = 0u; c < {QUADS}u; c++) {
         picture[out * {QUADS}u + c] = sum[c];
     }
     let own = out * u32(job.rows.y);
-    flat[own] = 1.0 - t;
+    flat[own] = 1.0 - t - stopped;
     if MEDIAN > 0u {
         flat[own + MEDIAN] = median;
     }
@@ -125,6 +139,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     if COUNT > 0u {
         flat[own + COUNT] = count;
+    }
+    if HOLDOUT {
+        flat[own + HELD] = stopped;
+        flat[own + HELD + 1u] = f32(taken) / f32(POINTS);
     }
     if TRACE {
         flat[own + 1u] = t;

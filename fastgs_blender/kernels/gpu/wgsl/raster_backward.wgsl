@@ -13,14 +13,13 @@ struct Job {
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
-@group(0) @binding(1) var<storage, read> starts: array<u32>;
-@group(0) @binding(2) var<storage, read> ids: array<u32>;
-@group(0) @binding(3) var<storage, read> values: array<u32>;
-@group(0) @binding(4) var<storage, read> splat_a: array<vec4f>;
-@group(0) @binding(5) var<storage, read> splat_b: array<vec4f>;
-@group(0) @binding(6) var<storage, read> channels: array<vec4f>;
-@group(0) @binding(7) var<storage, read> pixels: array<vec4f>; // raster_seed.wgsl
-@group(0) @binding(8) var<storage, read_write> rows: array<vec4f>;
+@group(0) @binding(1) var<storage, read> lists: array<u32>;
+@group(0) @binding(2) var<storage, read> values: array<u32>;
+@group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
+@group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
+@group(0) @binding(5) var<storage, read> channels: array<vec4f>;
+@group(0) @binding(6) var<storage, read> pixels: array<vec4f>; // raster_seed.wgsl
+@group(0) @binding(7) var<storage, read_write> rows: array<vec4f>;
 
 //include fade
 
@@ -42,8 +41,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     let corner = {TILE} * (job.tiles.xy + vec2i(i32(tile) % job.tiles.z, i32(tile) / job.tiles.z));
     let own = corner + vec2i(i32(lane % {TILE}u), i32(lane / {TILE}u));
-    let begin = starts[tile];
-    let end = starts[tile + 1u];
+    let ahead = u32(job.tiles.z * job.tiles.w) + 1u; // numbers before the lists
+    let begin = lists[tile];
+    let end = lists[tile + 1u];
     if lane == 0u {
         atomicStore(&farthest, -1);
     }
@@ -61,13 +61,13 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let used = workgroupUniformLoad(&shared_end);
     for (var e = used + lane; e < end; e += 256u) { // what lies behind all that the tile shows
         for (var i = 0u; i < WIDTH; i++) {
-            rows[values[e] * WIDTH + i] = vec4f(0.0);
+            rows[values[e - ahead] * WIDTH + i] = vec4f(0.0);
         }
     }
     for (var last = used; last > begin; last -= min(256u, last - begin)) {
         let count = min(256u, last - begin);
         let e = last - 1u - min(lane, count - 1u);
-        let row = ids[e];
+        let row = lists[e];
         let a = splat_a[row];
         let b = splat_b[row];
         let centre = a.xy - vec2f(corner) - 0.5;
@@ -119,7 +119,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             workgroupBarrier();
         }
         if lane < count {
-            let at = values[e] * WIDTH;
+            let at = values[e - ahead] * WIDTH;
             rows[at] = first;
             rows[at + 1u] = second;
             for (var c = 0u; c < {QUADS}u; c++) {

@@ -8,7 +8,13 @@
 @group(0) @binding(2) var<storage, read> depths: array<u32>;
 @group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
 @group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(5) var<storage, read> wanted: array<u32>;
+@group(0) @binding(6) var<storage, read_write> counts: array<u32>;
+
+// Whether a tile of the grid gets a list.
+fn is_wanted(tile: i32) -> bool {
+    return {ALL} || wanted[grid.size.z + u32(tile)] != 0u;
+}
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -24,7 +30,13 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         let e = ellipse(a, b);
         for (var y = e.rows.x; y <= e.rows.y; y++) {
             let x = span(e, a, b, y);
-            count += u32(max(x.y - x.x + 1, 0));
+            if {ALL} {
+                count += u32(max(x.y - x.x + 1, 0));
+                continue;
+            }
+            for (var column = x.x; column <= x.y; column++) {
+                count += u32(is_wanted(y * grid.tiles.z + column));
+            }
         }
     }
     counts[k] = count;

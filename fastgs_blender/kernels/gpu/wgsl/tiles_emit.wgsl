@@ -9,9 +9,15 @@
 @group(0) @binding(2) var<storage, read> starts: array<u32>;
 @group(0) @binding(3) var<storage, read> splat_a: array<vec4f>;
 @group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
-@group(0) @binding(6) var<storage, read_write> owner: array<u32>;
-@group(0) @binding(7) var<storage, read_write> values: array<u32>;
+@group(0) @binding(5) var<storage, read> wanted: array<u32>;
+@group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
+@group(0) @binding(7) var<storage, read_write> owner: array<u32>;
+@group(0) @binding(8) var<storage, read_write> values: array<u32>;
+
+// Whether a tile of the grid gets a list.
+fn is_wanted(tile: i32) -> bool {
+    return {ALL} || wanted[grid.size.z + u32(tile)] != 0u;
+}
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -30,10 +36,13 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     for (var y = e.rows.x; y <= e.rows.y; y++) {
         let x = span(e, a, b, y);
         for (var column = x.x; column <= x.y && at < grid.size.y; column++) {
-            tiles[at] = u32(y * grid.tiles.z + column);
-            owner[at] = row;
-            values[at] = at;
-            at++;
+            let tile = y * grid.tiles.z + column;
+            if is_wanted(tile) {
+                tiles[at] = u32(tile);
+                owner[at] = row;
+                values[at] = at;
+                at++;
+            }
         }
     }
 }

@@ -1,4 +1,4 @@
-// Where each tile's list begins among the sorted entries, and the splat of each entry.
+// Where each tile's list begins in `lists`, and after that the lists: the splat of each of the sorted entries.
 
 //include common
 
@@ -6,8 +6,7 @@
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> values: array<u32>;
 @group(0) @binding(3) var<storage, read> owner: array<u32>;
-@group(0) @binding(4) var<storage, read_write> starts: array<u32>;
-@group(0) @binding(5) var<storage, read_write> ids: array<u32>;
+@group(0) @binding(4) var<storage, read_write> lists: array<u32>;
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -22,9 +21,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var last = job.y;
     if e < job.x {
         last = tiles[e];
-        ids[e] = owner[values[e]];
+        lists[job.y + 1u + e] = owner[values[e]];
     }
     for (var tile = first; tile <= last; tile++) {
-        starts[tile] = e;
+        lists[tile] = job.y + 1u + e;
     }
 }

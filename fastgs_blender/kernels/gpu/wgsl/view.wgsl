@@ -29,6 +29,7 @@ const ANTIALIASED = 8u;
 const ORTHOGRAPHIC = 16u;
 const HIDDEN = 32u;
 const DETACHED = 64u; // of the backward pass: the gradient of mu_tau comes through the temporal opacity alone
+const BLURRED = 128u; // planes of depth have the blur, see rendering/layout.py, by_pixel
 
 const RGB = 0u;
 const SH = 1u;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +13,11 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import viewpoint_of
-from fastgs_blender.kernels.cpu.backend import CPU
-from fastgs_blender.kernels.gpu import device, picture, scene
+from fastgs_blender.kernels.gpu import blend, device, picture, scene
 from fastgs_blender.model.surroundings import Surroundings
-from fastgs_blender.rendering import processor
 from fastgs_blender.rendering.crops import Crop
-from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
-from fastgs_blender.rendering.passes import PASSES, PassSettings
+from fastgs_blender.rendering.passes import PASSES
 from fastgs_blender.rendering.volumes import mesh_volume
 
 SCENES = int(os.environ.get("FASTGS_GPU_SCENES", "24"))
@@ -117,22 +115,6 @@ def test_what_reaches_the_cameras_plane_agrees_with_the_oracle(gpu, adapter):
     assert np.abs(straight - wanted).max() > 0.1, "some of it is beside the picture"
 
 
-def test_what_the_processor_draws_is_told_in_a_line(gpu, adapter, caplog):
-    """Sorting by pixel and holdouts: the same bytes as the CPU's, and a line for each, once; exposures have theirs."""
-    rng = np.random.default_rng(3)
-    model, camera = random_model(rng, 60, size=0.3), fg.Camera(50, 40, 40, 40, 25, 20, random_pose(rng, 3.0))
-    processor._told.clear()
-    cases = {"sorting by pixel": {"settings": PassSettings(sorting="pixel")}, "meshes that hide splats": {"holdout": np.eye(3)[None]}}
-    for options in (*cases.values(), *cases.values()):
-        wanted, got = (fg.render(model, camera, backend=backend, **options) for backend in ("cpu", name_of(adapter)))
-        assert wanted["alpha"].any() and np.array_equal(wanted["rgb"], got["rgb"])
-    assert [record.getMessage() for record in caplog.records if "processor" in record.getMessage()] == [
-        f"The GPU does not compute {name}: the processor draws this picture." for name in cases]
-    blurred = Exposure(-0.1, 0.1, steps=2, aperture=Aperture(0.01, 3.0, samples=2))
-    assert "compute motion blur, depth of field:" in processor.left_to_processor(gpu, blurred, None, PassSettings())
-    assert not processor.left_to_processor(CPU(), blurred, None, PassSettings())
-
-
 def test_all_passes_of_several_instances_agree_with_the_cpu(gpu, adapter, crowd):
     instances, camera = crowd
     wanted, got = (fg.render(instances, camera, passes=tuple(PASSES), backend=name) for name in ("cpu", name_of(adapter)))
@@ -148,17 +130,20 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     camera = crowd[1]
     instances = [Instance(random_model(np.random.default_rng(1), 700, "fourier", "line", "radial", "sh1"), np.eye(4), 0.3)]
     whole = fg.render(instances, camera, passes=("rgb", "depth"), backend=name_of(adapter))
-    monkeypatch.setattr(picture, "ENTRIES", 1500)
+    monkeypatch.setattr(blend, "ENTRIES", 1500)
     fresh.backend.device.__dict__["binding"] = 1 << 16
     pieces = []
-    monkeypatch.setattr(picture, "blend", lambda *given, blend=picture.blend: pieces.append(blend(*given)) or pieces[-1])
+    monkeypatch.setattr(blend, "blend", lambda *given, one=blend.blend: pieces.append(one(*given)) or pieces[-1])
     bands = fg.render(instances, camera, passes=("rgb", "depth"), backend=fresh.name)
     assert fresh.backend.failed is None and len(pieces) > 1
     assert len(scene.packs(fresh.backend.device, instances[0].model.arrays, 700)) > 1
     assert all(np.array_equal(whole[name], bands[name]) for name in whole)
-    triangle = np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0]]], np.float32)
-    held = [fg.render(instances, camera, passes=("rgb", "holdout"), backend=name, holdout=triangle) for name in ("cpu", fresh.name)]
+    triangle, number = np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0]]], np.float32), len(pieces)
+    fresh.backend.device.__dict__["binding"] = 1 << 17
+    held = [fg.render(instances, camera, passes=("rgb", "holdout"), backend=name, holdout=triangle)
+            for name in (name_of(adapter), fresh.name)]
     assert all(np.array_equal(held[0][name], held[1][name]) for name in held[0]) and held[0]["holdout"].max() > 0
+    assert fresh.backend.failed is None and len(pieces) > number + 2
     part = replace(camera, window=(30, 20, 17, 23))
     cut = fg.render(instances, part, passes=("rgb",), backend=name_of(adapter))["rgb"]
     assert np.array_equal(cut, whole["rgb"][15:38, 19:36])
@@ -179,6 +164,36 @@ def test_splats_that_are_too_many_are_squeezed_to_those_that_are_drawn(gpu, fres
         found = fg.render(instances, camera, passes=passes, backend=fresh.name)
     assert fresh.backend.failed is None and "squeeze" in ran and whole["alpha"].mean() > 0.05
     assert all(np.array_equal(whole[name], found[name], equal_nan=True) for name in whole)
+
+
+def test_models_that_nothing_changes_stay_on_the_gpu(fresh, tmp_path, monkeypatch):
+    """As long as something else refers to them, up to a number of bytes, and until the device's memory is full."""
+    rng, camera = np.random.default_rng(2), fg.Camera(20, 16, 16, 16, 10, 8, np.eye(4))
+    for number in range(2):
+        fg.save(random_model(rng, 64), tmp_path / f"{number}.safetensors")
+    uploaded, packs = [], picture.packs
+    monkeypatch.setattr(picture, "packs", lambda device, arrays, count: uploaded.append(1) or packs(device, arrays, count))
+
+    def uploads(*models):
+        uploaded.clear()
+        for model in models:
+            fg.render(model, camera, backend=fresh.name)
+        return len(uploaded)
+
+    first, second = (fg.open_source(tmp_path / f"{number}.safetensors") for number in range(2))
+    mine, models = fg.load(tmp_path / "0.safetensors"), fresh.backend.models
+    assert uploads(mine, mine) == 2, "may be changed"
+    assert uploads(first, second, first, second, first) == 2 == len(models.kept)
+    buffers = weakref.ref(models.kept[first][0].buffer)
+    size = buffers().size
+    spare = fresh.backend.device._spare_bytes
+    del first
+    assert buffers() is None and len(models.kept) == 1 and fresh.backend.device._spare_bytes == spare, "its memory is free"
+    first = fg.open_source(tmp_path / "0.safetensors")
+    monkeypatch.setattr(picture, "KEPT", size)
+    assert uploads(first, second, first) == 3 and list(models.kept) == [first], "the last one"
+    fresh.backend.device._let_go()
+    assert not models.kept and uploads(first) == 1
 
 
 @pytest.mark.parametrize("stage", ["project", "sort_scatter", "raster", "colour", "read", "buffer"])

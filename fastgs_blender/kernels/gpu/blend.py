@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blends splats into a picture on a GPU: lists them by tile and rasterises, in as many bands of rows of tiles as its memory asks for."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from ...cameras.camera import Camera
+from ...rendering.layout import PROBES
+from .device import Array, Buffer, Device, TooLarge
+from .holdout import Occluder
+from .lists import ENTRIES, TileLists, grid_of, list_tiles
+from .shaders import TILE
+
+
+@dataclass(frozen=True, eq=False)
+class How:
+    """How splats are blended.
+
+    probes    which of layout.PROBES are wanted, in their order
+    trace     keep what the backward pass needs, instead of probes
+    band      alpha fades in over this width above the cut (protocol.TrainingBackend.splat)
+    tiles     one number for each tile of the window: only those are drawn whose number is not 0; None: all
+    occluder  the triangles of a holdout, or None.  It needs the splats' planes, and so does
+    by_pixel  sorting in each pixel (layout.Layout)
+    plane     the first channel of these
+    """
+
+    probes: Sequence[str] = ()
+    trace: bool = False
+    band: float = 0.0
+    tiles: Array | None = None
+    occluder: Occluder | None = None
+    by_pixel: bool = False
+    plane: int = 0
+    places: dict[str, int] = field(init=False)
+    """Of the probes, and of what a holdout stops, in Band.flat."""
+
+    def __post_init__(self):
+        names = [name for name in PROBES if name in self.probes]
+        object.__setattr__(self, "places", {name: 1 + i for i, name in enumerate(names)} | (
+            {"held": 1 + len(names), "covered": 2 + len(names)} if self.occluder else {}))
+
+    @property
+    def smooth(self) -> dict:
+        """The constants of shaders that let alpha fade in."""
+        return {"SMOOTH": self.band > 0, "PER_BAND": 1 / self.band if self.band > 0 else 0.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """A part of a picture: rows top..bottom of the image.
+
+    channels  [h, w, 4 quads]
+    flat      [h, w, P]: alpha, then what How.places says; with a trace: alpha, transmittance, and the place of the last splat
+    """
+
+    top: int
+    bottom: int
+    channels: Array
+    flat: Array
+    lists: TileLists
+
+
+def blend_all(device: Device, order: Buffer, splats, camera: Camera, how: How, progress: Callable[[float], None]) -> list[Band]:
+    """Blend splats (picture.Splats) in their order into the camera's window: in one go, or in as many bands as it takes.  A row of tiles
+    that does not fit fails."""
+    rows = grid_of(camera.window)[3]
+    waiting, bands = [(0, rows)], []
+    while waiting:
+        first, last = waiting.pop()
+        try:
+            bands.append(blend(device, order, splats, camera, (first, last), how))
+            progress(last / rows)
+        except TooLarge:
+            if last - first == 1:
+                raise
+            middle = (first + last) // 2
+            waiting += [(middle, last), (first, middle)]
+    return bands
+
+
+def blend(device: Device, order: Buffer, splats, camera: Camera, rows: tuple[int, int], how: How) -> Band:
+    """Blend the splats into the rows of tiles first..last of the camera's window; raises TooLarge."""
+    x0, y0, width, height = camera.window
+    left, top, columns, _ = grid_of(camera.window)
+    first, last = max(y0, (top + rows[0]) * TILE), min(y0 + height, (top + rows[1]) * TILE)
+    grid = left, top + rows[0], columns, rows[1] - rows[0]
+    entry = 16 * (splats.quads + 2) if how.trace else 4  # bytes: the backward pass has a row of sums for each
+    lists = list_tiles(device, order, splats, grid, min(ENTRIES, device.binding // entry), how.trace and device.guessing,
+                       None if how.tiles is None else (how.tiles, rows[0] * columns))
+    shape, numbers = (last - first, width), 3 if how.trace else 1 + len(how.places)
+    if how.trace:
+        device.fits(4 * (splats.quads + 1) * shape[0] * width)  # the seeds of the backward pass
+    channels, flat = device.empty((*shape, 4 * splats.quads)), device.empty((*shape, numbers))
+    cover = lists.lists if how.occluder is None else how.occluder.cover(grid, first, last)
+    places = {name.upper(): how.places.get(name, 0) for name in (*PROBES, "held")}
+    job = [[x0, first, x0 + width, last], list(grid), [first, numbers, how.plane, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]]
+    inputs = [lists.lists, splats.a, splats.b, splats.channels]
+    constants = {"QUADS": splats.quads, "HOLDOUT": how.occluder is not None, **places}
+    if how.by_pixel:
+        device.run("raster_by_pixel", columns * grid[3], job, *inputs, cover, channels, flat, groups=True, **constants)
+    else:
+        device.run("raster", columns * grid[3], job, *inputs, splats.depths, cover, channels, flat, groups=True, TRACE=how.trace,
+                   **constants, **how.smooth)
+    return Band(first, last, channels, flat, lists)

@@ -1,0 +1,27 @@
+// Add some numbers of each pixel of an exposure's sample to their sums, each tile's with its weight.
+
+//include common
+
+struct Job {
+    size: vec4u,   // numbers of the band; pixels before it; width; numbers of a pixel
+    window: vec4u, // the window's x0, y0 from the first tile's corner; columns of tiles
+    place: vec4u,  // first of the numbers in `values`, numbers of a pixel there
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> weights: array<f32>;
+@group(0) @binding(2) var<storage, read> values: array<f32>;
+@group(0) @binding(3) var<storage, read_write> sums: array<f32>;
+
+//include tile_of
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let i = place(group, groups) * 256u + lane;
+    if i >= job.size.x {
+        return;
+    }
+    let pixel = i / job.size.w;
+    let value = values[pixel * job.place.y + job.place.x + i % job.size.w];
+    sums[job.size.y * job.size.w + i] += weights[tile_of(job.size.y + pixel)] * value;
+}
