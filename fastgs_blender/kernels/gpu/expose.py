@@ -41,7 +41,7 @@ def expose(device: Device, models: Models, exposure: Exposure, instances: list[V
     strips = []
     for row in range(0, rows, at_once):
         first, last = max(y0, (top + row) * TILE), min(y0 + height, (top + row + at_once) * TILE)
-        strip = replace(camera, window=(x0, first, width, last - first))
+        strip = x0, first, width, last - first
         levels = taken.levels[row * columns:(row + at_once) * columns]
         strips.append(taken.picture(strip, levels, colours, lambda f, row=row: progress(min((row + f * at_once) / rows, 1.0))))
     rgb, alpha, held, covered = (np.concatenate(parts) for parts in zip(*strips, strict=True))
@@ -58,8 +58,9 @@ class DeviceFilm:
     """The sums over an exposure's samples, on a device: light [h, w, LIGHT], and columns [h, w, .] of what a holdout stops and of the
     objects' shares."""
 
-    def __init__(self, device: Device, camera: Camera, held: int, objects: int):
-        self.size, self.corner = (camera.window[3], camera.window[2]), [camera.window[0] % TILE, camera.window[1] % TILE]
+    def __init__(self, device: Device, window: tuple[int, int, int, int], held: int, objects: int):
+        x0, y0, width, height = window
+        self.window, self.size, self.corner = window, (height, width), [x0 % TILE, y0 % TILE]
         self.light, self.held, self.shares = (device.zeros((*self.size, number)) for number in (LIGHT, held, objects))
 
 
@@ -68,7 +69,7 @@ class Taken:
 
     def __init__(self, device: Device, models: Models, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, holdout,
                  objects, by_pixel: bool):
-        self.device, self.models, self.exposure, self.instances = device, models, exposure, instances
+        self.device, self.models, self.exposure, self.instances, self.camera = device, models, exposure, instances, camera
         self.holdout, self.objects, self.by_pixel = holdout, objects, by_pixel
         self.packs = {id(instance.model): models.packs(instance.model) for instance in instances}
         total = sum(len(instance.model) for instance in instances)
@@ -78,14 +79,15 @@ class Taken:
         self.stretched = stretching(device, paths, len(self.samples) - 1)
         self.encoded = {instance.model.colour_space for instance in instances} == {"srgb"}
 
-    def picture(self, camera: Camera, levels: np.ndarray, colours: bool, progress: Callable[[float], None]) -> tuple[np.ndarray, ...]:
-        """Of a window whose film fits on the device, and whose tiles use the samples up to these levels: colour [h, w, 3], alpha [h, w],
-        the light that the holdout stops [h, w], and the objects' shares [h, w, K]."""
-        film = DeviceFilm(self.device, camera, int(self.holdout is not None), len(self.objects))
+    def picture(self, window: tuple[int, int, int, int], levels: np.ndarray, colours: bool,
+                progress: Callable[[float], None]) -> tuple[np.ndarray, ...]:
+        """Of a part of the window whose film fits on the device, and whose tiles use the samples up to these levels: colour [h, w, 3],
+        alpha [h, w], the light that the holdout stops [h, w], and the objects' shares [h, w, K]."""
+        film = DeviceFilm(self.device, window, int(self.holdout is not None), len(self.objects))
         for i, sample in enumerate(self.samples):
             weights = np.array(sample.weights, np.float32)[levels]
             if weights.any():
-                moved, eye = self.exposure.scene(self.instances, camera, sample.time, sample.point)
+                moved, eye = self.exposure.scene(self.instances, self.camera, sample.time, sample.point)
                 triangles = self.exposure.holdout(self.holdout, sample.time)
                 self._add(film, moved, eye, self.device.array(weights), triangles, colours and bool(moved))
             progress((i + 1) / len(self.samples))
@@ -98,7 +100,8 @@ class Taken:
         device = self.device
         layout = Layout(moved, False, {"shares": shares(moved, self.objects)} if self.objects else None, self.holdout is not None,
                         self.by_pixel)
-        splats = project(device, moved, eye, layout, self._packs(moved), then=self.stretched)
+        splats = project(device, moved, eye, layout, self._packs(moved), then=self.stretched)  # as the whole window sees them
+        eye = replace(eye, window=film.window)
         occluder = None if triangles is None else Occluder(device, triangles, eye)
         wanted = Array(weights.buffer, weights.shape, np.dtype(np.uint32))  # 0.0 has the bits of 0
         how = How(tiles=wanted, occluder=occluder, by_pixel=self.by_pixel, plane=layout.plane or 0)
