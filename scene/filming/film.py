@@ -170,12 +170,12 @@ def _list(out: Path, names):
 
 
 def filmed_objects(out) -> list[str]:
-    """The names of the objects that a capture was filmed from; [] where its folder does not say."""
+    """The names of the objects that a capture was filmed from; [] where its folder does not say.  Blender takes no lone surrogates."""
     try:
         names = read_json(Path(out) / FILMED)["objects"]
     except (FastGSError, KeyError, TypeError):
         return []
-    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+    return [name for name in names if isinstance(name, str) and name.isprintable()] if isinstance(names, list) else []
 
 
 def _write(out: Path, view: str, name: str, picture):

@@ -113,7 +113,7 @@ class Report:
     @property
     def text(self) -> str:
         """All of it as lines."""
-        picture = [("Model beside truth", str(self.picture))] if self.picture else []
+        picture = [("Model beside truth", printable(self.picture))] if self.picture else []
         return "\n".join(f"{name:<20} {value}".rstrip() for name, value in (*self.numbers, *picture, ("", ""), *self.settings)) + "\n"
 
 
@@ -138,7 +138,7 @@ def _report(job: Job, values: dict) -> Report:
     rows += [("Gaussians", f"{values['gaussians']:,}"), ("Size", f"{values['model_bytes'] / 1e6:.2f} MB"),
              ("Steps", f"{values['iterations']:,}"), ("Time", duration(values["seconds"])), *device, ("Model", values["model"])]
     return Report([(name, printable(value)) for name, value in rows],
-                  [(name, printable(str(value))) for name, value in sorted(values["settings"].items())], newest_preview(job))
+                  [(printable(name), printable(value)) for name, value in sorted(values["settings"].items())], newest_preview(job))
 
 
 def duration(seconds: float) -> str:
