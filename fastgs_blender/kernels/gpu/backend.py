@@ -19,6 +19,7 @@ from .expose import expose
 from .holdout import surface
 from .lists import front_to_back
 from .picture import NOWHERE, Bands, DeviceBuffers, Models, colour, draw, project
+from .rows import Split, as_rows, zero_rows
 
 
 class GPU(CPU):
@@ -53,7 +54,7 @@ class GPU(CPU):
         return instead()
 
     def numpy(self, array):
-        if isinstance(array, Array):
+        if isinstance(array, Array | Split):
             return array.numpy()
         return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
 
@@ -102,10 +103,10 @@ class GPU(CPU):
     # training: its arrays stay on the device, so what fails there ends the step
 
     def array(self, values):
-        return self.device.array(values)
+        return as_rows(self.device, values)
 
     def zeros(self, shape, dtype=np.float32):
-        return self.device.zeros(shape, dtype)
+        return zero_rows(self.device, shape, dtype)
 
     def read(self, *arrays):
         return self.device.read_all(arrays)

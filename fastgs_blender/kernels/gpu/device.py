@@ -61,18 +61,20 @@ class Array:
     buffer   4 bytes for each number: float32, int32 or uint32
     shape, dtype   as NumPy would have it; float64 and int64 are float32 and int32 on the device
     columns  (first, last, width): the array is these columns of rows of `width` numbers; None: all there is
+    begin    its first number in the buffer, a multiple of SLOT / 4: it may be a part of another array (rows.py)
     """
 
     buffer: Buffer
     shape: tuple[int, ...]
     dtype: np.dtype
     columns: tuple[int, int, int] | None = None
+    begin: int = 0
 
     def numpy(self) -> np.ndarray:
         """The values."""
         count = math.prod(self.shape)
         if self.columns is None:
-            return self.buffer.device.read(self.buffer, stored(self.dtype), count).reshape(self.shape).astype(self.dtype)
+            return self.buffer.device.read(self.buffer, stored(self.dtype), count, self.begin).reshape(self.shape).astype(self.dtype)
         first, last, width = self.columns
         rows = count // (last - first)
         values = self.buffer.device.read(self.buffer, stored(self.dtype), rows * width).reshape(rows, width)[:, first:last]
@@ -218,7 +220,10 @@ class Device:
     def array(self, values) -> Array:
         """The values as an array of the device."""
         values = np.asarray(values)
-        array = self.empty(values.shape, values.dtype)
+        return self.upload(self.empty(values.shape, values.dtype), values)
+
+    def upload(self, array: Array, values: np.ndarray) -> Array:
+        """Give a whole array its values; returns it."""
         self.write(array.buffer, np.ascontiguousarray(values, stored(values.dtype)))
         return array
 
@@ -292,8 +297,8 @@ class Device:
         self._parameters += bytes(where - len(self._parameters)) + parameters
         entries = [{"binding": 0, "resource": {"buffer": self._arena, "offset": where, "size": len(parameters)}}]
         for number, each in enumerate(buffers, 1):
-            buffer = each.buffer if isinstance(each, Array) else each
-            entries.append({"binding": number, "resource": {"buffer": buffer.native, "offset": 0, "size": buffer.size}})
+            buffer, at = (each.buffer, 4 * each.begin) if isinstance(each, Array) else (each, 0)
+            entries.append({"binding": number, "resource": {"buffer": buffer.native, "offset": at, "size": buffer.size - at}})
         group = self.native.create_bind_group(layout=pipeline.get_bind_group_layout(0), entries=entries)
         if self._pass is None:
             self._pass = self._commands().begin_compute_pass()

@@ -14,19 +14,19 @@ from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
 from ...rendering.looks import Look
 from .device import Array, Buffer, Device, TooLarge
+from .rows import ROWS, Split, copy_out
 from .shaders import FARTHEST
 
 ORDER = ("position", "rotation", "scale", "opacity", "mu_tau", "temporal", "motion", "rotation_motion", "features")
 """The arrays of a model as they follow each other in its buffer."""
 CODES = {RGB: 0, SH: 1, Features: 2}
 MOTION_CENTRED, ROTATION_CENTRED, COLOUR_CENTRED, ANTIALIASED, ORTHOGRAPHIC, HIDDEN, DETACHED, BLURRED = (1 << bit for bit in range(8))
-ROWS = 64
-"""A pack holds a multiple of so many Gaussians, but for the last."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pack:
-    """The arrays of the Gaussians first .. first + count of a model, one after the other, in ORDER."""
+    """The arrays of the Gaussians first .. first + count of a model, one after the other, in ORDER; but for the last pack, count is a
+    multiple of ROWS."""
 
     first: int
     count: int
@@ -45,8 +45,8 @@ def packs(device: Device, arrays: dict, count: int) -> list[Pack]:
         pack, at = Pack(first, number, device.buffer(number * sum(widths.values()))), 0
         for name, width in widths.items():
             array = arrays[name]
-            if isinstance(array, Array):
-                device.copy(array.buffer, pack.buffer, number * width, first * width, at)
+            if isinstance(array, Array | Split):
+                copy_out(device, array, first, number, pack.buffer, at)
             else:
                 device.write(pack.buffer, np.ascontiguousarray(array[first:first + number], np.float32), at)
             at += number * width

@@ -13,6 +13,7 @@ from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
 from ..protocol import MotionNorm
 from .device import Array, Device
 from .lists import room_for
+from .rows import ROWS, pieces, rows_of
 from .training import total
 
 AHEAD = 8
@@ -27,14 +28,21 @@ def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Ar
     rows = terms if norm.matrix is None else len(norm.matrix)
     matrix = np.zeros(0) if norm.matrix is None else norm.matrix.ravel()
     table = device.array(np.concatenate([matrix, norm.weights / (n * norm.extent)]).astype(np.float32))
-    job = [[n, terms, rows, norm.matrix is not None], [norm.smooth * norm.extent, scale, 0.0, 0.0]]
-    group, squares = norm.reading == "group", table
+    group, values = norm.reading == "group", device.empty((n, 1))
+    squares = device.zeros((3 * rows,)) if group else table
+
+    def job(part: Array) -> list:
+        return [[part.shape[0], terms, rows, norm.matrix is not None], [norm.smooth * norm.extent, scale, float(n), 0.0]]
+
     if group:
-        squares = device.empty((n, 3 * rows))
-        device.run("penalty_squares", n * rows, job, motion, table, squares)
-        squares = total(device, squares)
-    values = device.empty((n, 1))
-    device.run("penalty", n, job, motion, waits, table, squares, gradient, values, GROUP=group)
+        for _, (part,) in pieces(motion):
+            for first in range(0, part.shape[0], at_once := max(device.binding // (12 * rows) // ROWS * ROWS, ROWS)):
+                some = rows_of(part, first, min(first + at_once, part.shape[0]))
+                found = device.empty((some.shape[0], 3 * rows))
+                device.run("penalty_squares", some.shape[0] * rows, job(some), some, table, found)
+                device.run("add", 3 * rows, [[3 * rows, 0, 0, 0]], total(device, found), squares)
+    for _, (part, slopes, waited, out) in pieces(motion, gradient, waits, values):
+        device.run("penalty", part.shape[0], job(part), part, waited, table, squares, slopes, out, GROUP=group)
     return Array(total(device, values).buffer, (1,), np.dtype(np.float64))
 
 
@@ -52,36 +60,40 @@ def waits(device: Device, seen: Array, moved: Array, step: int) -> Array:
 
 def hold(device: Device, features: Array, held: Array, gradient: Array, seen: Array, strength: float) -> None:
     """TrainingBackend.hold()."""
-    numbers = math.prod(features.shape)
-    device.run("hold", numbers, [[numbers, features.shape[1], 0, 0], [strength, 0.0, 0.0, 0.0]], seen, features, held, gradient)
+    for _, (some, *arrays) in pieces(seen, features, held, gradient):
+        numbers, columns = math.prod(arrays[0].shape), features.shape[1]
+        device.run("hold", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
 
 
 def shrink(device: Device, parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
     """TrainingBackend.shrink()."""
     n = len_(parameters["opacity"])
-    job = [[n, 0, 0, 0], [opacity_weight / max(n, 1), scale_weight / (3 * max(n, 1) * extent), 0.0, 0.0]]
-    device.run("shrink", n, job, parameters["opacity"], parameters["scale"], gradients["opacity"], gradients["scale"])
+    weights = [opacity_weight / max(n, 1), scale_weight / (3 * max(n, 1) * extent), 0.0, 0.0]
+    for _, arrays in pieces(parameters["opacity"], parameters["scale"], gradients["opacity"], gradients["scale"]):
+        device.run("shrink", len_(arrays[0]), [[len_(arrays[0]), 0, 0, 0], weights], *arrays)
 
 
 def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
     """TrainingBackend.shake()."""
-    n = len_(parameters["opacity"])
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
-    device.run("shake", n, [[n, *seeds, 0], [reach, GATE, SHARPNESS, NEGLIGIBLE]], parameters["opacity"], parameters["rotation"],
-               parameters["scale"], parameters["position"], device.spilled)
+    for first, arrays in pieces(*(parameters[name] for name in ("opacity", "rotation", "scale", "position"))):
+        job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE]]
+        device.run("shake", len_(arrays[0]), job, *arrays, device.spilled)
 
 
 def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
     """TrainingBackend.adam()."""
     table = _table(device, *betas)
     for value, gradient, mean, square, steps, rate, shared in tensors:
-        n, numbers = len_(value), math.prod(value.shape)
-        columns = numbers // n
+        columns = math.prod(value.shape[1:])
         rates = np.zeros(-(-columns // 4) * 4, np.float32)
         rates[:columns] = np.asarray(rate, np.float32).reshape(-1)
-        job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
-        device.run("adam", numbers, job, seen, steps, table, gradient, value, mean, square, device.spilled, RATES=len(rates) // 4)
-        device.run("adam_count", n, [[n, shared, 0, 0]], seen, steps, device.spilled)
+        every = steps if shared else seen  # of a shared array all rows move, and nothing asks who was seen
+        for _, (some, took, *arrays) in pieces(every, steps, gradient, value, mean, square):
+            numbers = math.prod(arrays[0].shape)
+            job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
+            device.run("adam", numbers, job, some, took, table, *arrays, device.spilled, RATES=len(rates) // 4)
+        device.run("adam_count", len_(value), [[len_(value), shared, 0, 0]], seen, steps, device.spilled)
     device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, device.spilled)
 
 

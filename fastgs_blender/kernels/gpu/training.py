@@ -21,6 +21,7 @@ from .blend import Band, How, blend_all
 from .device import Array, Buffer, Device, Failure
 from .lists import front_to_back
 from .picture import Bands, Splats, decoder, project
+from .rows import add_in, copy_in, empty_rows, rows_of
 from .scene import DETACHED, ORDER, Pack, View, packs
 
 WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
@@ -160,7 +161,7 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
                 device.copy(alpha.buffer, by_alpha.buffer, height * width)
             slopes = _decoder_backward(device, view, rgb, by_alpha, w1, w2)
     deep = 0 if depth is None or view.layout.depth is None else view.layout.depth + 1
-    sums, done = device.zeros((splats.rows, 4 * (quads + 2))), 0
+    sums, done = [device.zeros((pack.count, 4 * (quads + 2))) for pack in view.packs], 0
     for band in view.bands:
         pixels = math.prod(band.flat.shape[:2])
         start, rows = device.buffer(4 * (quads + 1) * pixels), device.buffer(4 * (quads + 2) * band.lists.entries)
@@ -170,7 +171,9 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
                    band.lists.lists, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
                    QUADS=quads, **view.smooth)
-        device.run("collect", splats.rows, [[splats.rows, 0, 0, 0]], view.order, band.lists.runs, rows, sums, QUADS=quads)
+        for pack, its in zip(view.packs, sums, strict=True):
+            job = [[splats.rows, pack.first, pack.count, 0]]
+            device.run("collect", splats.rows, job, view.order, band.lists.runs, rows, its, QUADS=quads)
         done += pixels
     if statistics is not None:
         _observe(device, view, sums, statistics)
@@ -193,34 +196,35 @@ def _decoder_backward(device: Device, view: Seen, rgb: Array, by_alpha: Array, w
     return slopes
 
 
-def _observe(device: Device, view: Seen, sums: Array, statistics) -> None:
+def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:
     """Add the view to the statistics of density control."""
     splats, camera = view.splats, view.camera
-    device.run("observe", splats.rows, [[splats.rows, 0, 0, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]], splats.depths, splats.a,
-               splats.b, sums, statistics.gradient, statistics.absolute, device.spilled, QUADS=splats.quads)
+    for pack, its in zip(view.packs, sums, strict=True):
+        job = [[pack.count, 0, 0, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]]
+        found = [rows_of(each, pack.first, pack.first + pack.count) for each in (
+            Array(splats.depths, (splats.rows,), np.dtype(np.uint32)), *(Array(of, (splats.rows, 4), np.dtype(np.float32))
+                                                                         for of in (splats.a, splats.b)))]
+        sums_of = [rows_of(each, pack.first, pack.first + pack.count) for each in (statistics.gradient, statistics.absolute)]
+        device.run("observe", pack.count, job, *found, its, *sums_of, device.spilled, QUADS=splats.quads)
     device.run("notice", splats.rows, [[splats.rows, 0, 0, 0], [float(max(camera.width, camera.height)), 0.0, 0.0, 0.0]], splats.depths,
                splats.a, splats.b, statistics.seen, statistics.radius, device.spilled)
 
 
-def _to_parameters(device: Device, view: Seen, sums: Array, found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
+def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
     """Compute the gradients of the parameters from those of the splats; they are added to `into`, if given."""
-    out = {name: device.empty(view.shapes[name]) for name in ORDER} if into is None else into
+    out = {name: empty_rows(device, view.shapes[name]) for name in ORDER} if into is None else into
     project_view = View(device, view.instance, view.camera, view.layout)
     project_view.flags |= DETACHED * detach_time
-    for pack in view.packs:
+    bring = copy_in if into is None else add_in
+    for pack, its in zip(view.packs, sums, strict=True):
         gradient = device.buffer(pack.buffer.size // 4)
         device.clear(gradient)
         device.run("project_backward", pack.count, project_view.parameters(pack, pack.first, 4 * view.splats.quads), pack.buffer,
-                   project_view.extra, view.splats.depths, view.splats.a, view.splats.b, sums, gradient, QUADS=view.splats.quads)
+                   project_view.extra, view.splats.depths, view.splats.a, view.splats.b, its, gradient, QUADS=view.splats.quads)
         at = 0
         for name in ORDER:
-            each = math.prod(view.shapes[name][1:])
-            count, first = pack.count * each, pack.first * each
-            if into is None:
-                device.copy(gradient, out[name].buffer, count, at, first)
-            else:
-                device.run("add", count, [[count, at, first, 0]], gradient, out[name])
-            at += count
+            bring(device, gradient, at, out[name], pack.first, pack.count)
+            at += pack.count * math.prod(view.shapes[name][1:])
     for name, gradient in found.items():
         if into is None:
             out[name] = gradient

@@ -2,7 +2,7 @@
 
 //include common
 
-@group(0) @binding(0) var<uniform> length: vec4u; // splats
+@group(0) @binding(0) var<uniform> length: vec4u; // splats; first Gaussian of `sums`, and their number
 @group(0) @binding(1) var<storage, read> order: array<u32>;
 @group(0) @binding(2) var<storage, read> runs: array<u32>;
 @group(0) @binding(3) var<storage, read> rows: array<vec4f>;
@@ -16,13 +16,17 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if k >= length.x || runs[k] == runs[k + 1u] {
         return;
     }
+    let row = order[k] - length.y;
+    if row >= length.z { // what lies before the first is far beyond the last, too
+        return;
+    }
     var total = array<vec4f, {QUADS} + 2>();
     for (var e = runs[k]; e < runs[k + 1u]; e++) {
         for (var i = 0u; i < WIDTH; i++) {
             total[i] += rows[e * WIDTH + i];
         }
     }
-    let at = order[k] * WIDTH;
+    let at = row * WIDTH;
     for (var i = 0u; i < WIDTH; i++) {
         sums[at + i] += total[i];
     }

@@ -6,7 +6,7 @@
 
 struct Job {
     size: vec4u,  // Gaussians, K, R, whether there is a matrix
-    norm: vec4f,  // width of what is rounded off, scale of the gradient
+    norm: vec4f,  // width of what is rounded off, scale of the gradient, Gaussians of all pieces
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
@@ -33,7 +33,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         for (var i = 0u; i < 3u; i++) {
             let weight = table[weights + 3u * r + i];
             if {GROUP} {
-                let size = sqrt(squares[3u * r + i] / f32(job.size.x) + job.norm.x * job.norm.x);
+                let size = sqrt(squares[3u * r + i] / job.norm.z + job.norm.x * job.norm.x);
                 slope[i] = weight * row[i] / size;
                 total += weight * (size - job.norm.x); // of which N Gaussians each have a part
             } else {

@@ -152,7 +152,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if depths[row] == 0xffffffffu {
         return;
     }
-    let at = row * ({QUADS}u + 2u);
+    let at = n * ({QUADS}u + 2u);
     var by = array<f32, 4 * {QUADS}>(); // gradients of the channels
     let first = sums[at];
     let second = sums[at + 1u];

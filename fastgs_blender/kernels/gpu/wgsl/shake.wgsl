@@ -4,7 +4,7 @@
 //include common
 
 struct Job {
-    size: vec4u, // rows, key, key
+    size: vec4u, // rows, key, key, the first one's number
     reach: vec4f, // reach, gate, sharpness, the least share that counts
 }
 
@@ -33,7 +33,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         return;
     }
     var normal: vec3f;
-    var random = pcg(pcg(row ^ job.size.y) + job.size.z);
+    var random = pcg(pcg((job.size.w + row) ^ job.size.y) + job.size.z);
     for (var i = 0u; i < 3u; i++) {
         random = pcg(random);
         let radius = sqrt(-2.0 * log((f32(random >> 8u) + 1.0) / 16777216.0));

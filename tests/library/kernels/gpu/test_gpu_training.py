@@ -14,6 +14,7 @@ from toy_captures import toy_capture
 import fastgs_blender as fg
 from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device
+from fastgs_blender.kernels.gpu.rows import Split
 from fastgs_blender.kernels.protocol import DeviceError, MotionNorm, TrainingBackend
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
@@ -262,3 +263,43 @@ def test_pictures_are_uploaded_as_bytes(gpu, rng, monkeypatch):
     assert written == [-(-stored.size // 4) * 4], "four numbers to a word"
     np.testing.assert_allclose(found, stored / 255, rtol=1e-6)
     assert load_backend("cpu").picture(written, stored) is written
+
+
+def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
+    """With bindings of 128 KiB, features and coefficients of motion lie in several buffers: the same pictures, gradients, statistics,
+    penalties and steps."""
+    n, names = 1500, ("motion", "features", "scale")
+    model = random_model(rng, n, "paper", "line", "radial", "sh2", size=0.05)
+    camera, given = fg.Camera(WIDTH, HEIGHT, 50, 55, 22, 21, random_pose(rng, 3.0)), (None, None, None, False)
+    goal, seen = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32), (rng.uniform(size=n) < 0.5).astype(np.float32)
+    held = np.where(np.arange(n)[:, None] % 3 == 0, np.nan, model.features).astype(np.float32)
+    weights = rng.uniform(0, 2, 3 * model.basis.terms)
+    results, before = [], fresh.backend.device.binding
+    for binding in (before, 1 << 17):
+        backend = fresh.backend
+        backend.device.__dict__["binding"] = binding
+        found = two_passes(backend, model, camera, 0.4, goal, *given)
+        arrays = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
+        slopes = {name: backend.array(array * 0.1) for name, array in model.arrays.items()}
+        split = [name for name in arrays if isinstance(arrays[name], Split)]
+        rows, moved = backend.rows(backend.array(seen)), backend.zeros((n,), np.int64)
+        for reading in ("mean", "group"):
+            norm = MotionNorm(None, weights, 2.0, 1e-2, reading)
+            found[f"penalty {reading}"] = backend.numpy(
+                backend.motion_penalty(norm, arrays["motion"], slopes["motion"], 0.3, backend.waits(rows, moved, 3)))
+        backend.hold(arrays["features"], backend.array(held), slopes["features"], rows, 0.2)
+        backend.shrink(arrays, slopes, 0.1, 0.2, 2.0)
+        backend.shake(arrays, 100.0, (1, 2))
+        tensors = [(arrays[name], slopes[name], backend.zeros(arrays[name].shape), backend.zeros(arrays[name].shape),
+                    backend.zeros((n,), np.int32), 1e-2, False) for name in names]
+        for step in (1, 2):
+            backend.adam(rows, tensors, (0.9, 0.999), moved, step)
+        found |= {f"{name} {i}": np.array(backend.numpy(each)) for name, tensor in zip(names, tensors) for i, each in enumerate(tensor[:5])}
+        results.append((found, split))
+    backend.device.__dict__["binding"] = before
+    assert results[0][1] == [] and {"features", "motion"} <= set(results[1][1])
+    for name, wanted in results[0][0].items():
+        if name == "penalty group" or name.startswith("motion"):  # sums over pieces are rounded in another order
+            np.testing.assert_allclose(results[1][0][name], wanted, rtol=1e-5, atol=1e-9, err_msg=name)
+        else:
+            assert np.array_equal(results[1][0][name], wanted), name
