@@ -96,7 +96,7 @@ class Camera:
         return points @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
 
     def rays(self, model_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space.
+        """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space (model_to_camera [4, 4]).
 
         An orthographic camera has no centre: it gives the directions it looks along and, as centre, the point of the
         image plane's principal axis.

@@ -55,10 +55,10 @@ class PictureBackend(Protocol):
     """The operations that render() and viewports need."""
 
     def array(self, values: np.ndarray) -> Array:
-        """The values as an array of the backend; the caller no longer changes them."""
+        """The values, of any shape [...], as an array [...] of the backend; the caller no longer changes them."""
 
     def numpy(self, array: Array) -> np.ndarray:
-        """The array's values; the caller does not change them, but may keep them as long as nothing writes to the array."""
+        """The values [...] of an array [...]; the caller does not change them, but may keep them as long as nothing writes to the array."""
 
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
              progress: Callable[[float], None], holdout: np.ndarray | None = None) -> Buffers:
@@ -89,7 +89,10 @@ class PictureBackend(Protocol):
 
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
                       ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:
-        """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order()."""
+        """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order().
+
+        limit, ranks  ranks(model) gives [N] float32; Gaussians whose rank is not under the limit are left out as well
+        """
 
 
 @dataclass(eq=False)
@@ -139,13 +142,14 @@ class TrainingBackend(PictureBackend, Protocol):
     """
 
     def zeros(self, shape: tuple[int, ...], dtype=np.float32) -> Array:
-        """An array of zeros."""
+        """An array [...] of zeros, of this shape."""
 
     def read(self, *arrays: Array) -> list[np.ndarray]:
-        """The values of several small arrays at once."""
+        """The values [...] of several small arrays [...] at once."""
 
     def picture(self, rgb: np.ndarray, stored: np.ndarray | None) -> Array:
-        """A target [h, w, 3] float32 for compare(); stored: the same as uint8, in 255ths, where there is such a one: less to upload."""
+        """A target [h, w, 3] float32 for compare(); stored [h, w, 3]: the same as uint8, in 255ths, where there is
+        such a one: less to upload.  Returns [h, w, 3], in a form of the backend's."""
 
     # one view, forward and backward
 
@@ -153,6 +157,7 @@ class TrainingBackend(PictureBackend, Protocol):
               band: float = 0.0) -> Splatted:
         """The model's picture at time t, for backward(); the parameters must not change in between.
 
+        parameters  by name, each [N, ...], as the head of this class says
         band  alpha fades in over this width above the cut: 0 but for checks of the gradients by differences
         """
 
@@ -172,9 +177,9 @@ class TrainingBackend(PictureBackend, Protocol):
     def backward(self, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
                  into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, seen: Array | None = None,
                  detach_time: bool = False) -> dict[str, Array]:
-        """d loss / d parameters by name, from d loss / d rgb [h, w, 3], alpha [h, w] and depth [h, w] (None: zeros).
+        """d loss / d parameters by name, [N, ...], from d loss / d rgb [h, w, 3], alpha [h, w] and depth [h, w] (None: zeros).
 
-        into         the gradients of the step's earlier views, to which these are added; returned again
+        into         the gradients [N, ...] of the step's earlier views, by name, to which these are added; returned again
         statistics   to which this view is added
         seen         [N] in which the Gaussians that were drawn become 1
         detach_time  mu_tau's gradient comes through the temporal opacity alone, as STG trains
@@ -187,10 +192,11 @@ class TrainingBackend(PictureBackend, Protocol):
         Returns how many further steps had better begin before this one's end is asked for."""
 
     def end_step(self, *arrays: Array) -> Callable[[], list[np.ndarray] | None]:
-        """A function that gives read() of the arrays and waits for the device as far as it has to; further steps may begin before it is
-        called.  It gives None where a guess was wrong: this step and those after it have then left the statistics, the parameters and
-        Adam's moments as they were, and have to be taken again.  The functions are called in the order of their steps; after None those
-        that were made before are not called any more.  All splat() of a step come before its first backward()."""
+        """A function that gives read() of the arrays [...], as [...] each, and waits for the device as far as it has to; further steps may
+        begin before it is called.  It gives None where a guess was wrong: this step and those after it have then left the statistics,
+        the parameters and Adam's moments as they were, and have to be taken again.  The functions are called in the order of their
+        steps; after None those that were made before are not called any more.  All splat() of a step come before its first
+        backward()."""
 
     def rows(self, seen: Array) -> Rows:
         """The Gaussians whose value in seen [N] is not 0."""
@@ -208,15 +214,19 @@ class TrainingBackend(PictureBackend, Protocol):
         """The penalty of motion [N, K, 3], [1] float64; scale * waits[n] * its gradient is added to gradient [N, K, 3]."""
 
     def hold(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
-        """Add strength * (features - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN (training/core/hold.py)."""
+        """Add strength * (features [N, F] - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN
+        (training/core/hold.py)."""
 
     def shrink(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
                extent: float) -> None:
-        """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC)."""
+        """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC).
+
+        parameters, gradients  by name, of the same shapes; opacity [N] and scale [N, 3] are looked at
+        """
 
     def shake(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...]) -> None:
         """Move nearly transparent Gaussians at random, each in its own shape, by about reach (MCMC); key: whole numbers that decide
-        the random numbers."""
+        the random numbers.  Of the parameters, position [N, 3] is written to."""
 
     def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
         """A step of Adam in place, against the gradients, for these rows alone; moved [N] int64 becomes `step` there.

@@ -88,7 +88,7 @@ class SH(Appearance):
         return super().features_of((rgb - 0.5) / SH_C0)
 
     def plain_colours(self, features: np.ndarray) -> np.ndarray:
-        """The mean over all directions."""
+        """Colours [N, 3] of features [N, F]: the mean over all directions."""
         return 0.5 + SH_C0 * features[:, :3]
 
 
@@ -120,7 +120,8 @@ class Features(Appearance):
             raise FastGSError(f"the decoder's activation must be one of {', '.join(ACTIVATIONS)}, not {self.activation!r}.")
 
     def features_of(self, rgb: np.ndarray) -> np.ndarray:
-        """Base and direction: the first shows it as long as w2 is 0, the second gives the decoder a start."""
+        """Features [N, 9] of colours rgb [N, 3], as base and direction: the first shows them as long as w2 is 0, the second gives the
+        decoder a start."""
         features = super().features_of(rgb)
         features[:, 3:6] = rgb
         if self.activation == "sigmoid":
@@ -129,11 +130,11 @@ class Features(Appearance):
         return features
 
     def plain_colours(self, features: np.ndarray) -> np.ndarray:
-        """The base, without what the decoder adds."""
+        """Colours [N, 3] of features [N, 9]: the base, without what the decoder adds."""
         return self.activated(features[:, :3])
 
     def activated(self, rgb: np.ndarray) -> np.ndarray:
-        """The output activation of colours [..., 3]."""
+        """The output activation [..., 3] of colours rgb [..., 3]."""
         if self.activation == "sigmoid":
             return 0.5 * (1 + np.tanh(0.5 * rgb))  # the same function, and it cannot overflow
         return np.clip(rgb, 0, 1) if self.activation == "clamp" else rgb
@@ -167,7 +168,7 @@ class Changing(Appearance):
         return features
 
     def plain_colours(self, features: np.ndarray) -> np.ndarray:
-        """Those of its look, of features at one time or of constant terms."""
+        """Colours [N, 3] of its look, from features [N, F] at one time or from constant terms."""
         return self.look.plain_colours(features[:, :self.look.width])
 
 

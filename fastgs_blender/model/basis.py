@@ -47,7 +47,7 @@ class Basis:
         raise NotImplementedError
 
     def rates(self, t: ArrayLike) -> np.ndarray:
-        """Derivatives of the weights by t, [..., K] float64."""
+        """Derivatives of the weights by t, [..., K] float64 at times t [...]."""
         raise NotImplementedError
 
     @property

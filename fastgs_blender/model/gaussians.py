@@ -160,7 +160,7 @@ class GaussianModel:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name."""
+        """All arrays [N, ...] by name, of the shapes that the class lists."""
         return {name: getattr(self, name) for name in self.shapes(0)}
 
     def __len__(self) -> int:

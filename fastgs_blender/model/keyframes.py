@@ -94,8 +94,8 @@ class Keyframes(Basis):
         return np.ones(self.terms)
 
     def curvature(self) -> np.ndarray:
-        """A key has no acceleration of its own.  Rows are the second differences at the inner keys, divided by the keys' distances
-        and weighted so that they add up to the mean over time."""
+        """Matrix [K - 2, K].  A key has no acceleration of its own: rows are the second differences at the inner keys, divided by the
+        keys' distances and weighted so that they add up to the mean over time."""
         if self.terms < 3:
             return np.zeros((0, self.terms))
         gap = np.diff(self.times)
@@ -118,6 +118,7 @@ class Keyframes(Basis):
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
                 coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As Basis.retimed(); outside of its own span each table keeps its nearest value."""
+        """Constant [N, D] and coefficients [N, K', D], as Basis.retimed() of constant [N, D] and coefficients [N, K, D]; outside of its
+        own span each table keeps its nearest value."""
         assert isinstance(whole, Keyframes)
         return constant, np.einsum("jk,nkd->njd", self.weights((np.array(whole.times) - begin) / length), coefficients)

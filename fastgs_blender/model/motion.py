@@ -213,7 +213,7 @@ class Cosine(Basis):
         return np.arange(1.0, self.order + 1)
 
     def curvature(self) -> np.ndarray:
-        """The k-th term swings k / 2 times."""
+        """Matrix [K, K], diagonal: the k-th term swings k / 2 times."""
         return np.diag((self.scale * np.arange(1.0, self.order + 1) / 2) ** 2)
 
     @classmethod
@@ -271,7 +271,7 @@ class Polynomial(Basis):
         return np.ones(self.degree)
 
     def curvature(self) -> np.ndarray:
-        """Of a power k of t - mu_tau, where |t - mu_tau| <= 1."""
+        """Matrix [K, K], diagonal: of a power k of t - mu_tau, where |t - mu_tau| <= 1."""
         k = np.arange(1.0, self.degree + 1)
         return np.diag(k * (k - 1) / (2 * np.pi) ** 2)
 

@@ -44,7 +44,7 @@ class Backdrop:
         object.__setattr__(self, "radius", _positive(self.radius, "radius of the backdrop"))
 
     def distance(self, position: np.ndarray) -> np.ndarray:
-        """Distance of places [..., 3] from the centre, as a share of the radius."""
+        """Distances [...] of places [..., 3] from the centre, as a share of the radius."""
         return np.linalg.norm(np.asarray(position, np.float64) - self.centre, axis=-1) / self.radius
 
 

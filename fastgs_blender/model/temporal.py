@@ -33,7 +33,10 @@ class Always:
         return np.ones(len(mu_tau))
 
     def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Begin and end [N] of the time in which the factor is at least exp(-visible [N]); the clip's where there is no end."""
+        """Begin and end [N] of the time in which the factor is at least exp(-visible [N]); the clip's where there is no end.
+
+        visible [N] float64; mu_tau [N] and parameters [N, P] are the Gaussians', see GaussianModel
+        """
         return np.zeros(len(mu_tau)), np.ones(len(mu_tau))
 
 
@@ -56,7 +59,7 @@ class Radial:
         return np.exp(-np.exp(np.asarray(parameters[:, 0], np.float64)) * delta**2)
 
     def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As Always.span."""
+        """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 1]."""
         reach = np.sqrt(visible * np.exp(-parameters[:, 0].astype(np.float64)))
         return mu_tau - reach, mu_tau + reach
 
@@ -83,7 +86,7 @@ class Window:
         return np.exp(-((early / np.exp(before)) ** 2) - (late / np.exp(after)) ** 2)
 
     def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As Always.span."""
+        """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 4]."""
         begin, end, before, after = parameters.T.astype(np.float64)
         return begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
 
@@ -110,7 +113,7 @@ class WindowedRadial:
         return Radial().factor(t, mu_tau, parameters) * np.exp(-((outside / np.exp(soft)) ** 2))
 
     def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As Always.span; where both fade, a little more than that."""
+        """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 4].  Where both fade, a little more than that."""
         _, begin, end, soft = parameters.T.astype(np.float64)
         low, high = Radial().span(visible, mu_tau, parameters)
         flank = np.exp(soft) * np.sqrt(visible)

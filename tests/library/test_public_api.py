@@ -16,6 +16,7 @@ import pytest
 from toy_captures import write_capture
 
 import fastgs_blender as fg
+from fastgs_blender.kernels.protocol import PictureBackend, TrainingBackend
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -67,18 +68,39 @@ def test_the_examples_run(tmp_path, monkeypatch):
     assert Path("copy.ply").exists() and Path("cameras.json").exists() and len(fg.load("run/model.safetensors"))
 
 
+def functions(of: str, what) -> list:
+    """(name, function) of a public function, or of a class's public methods and properties."""
+    own = vars(what) if inspect.isclass(what) else {}
+    found = [getattr(each, "fget", None) or getattr(each, "__func__", each) for key, each in own.items() if not key.startswith("_")]
+    return [(f"{of}.{each.__name__}", each) for each in ([what] if inspect.isfunction(what) else found) if inspect.isfunction(each)]
+
+
+PUBLIC = [pair for name in fg.__all__ for pair in functions(name, getattr(fg, name))]
+
+
 def test_everything_public_is_annotated():
     """For type checkers of other projects: py.typed promises it; `make lint` checks that the annotations are right."""
     assert (ROOT / "fastgs_blender" / "py.typed").exists()
     bare = []
-    for name in fg.__all__:
-        what = getattr(fg, name)
-        own = vars(what) if inspect.isclass(what) else {}
-        functions = [getattr(each, "fget", None) or getattr(each, "__func__", each) for key, each in own.items() if not key.startswith("_")]
-        for function in (each for each in ([what] if inspect.isfunction(what) else functions) if inspect.isfunction(each)):
-            signature = inspect.signature(function)
-            missing = [key for key, parameter in signature.parameters.items() if parameter.annotation is parameter.empty and key not in
-                       ("self", "cls")]
-            if missing or signature.return_annotation is signature.empty:
-                bare.append(f"{name}.{function.__name__}{missing}")
+    for name, function in PUBLIC:
+        signature = inspect.signature(function)
+        missing = [key for key, parameter in signature.parameters.items() if parameter.annotation is parameter.empty and key not in
+                   ("self", "cls")]
+        if missing or signature.return_annotation is signature.empty:
+            bare.append(f"{name}{missing}")
     assert not bare
+
+
+def test_every_array_has_a_shape():
+    """The docstring of what takes or gives arrays, public or a backend's operation, has as many shapes, as in [N, 3]."""
+    operations = [pair for each in (PictureBackend, TrainingBackend) for pair in functions(each.__name__, each)]
+    without = []
+    for name, function in [*PUBLIC, *operations]:
+        kinds = [str(kind) for kind in inspect.get_annotations(function).values()]
+        arrays = sum(bool(re.search(r"\b(Array|ArrayLike|ndarray)\b", kind)) for kind in kinds)
+        owner = getattr(fg, name.partition(".")[0], None)
+        text = inspect.getdoc(getattr(owner, function.__name__, function)) or ""  # perhaps inherited
+        shapes = len(re.findall(r"\[[^\[\]\n\"]+\]", text))
+        if shapes < arrays:
+            without.append(f"{name}: {arrays} arrays, {shapes} shapes")
+    assert not without
