@@ -40,7 +40,9 @@ def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> f
 def whole(value: Any, what: str, low: int, high: int) -> int:
     """A whole number from low to high; 64.0 is one, 64.5 is not."""
     number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(float(value))
-    if not number or value != int(value) or not low <= value <= high:
+    if not number or value != int(value):
+        raise FastGSError(f"{what} must be a whole number, not {shown(value)}.")
+    if not low <= value <= high:
         raise FastGSError(f"{what} must be a whole number from {low} to {high}, not {shown(value)}.")
     return int(value)
 

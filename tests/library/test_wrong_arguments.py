@@ -38,13 +38,13 @@ RENDERS = [
     (lambda m, c: fg.slice_model(m, None), "finite number, not None"), (lambda m, c: fg.freeze("x", 0), "not 'x'"),
 ]
 MAKES = [
-    (lambda: camera(width=64.5), "width in pixels must be a whole number.*not 64.5"), (lambda: camera(height=None), "height.*not None"),
+    (lambda: camera(width=64.5), "width in pixels must be a whole number, not 64.5"), (lambda: camera(height=None), "height.*not None"),
     (lambda: camera(width=0), "1 x 1 pixel, not 0 x 48"), (lambda: camera(width=np.inf), "width.*not inf"),
     (lambda: camera(fx="wide"), "fx.*'wide'"),
     (lambda: camera(fy=0), "must not be 0"), (lambda: camera(world_to_camera=np.eye(3)), "4 x 4"),
     (lambda: camera(world_to_camera="eye"), r"of the shape \(4, 4\), not 'eye'"), (lambda: camera(window=(1, 2)), "window must be"),
     (lambda: camera(window=(0, 0, 65, 2)), "does not lie within"),
-    (lambda: fg.Fourier(-1), "order.*not -1"), (lambda: fg.Fourier(2, "a"), "scale and offset"), (lambda: fg.Cosine(None), "not None"),
+    (lambda: fg.Fourier(-1), "order.*from 0 to .*not -1"), (lambda: fg.Fourier(2, "a"), "scale and offset"), (lambda: fg.Cosine(None), "not None"),
     (lambda: fg.Polynomial(1.5), "not 1.5"), (lambda: fg.Keyframes(("a", "b")), "keyframe times"),
     (lambda: fg.Keyframes((1, 0)), "increase"), (lambda: fg.Keyframes(1), "shape"),
     (lambda: fg.SH(9), "not 9"), (lambda: fg.Clip(0), "frame_count 0, fps 30"), (lambda: fg.Raster(blur=-1), "blur -1"),
