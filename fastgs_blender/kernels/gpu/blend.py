@@ -91,7 +91,7 @@ def blend(device: Device, order: Buffer, splats, camera: Camera, rows: tuple[int
                        None if how.tiles is None else (how.tiles, rows[0] * columns))
     shape, numbers = (last - first, width), 3 if how.trace else 1 + len(how.places)
     if how.trace:
-        device.fits(4 * (splats.quads + 1) * shape[0] * width)  # the seeds of the backward pass
+        device.fits(4 * (splats.quads + 1) * shape[0] * width)  # the seeds of the backward pass, and a decoder's slopes are less
     channels, flat = device.empty((*shape, 4 * splats.quads)), device.empty((*shape, numbers))
     cover = lists.lists if how.occluder is None else how.occluder.cover(grid, first, last)
     places = {name.upper(): how.places.get(name, 0) for name in (*PROBES, "held")}

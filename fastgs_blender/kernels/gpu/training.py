@@ -26,6 +26,7 @@ from .scene import DETACHED, ORDER, Pack, View, packs
 
 WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
 """SSIM's Gaussian window, as kernels/cpu/loss.py has it."""
+REACH = len(WINDOW) // 2
 PIXELS = 128
 """Pixels of a workgroup of colour_backward.wgsl."""
 
@@ -109,7 +110,7 @@ def compare(device: Device, picture: Splatted, target: Array, weight: Array | No
             share: float) -> Comparison:
     """TrainingBackend.compare()."""
     height, width = target.shape[:2]
-    pixels, numbers = height * width, 3 * height * width
+    numbers = 3 * height * width
     behind = [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
     whole, cover, done = device.empty(target.shape), device.empty((height, width)), 0
     for rgb, alpha in zip(picture.rgb.parts, picture.alpha.parts):
@@ -117,20 +118,37 @@ def compare(device: Device, picture: Splatted, target: Array, weight: Array | No
         strides = [3 if rgb.columns is None else rgb.columns[2], alpha.columns[2]]
         device.run("loss_over", count, [[count, done, *strides], behind], rgb, alpha, whole, cover)
         done += count
-    taps = WINDOW / WINDOW.sum()
-    scales = [(1 - dssim) / numbers, -dssim / numbers, float(share), float(opaque_weight)]
-    job = [[width, height, weight is not None, numbers], scales, behind, [*taps, 0.0]]
+    values, by_rgb, by_alpha = device.empty((4,), np.float64), device.empty(target.shape), device.empty((height, width))
     weights = device.buffer(1) if weight is None else weight
-    moments, slopes = device.buffer(5 * numbers), device.buffer(3 * numbers)
-    groups = -(-numbers // 256)
-    sums, values = device.empty((groups, 4)), device.empty((4,), np.float64)
-    device.run("loss_moments", numbers, job, whole, target, weights, moments)
-    device.run("loss_similarity", numbers, job, whole, target, weights, cover, moments, slopes, sums)
-    device.run("loss_across", numbers, job, slopes, moments)
-    by_rgb, by_alpha = device.empty(target.shape), device.empty((height, width))
-    device.run("loss_slope", pixels, job, whole, target, weights, moments, by_rgb, by_alpha)
-    device.run("loss_values", 1, [[float(numbers), dssim, opaque_weight, 0.0]], total(device, sums), values, groups=True)
+    scales = [(1 - dssim) / numbers, -dssim / numbers, float(share), float(opaque_weight)]
+    sums, taps, row = device.zeros((4,)), WINDOW / WINDOW.sum(), 3 * width
+
+    def job(first: int, last: int, held: tuple[int, int], counted: tuple[int, int]) -> list:  # rows of the picture
+        runs = [[number for begin, end in runs for number in (begin * row, (end - begin) * row)]
+                for runs in (((first, last), held), (counted, (0, 0)))]
+        return [[width, height, weight is not None, numbers], scales, behind, [*taps, 0.0], *runs]
+
+    for first, last in strips(device, width, height):
+        near, far = ((max(first - reach, 0), min(last + reach, height)) for reach in (REACH, 2 * REACH))
+        moments, slopes = (device.buffer(planes * (far[1] - far[0]) * row) for planes in (5, 3))
+        found = device.empty((-(-(near[1] - near[0]) * row // 256), 4))
+        here = job(*near, far, (first, last))
+        device.run("loss_moments", (far[1] - far[0]) * row, job(*far, far, far), whole, target, weights, moments)
+        device.run("loss_similarity", (near[1] - near[0]) * row, here, whole, target, weights, cover, moments, slopes, found)
+        device.run("loss_across", (near[1] - near[0]) * row, here, slopes, moments)
+        device.run("loss_slope", (last - first) * width, job(first, last, far, far), whole, target, weights, moments, by_rgb, by_alpha)
+        device.run("add", 4, [[4, 0, 0, 0]], total(device, found), sums)
+    device.run("loss_values", 1, [[float(numbers), dssim, opaque_weight, 0.0]], sums, values, groups=True)
     return Comparison(values, by_rgb, None if background is None and not opaque_weight else by_alpha)
+
+
+def strips(device: Device, width: int, height: int) -> list[tuple[int, int]]:
+    """The rows of a picture in strips (first, last), of which the moments fit into a buffer; raises TooLarge."""
+    device.fits(5 * 3 * width * (4 * REACH + 1))
+    most = device.binding // (4 * 5 * 3 * width)
+    if most >= height:
+        return [(0, height)]
+    return [(first, min(first + most - 4 * REACH, height)) for first in range(0, height, most - 4 * REACH)]
 
 
 def total(device: Device, values: Array) -> Array:
@@ -151,7 +169,7 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
     splats, quads, channels, found = view.splats, view.splats.quads, 3, {}
     height, width = view.camera.window[3], view.camera.window[2]
     by_alpha = device.zeros((height, width)) if alpha is None else alpha
-    slopes = device.zeros((height, width, 3)) if rgb is None else rgb
+    slopes = [device.zeros((height, width, 3)) if rgb is None else rgb] * len(view.bands)
     if view.matrices is not None:
         w1, w2 = device.zeros((6, 12)), device.zeros((3, 6))
         found = {"w1": w1, "w2": w2}
@@ -159,14 +177,14 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
             by_alpha, channels = device.zeros((height, width)), 9
             if alpha is not None:
                 device.copy(alpha.buffer, by_alpha.buffer, height * width)
-            slopes = _decoder_backward(device, view, rgb, by_alpha, w1, w2)
+            slopes = [_decoder_backward(device, view, band, rgb, by_alpha, w1, w2) for band in view.bands]
     deep = 0 if depth is None or view.layout.depth is None else view.layout.depth + 1
     sums, done = [device.zeros((pack.count, 4 * (quads + 2))) for pack in view.packs], 0
-    for band in view.bands:
+    for band, its_slopes in zip(view.bands, slopes, strict=True):
         pixels = math.prod(band.flat.shape[:2])
         start, rows = device.buffer(4 * (quads + 1) * pixels), device.buffer(4 * (quads + 2) * band.lists.entries)
-        device.run("raster_seed", pixels, [[pixels, done, channels, deep]], band.flat, slopes, by_alpha, depth if deep else by_alpha, start,
-                   QUADS=quads)
+        job = [[pixels, done, channels, deep], [0 if channels == 9 else done, 0, 0, 0]]
+        device.run("raster_seed", pixels, job, band.flat, its_slopes, by_alpha, depth if deep else by_alpha, start, QUADS=quads)
         x0 = view.camera.window[0]
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
                    band.lists.lists, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
@@ -182,17 +200,15 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
     return _to_parameters(device, view, sums, found, into, detach_time)
 
 
-def _decoder_backward(device: Device, view: Seen, rgb: Array, by_alpha: Array, w1: Array, w2: Array) -> Array:
-    """Gradients of the features [h, w, 9]; that of alpha and of the decoder's matrices are added to by_alpha, w1 and w2."""
-    slopes = device.empty((*by_alpha.shape, 9))
-    for band in view.bands:
-        groups = -(-math.prod(band.flat.shape[:2]) // PIXELS)
-        sums = device.empty((groups, 90))
-        device.run("colour_backward", groups, _decoder_of(band, view.layout, view.camera), band.channels, band.flat, view.matrices, rgb,
-                   slopes, by_alpha, sums, groups=True)
-        both = total(device, sums)
-        device.run("add", 72, [[72, 0, 0, 0]], both, w1)
-        device.run("add", 18, [[18, 72, 0, 0]], both, w2)
+def _decoder_backward(device: Device, view: Seen, band: Band, rgb: Array, by_alpha: Array, w1: Array, w2: Array) -> Array:
+    """Gradients of a band's features [h, w, 9]; that of alpha and of the decoder's matrices are added to by_alpha, w1 and w2."""
+    slopes, groups = device.empty((*band.flat.shape[:2], 9)), -(-math.prod(band.flat.shape[:2]) // PIXELS)
+    sums = device.empty((groups, 90))
+    device.run("colour_backward", groups, _decoder_of(band, view.layout, view.camera), band.channels, band.flat, view.matrices, rgb,
+               slopes, by_alpha, sums, groups=True)
+    both = total(device, sums)
+    device.run("add", 72, [[72, 0, 0, 0]], both, w1)
+    device.run("add", 18, [[18, 72, 0, 0]], both, w2)
     return slopes
 
 

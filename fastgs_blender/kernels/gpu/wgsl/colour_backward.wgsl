@@ -31,7 +31,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if pixel < view.size.x {
         share = weights[pixel * view.plan.z + view.plan.y];
         for (var c = 0u; c < 9u; c++) {
-            slopes[9u * own + c] = 0.0;
+            slopes[9u * pixel + c] = 0.0;
         }
     }
     var found: Decoded;
@@ -54,7 +54,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         for (var c = 0u; c < 3u; c++) {
             let g = base[c] * inverse;
             along += g * channels[first + c];
-            slopes[9u * own + c] = g;
+            slopes[9u * pixel + c] = g;
         }
         for (var j = 0u; j < 6u; j++) {
             let g = dot(vec3f(matrices[72u + j], matrices[78u + j], matrices[84u + j]), base);
@@ -67,7 +67,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             }
             g *= inverse;
             along += g * channels[first + 3u + i];
-            slopes[9u * own + 3u + i] = g;
+            slopes[9u * pixel + 3u + i] = g;
         }
         by_alpha[own] += by_weight - along * inverse;
     } else {

@@ -9,20 +9,22 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    let n = job.size.w;
-    if i >= n {
+    let thread = place(group, groups) * 256u + lane;
+    if thread >= job.strip.y {
         return;
     }
+    let i = job.strip.x + thread;
+    let n = job.strip.w;
+    let own = i - job.strip.z;
     let x = i32(i / 3u % job.size.x);
     var sum = vec3f(0.0);
     for (var k = -REACH; k <= REACH; k++) {
         if x + k >= 0 && x + k < i32(job.size.x) {
-            let at = u32(i32(i) + 3 * k);
+            let at = u32(i32(own) + 3 * k);
             sum += tap(k + REACH) * vec3f(slopes[at], slopes[n + at], slopes[2u * n + at]);
         }
     }
-    across[i] = sum.x;
-    across[n + i] = sum.y;
-    across[2u * n + i] = sum.z;
+    across[own] = sum.x;
+    across[n + own] = sum.y;
+    across[2u * n + own] = sum.z;
 }

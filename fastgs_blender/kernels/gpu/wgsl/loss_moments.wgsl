@@ -11,10 +11,11 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.w {
+    let thread = place(group, groups) * 256u + lane;
+    if thread >= job.strip.y {
         return;
     }
+    let i = job.strip.x + thread;
     let x = i32(i / 3u % job.size.x);
     var mean = vec2f(0.0);
     var square = vec3f(0.0);
@@ -31,10 +32,11 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         mean += tap(k + REACH) * vec2f(p, q);
         square += tap(k + REACH) * vec3f(p * p, q * q, p * q);
     }
-    let n = job.size.w;
-    moments[i] = mean.x;
-    moments[n + i] = mean.y;
-    moments[2u * n + i] = square.x;
-    moments[3u * n + i] = square.y;
-    moments[4u * n + i] = square.z;
+    let n = job.strip.w;
+    let own = i - job.strip.z;
+    moments[own] = mean.x;
+    moments[n + own] = mean.y;
+    moments[2u * n + own] = square.x;
+    moments[3u * n + own] = square.y;
+    moments[4u * n + own] = square.z;
 }

@@ -21,10 +21,11 @@ var<workgroup> parts: array<vec4f, 256>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let block = place(group, groups);
-    let i = block * 256u + lane;
-    let n = job.size.w;
+    let i = job.strip.x + block * 256u + lane;
+    let n = job.strip.w;
+    let own = i - job.strip.z;
     var part = vec4f(0.0);
-    if i < n {
+    if block * 256u + lane < job.strip.y {
         let stride = i32(3u * job.size.x);
         let y = i32(i) / stride;
         var mean = vec2f(0.0);
@@ -33,7 +34,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             if y + k < 0 || y + k >= i32(job.size.y) {
                 continue;
             }
-            let at = u32(i32(i) + k * stride);
+            let at = u32(i32(own) + k * stride);
             mean += tap(k + REACH) * vec2f(moments[at], moments[n + at]);
             square += tap(k + REACH) * vec3f(moments[2u * n + at], moments[3u * n + at], moments[4u * n + at]);
         }
@@ -50,11 +51,13 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         let by_product = 2.0 * a * inverse;
         let by_square = -ssim * c * inverse;
         let by_mean = 2.0 * (mean.y * e - mean.x * ssim * d) * inverse - mean.y * by_product - 2.0 * mean.x * by_square;
-        slopes[i] = by_mean * counts;
-        slopes[n + i] = by_square * counts;
-        slopes[2u * n + i] = by_product * counts;
+        slopes[own] = by_mean * counts;
+        slopes[n + own] = by_square * counts;
+        slopes[2u * n + own] = by_product * counts;
         let difference = picture[i] - goal[i];
-        part = vec4f((1.0 - ssim) * counts, abs(difference) * counts, difference * difference, (1.0 - cover[i / 3u]) / 3.0);
+        if i - job.counted.x < job.counted.y {
+            part = vec4f((1.0 - ssim) * counts, abs(difference) * counts, difference * difference, (1.0 - cover[i / 3u]) / 3.0);
+        }
     }
     parts[lane] = part;
     workgroupBarrier();
@@ -64,7 +67,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         }
         workgroupBarrier();
     }
-    if lane == 0u && block * 256u < n {
+    if lane == 0u && block * 256u < job.strip.y {
         sums[block] = parts[0];
     }
 }

@@ -13,11 +13,12 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let pixel = place(group, groups) * 256u + lane;
-    let n = job.size.w;
-    if 3u * pixel >= n {
+    let thread = place(group, groups) * 256u + lane;
+    if 3u * thread >= job.strip.y {
         return;
     }
+    let pixel = job.strip.x / 3u + thread;
+    let n = job.strip.w;
     let y = i32(pixel / job.size.x);
     let stride = i32(3u * job.size.x);
     var counts = 1.0;
@@ -31,7 +32,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         var sum = vec3f(0.0);
         for (var k = -REACH; k <= REACH; k++) {
             if y + k >= 0 && y + k < i32(job.size.y) {
-                let at = u32(i32(i) + k * stride);
+                let at = u32(i32(i - job.strip.z) + k * stride);
                 sum += tap(k + REACH) * vec3f(across[at], across[n + at], across[2u * n + at]);
             }
         }
@@ -42,5 +43,5 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         by_rgb[i] = value * job.scales.z;
         through += value * job.scales.z * job.background[c];
     }
-    by_alpha[pixel] = -through - job.scales.z * job.scales.w * 3.0 / f32(n);
+    by_alpha[pixel] = -through - job.scales.z * job.scales.w * 3.0 / f32(job.size.w);
 }

@@ -3,9 +3,14 @@
 
 //include common
 
-@group(0) @binding(0) var<uniform> job: vec4u; // pixels of the band, its first pixel in the picture, channels of the colour, depth + 1 or 0
+struct Job {
+    size: vec4u,  // pixels of the band, its first pixel in the picture, channels of the colour, depth + 1 or 0
+    first: vec4u, // the band's first pixel in `slopes`
+}
+
+@group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> flat: array<f32>;    // as raster.wgsl leaves it
-@group(0) @binding(2) var<storage, read> slopes: array<f32>;  // of the colour's channels, the whole picture's
+@group(0) @binding(2) var<storage, read> slopes: array<f32>;  // of the colour's channels
 @group(0) @binding(3) var<storage, read> by_alpha: array<f32>;
 @group(0) @binding(4) var<storage, read> by_depth: array<f32>;
 @group(0) @binding(5) var<storage, read_write> pixels: array<vec4f>;
@@ -13,20 +18,20 @@
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let pixel = place(group, groups) * 256u + lane;
-    if pixel >= job.x {
+    if pixel >= job.size.x {
         return;
     }
-    let own = job.y + pixel;
+    let own = job.size.y + pixel;
     let first = pixel * ({QUADS}u + 1u);
     pixels[first] = vec4f(flat[3u * pixel + 1u], flat[3u * pixel + 2u], by_alpha[own], 0.0);
     for (var quad = 0u; quad < {QUADS}u; quad++) {
         var value = vec4f(0.0);
         for (var i = 0u; i < 4u; i++) {
             let channel = 4u * quad + i;
-            if channel < job.z {
-                value[i] = slopes[own * job.z + channel];
+            if channel < job.size.z {
+                value[i] = slopes[(job.first.x + pixel) * job.size.z + channel];
             }
-            if channel + 1u == job.w {
+            if channel + 1u == job.size.w {
                 value[i] += by_depth[own];
             }
         }

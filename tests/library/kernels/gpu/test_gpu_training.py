@@ -303,3 +303,21 @@ def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
             np.testing.assert_allclose(results[1][0][name], wanted, rtol=1e-5, atol=1e-9, err_msg=name)
         else:
             assert np.array_equal(results[1][0][name], wanted), name
+
+
+@pytest.mark.parametrize("look", ["sh1", "sigmoid"])
+def test_pictures_that_are_too_large_for_a_buffer_are_compared_in_strips(fresh, rng, monkeypatch, look):
+    """With bindings of 160 KiB a picture of 48 x 120 is drawn in bands and compared in strips: the same gradients."""
+    model = random_model(rng, 60, "cubic", "line", "radial", look, size=0.2)
+    camera = fg.Camera(48, 120, 55, 50, 22, 61, random_pose(rng, 3.0))
+    goal, weight = (rng.uniform(0, 1, (120, 48, *rest)).astype(np.float32) for rest in ((3,), ()))
+    found, stages, run, before = [], [], Device.run, fresh.backend.device.binding
+    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
+    for binding in (before, 160 << 10):
+        stages.clear()
+        fresh.backend.device.__dict__["binding"] = binding
+        found.append(two_passes(fresh.backend, model, camera, 0.4, goal, weight, None, None, False))
+    assert stages.count("loss_similarity") == 4 and stages.count("raster") > 1
+    for name, wanted in found[0].items():
+        np.testing.assert_allclose(found[1][name], wanted, rtol=2e-4, atol=2e-6 * np.abs(wanted).max(initial=0), err_msg=name)
+        assert name != "by rgb" or np.array_equal(found[1][name], wanted), "no pixel's own gradient changes"
