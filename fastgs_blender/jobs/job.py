@@ -162,5 +162,5 @@ _STATUS = {
     "state": lambda value: value in ("preparing", "training", "stopped", "failed", "finished") if isinstance(value, str) else False,
     "process": _integer(1, 1 << 31), "iteration": _COUNT, "iterations": _COUNT, "gaussians": _COUNT, "reason": _text,
     "psnr": _number(-1e4, 1e4), "held_out_psnr": _number(-1e4, 1e4), "loss": _number(-1e30, 1e30),
-    "seconds_left": _number(0, LATEST), "elapsed_seconds": _number(0, LATEST),
+    "seconds_left": _number(0, LATEST), "elapsed_seconds": _number(0, LATEST), "stage": _text, "stage_share": _number(0, 1),
 }

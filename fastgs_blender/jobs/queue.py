@@ -173,7 +173,7 @@ class Jobs:
             if job.request in ("PAUSE", "STOP"):
                 return State('STOPPING', "Saving", values)
             if status in ("preparing", "training"):
-                return State(status.upper(), "Preparing the pictures" if status == "preparing" else "Training", values)
+                return State(status.upper(), _preparing(values) if status == "preparing" else "Training", values)
             return State('STARTING', "Starting", {})
         if job.request == "QUEUED":
             return State('QUEUED', "Waiting for its turn", values)
@@ -315,6 +315,13 @@ class Jobs:
                 self._passed_over.add(str(path))
                 log.warning("%s  This file is skipped.", error)
             return None
+
+
+def _preparing(values: dict) -> str:
+    """What a run does before its first step, and how far it is."""
+    if "stage" not in values:
+        return "Preparing the pictures"
+    return f"{values['stage'].capitalize()}, {values.get('stage_share', 0.0):.0%}"
 
 
 def _refuse_another_run(out, existing: str) -> None:

@@ -5,6 +5,7 @@ Points that look the same at other moments belong to all times; all others carry
 """
 from __future__ import annotations
 
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -39,19 +40,30 @@ STEADY, MOSTLY = 0.2, 0.8
 agree on it for what belongs to all times."""
 
 
-def triangulated(capture, store, settings) -> tuple[Points, str, Any]:
-    """At most settings.points points, a clause about them, and the store with colours in which cameras agree on them.
+def triangulated(capture, store, settings, progress=lambda done, of: None) -> tuple[Points, str, Any]:
+    """At most settings.points points, a clause about them, and the store with colours in which cameras agree on them; calls
+    progress(done, of) for the moments whose features and whose surfaces are found and compared.
 
     Raises FastGSError where the pictures give too few features.
     """
     moments = chosen_moments(capture)
-    found, store = _features(capture, store, settings, spread(moments, FEATURE_MOMENTS))
+    some = spread(moments, FEATURE_MOMENTS)
+    of, done = len(some) + 2 * len(moments), count(1)
+
+    def tick():
+        progress(next(done), of)
+
+    progress(0, of)
+    found, store = _features(capture, store, settings, some, tick)
     how = f"{len(found)} features triangulated"
     if not np.isfinite(found.t).all():
         return evenly(found, settings.points), how, store
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
-    depths = [sweep.swept(shown, near, far) for shown in pictures]
+    depths = []
+    for shown in pictures:
+        depths.append(sweep.swept(shown, near, far))
+        tick()
     still, timed, swept = [], [], 0
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
@@ -65,6 +77,7 @@ def triangulated(capture, store, settings) -> tuple[Points, str, Any]:
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
         still.append(cloud.take(steady))
         timed.append(cloud.take(~steady))
+        tick()
     still = evenly(among_others(joined(still)), settings.points // 2)
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
@@ -72,8 +85,9 @@ def triangulated(capture, store, settings) -> tuple[Points, str, Any]:
     return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how, store
 
 
-def _features(capture, store, settings, moments):
-    """Points triangulated from features at these moments, and the store with colours in which cameras agree on these points.
+def _features(capture, store, settings, moments, tick):
+    """Points triangulated from features at these moments, and the store with colours in which cameras agree on these points; tick() is
+    called after each moment.
 
     Features are found whatever the exposures are; the plane sweep compares colours.
     """
@@ -91,6 +105,7 @@ def _features(capture, store, settings, moments):
             looks.append({shots[k].view: sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views})
         moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
         clouds.append(Points(xyz, np.zeros((len(xyz), 3)), np.full(len(xyz), moment)))
+        tick()
     points = joined(clouds)
     if len(points) < FEW * len(moments):
         raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")

@@ -18,18 +18,19 @@ from .geometry import sample, unproject, visible
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
 
 
-def initial_points(capture, store, settings, say=print) -> tuple[Points, Any]:
+def initial_points(capture, store, settings, say=print, progress=lambda done, of: None) -> tuple[Points, Any]:
     """The points that training starts from, at most settings.points, and the store with colours in which cameras agree, where it is found
     that they differ (Evened); t is NaN for points that are visible at all times.
 
     settings.start  "auto": the first source that gives points, in SOURCES' order; or a source's name
+    progress        called as progress(done, of)
     Raises FastGSError where the wanted source gives none.
     """
     order = list(SOURCES) if settings.start == "auto" else [settings.start]
     refused = []
     for kind in order:
         try:
-            points, how, seen = _MAKERS[kind](capture, store, settings)
+            points, how, seen = _MAKERS[kind](capture, store, settings, progress)
         except FastGSError as error:
             if settings.start != "auto":
                 raise
@@ -57,16 +58,16 @@ def thinned(points: Points, most: int, seed: int) -> Points:
     return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t, size)
 
 
-# The sources: functions of (capture, store, settings) that return points, a clause about them, and a store
+# The sources: functions of (capture, store, settings, progress) that return points, a clause about them, and a store
 
 
-def from_file(capture, store, settings):
+def from_file(capture, store, settings, progress):
     if capture.points is None:
         raise FastGSError(f"{capture.path}: its layout brings no point file.")
     return capture.points, SOURCES["file"], store
 
 
-def random_points(capture, store, settings):
+def random_points(capture, store, settings, progress):
     """Points behind random pixels in the pixels' colours, where at least half as many cameras see as at the best-seen place."""
     rng = generator(settings.seed, POINTS, 3)
     shots = spread(capture.training, 64)

@@ -38,11 +38,15 @@ class Start:
                    arrays.get("gains"), arrays.get("fades"))
 
 
-def start(capture, store, settings, say=print) -> Start:
-    """What training on a capture begins with.  Raises FastGSError where what the settings ask for gives nothing."""
+def start(capture, store, settings, say=print, progress=lambda done, of: None) -> Start:
+    """What training on a capture begins with; progress(done, of) is called while points are looked for.
+
+    Raises FastGSError where what the settings ask for gives nothing.
+    """
     store, fades = _steady(capture, store, settings, say)
     model = known.known_model(capture, settings, say)
-    found, store = points.initial_points(capture, store, settings, say) if model is None else (known.points_of(model, capture), store)
+    found, store = points.initial_points(capture, store, settings, say, progress) if model is None else \
+        (known.points_of(model, capture), store)
     gains = store.evening.told if isinstance(store, Evened) and store.evening.colours_differ else None
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:

@@ -45,6 +45,11 @@ class Silent:
     def fill(self, store, shots):
         store.fill(shots=shots)
 
+    @contextlib.contextmanager
+    def stage(self, what, unit="moment"):
+        """Something long before the first step: gives report(done, of), which is called as it goes on."""
+        yield lambda done, of: None
+
     def step(self, values):
         pass
 
@@ -104,9 +109,21 @@ class Reporter(Silent):
 
     def fill(self, store, shots):
         """Decode the pictures that are not in the cache yet, with a bar of their own."""
-        missing = store.missing(shots)
-        with progress(len(missing), "picture", "decoding", quiet=self.quiet) as bar:
-            store.fill(bar.to, missing)
+        if missing := store.missing(shots):
+            with self.stage("decoding", "picture") as report:
+                store.fill(report, missing)
+
+    @contextlib.contextmanager
+    def stage(self, what, unit="moment"):
+        """As Silent.stage(): with a bar of its own, and in status.json as `stage` and `stage_share`."""
+        with progress(1, unit, what, quiet=self.quiet, clock=self.clock) as bar:
+
+            def report(done, of):
+                bar.to(done, of)
+                if done in (0, of) or self.clock() - self.status_time > STATUS_SECONDS:
+                    self.status("preparing", stage=what, stage_share=round(done / max(of, 1), 3))
+
+            yield report
 
     def step(self, values):
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""

@@ -202,7 +202,8 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder, ba
     from ..core.model import empty_model
     from ..initial.start import Start, start
 
-    began = group.first_does(lambda: start(capture, store, settings, reporter.say))
+    with reporter.stage("finding starting points") as report:
+        began = group.first_does(lambda: start(capture, store, settings, reporter.say, report))
     began = Start.of(group.share_arrays(began.arrays if began else {}), empty_model(settings, capture.clip, capture.axes))
     return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach, backend, began.gains,
                 began.fades)

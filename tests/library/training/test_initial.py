@@ -109,8 +109,10 @@ def blank():
 
 @pytest.fixture(scope="module")
 def found(filmed):
-    said = []
-    return initial_points(*filmed, settings(points=4000), said.append)[0], said
+    said, done = [], []
+    points = initial_points(*filmed, settings(points=4000), said.append, lambda *ticks: done.append(ticks))[0]
+    assert done == [(k, done[0][1]) for k in range(done[0][1] + 1)] and len(done) > 2 * FRAMES, "progress goes on to its end"
+    return points, said
 
 
 def off_planes(xyz) -> np.ndarray:

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from fastgs_blender.jobs.job import read_status
+from fastgs_blender.jobs.queue import _preparing
 from fastgs_blender.training.run import progress
 
 
@@ -59,3 +61,23 @@ def test_plain_lines_where_nobody_looks(tmp_path, clock, capsys):
         assert said[:2] == ["fastgs: a remark", "fastgs: a problem"]
         assert said[2] == "training: 7/100 steps (7 %), 0:21 so far, 4:39 left, loss 0.1000, 20.0 dB, 5 Gaussians"
         assert len(said) == 2 + 4 + 1 and said[-1].startswith("training: 30/100 steps (30 %), 1:30 so far, 3:30 left")
+
+
+def test_what_comes_before_the_first_step_shows_how_far_it_is(tmp_path, clock, capsys):
+    """On the terminal, in status.json at most once a second, and in Blender's list of runs."""
+    reporter, written = progress.Reporter(tmp_path, 100, clock=lambda: clock.now), []
+    status = reporter.status
+    reporter.status = lambda *state, **values: (written.append(values.get("stage_share")), status(*state, **values))
+    with reporter.stage("finding starting points") as report:
+        for done in range(8):
+            report(done, 8)
+            clock.now += 0.7 if done < 4 else 15
+        found = read_status(tmp_path / progress.STATUS)
+        assert _preparing(found) == "Finding starting points, 88%" and found["state"] == "preparing"
+        report(8, 8)
+    assert written == [0, 0.25, 0.5, 0.625, 0.75, 0.875, 1]
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("finding starting points: 6/8 moments (75 %)") and said[-1].startswith("finding starting points: 8/8 moments")
+    reporter.step({"iteration": 1, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
+    assert "stage" not in read_status(tmp_path / progress.STATUS) and _preparing({}) == "Preparing the pictures"
+    reporter.close()
