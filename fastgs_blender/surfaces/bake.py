@@ -19,10 +19,17 @@ from ..util.arguments import numbers, real, whole
 from ..util.errors import FastGSError
 from .colours import Colours, Painted
 from .sampling import SurfaceSamples
-from .trajectories import PROBES, MovingSurface, choose_paths, fit_paths, fit_turning
+from .trajectories import PROBES, WIDTH, MovingSurface, choose_paths, fit_paths, fit_turning
 
 THICKNESS = 0.1
 """Standard deviation across the surface, as a share of the smaller one within it."""
+CLOSED = Raster(near=0.01, blur=0.05, antialiased=True)
+"""How Gaussians that close the surface by themselves are drawn.  The usual blur of 0.3 square pixels would make outlines half a pixel
+thicker on each side, which hides what lies behind them, from Depth and Vector too."""
+SPECKLED = Raster(near=0.01)
+"""How they are drawn where they do not, because a speckled texture has them narrow everywhere: the usual blur closes the gaps from afar."""
+FULL = 0.75
+"""Median area of the Gaussians, as a share of the usual one, from which they close the surface."""
 GREY = (0.906, 0.906, 0.906)
 """sRGB of Blender's default, linear 0.8."""
 OPAQUE = 0.99
@@ -167,16 +174,17 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     progress(0.25)
 
     t = frames / frame_count
-    paths = fit_paths(surface, samples, t, basis, tolerance, tail_tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
+    paths = fit_paths(surface, samples, t, 1 / frame_count, basis, tolerance, tail_tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
     turning = fit_turning(surface, samples, painted, t, not isinstance(paths.basis, Static), max_order,
                           lambda x: progress(0.65 + 0.35 * x))
     sigma = np.c_[turning.width, THICKNESS * turning.width.min(1)]
     alpha = OPAQUE * np.clip(painted.rgba[:, 3], 0, 1)
+    closed = np.median(turning.width.prod(1)) > FULL * (WIDTH * samples.spacing) ** 2
     model = GaussianModel(
         position=paths.constant, motion=paths.coefficients, basis=paths.basis,
         rotation=turning.constant[turning.row], rotation_motion=turning.coefficients[turning.row],
         rotation_basis=turning.basis, scale=np.log(sigma), opacity=np.log(alpha / (1 - alpha)),
-        features=painted.rgba[:, :3], raster=Raster(near=0.01), clip=Clip(frame_count, fps, start_frame), axes="RFU",
+        features=painted.rgba[:, :3], raster=CLOSED if closed else SPECKLED, clip=Clip(frame_count, fps, start_frame), axes="RFU",
         provenance={"source": "baked mesh", **(provenance or {})},
     )
     triangle = int(samples.triangle[paths.sample])
@@ -196,7 +204,7 @@ def followed(positions: np.ndarray, triangles: np.ndarray, *, frames: np.ndarray
     """Whether a bake() of these arguments would keep to its tolerances, judged by few places; if not, more times per frame may help."""
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part)
     t = frames / frame_count
-    return choose_paths(surface, surface.spread(PROBES), t, basis, tolerance, tail_tolerance, max_order)[1]
+    return choose_paths(surface, surface.spread(PROBES), t, 1 / frame_count, basis, tolerance, tail_tolerance, max_order)[1]
 
 
 def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 100_000) -> SurfaceSamples:

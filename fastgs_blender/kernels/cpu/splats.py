@@ -47,6 +47,12 @@ class ProjectedSplats:
         """The number of channels, padded to one that the rasteriser has a kernel for."""
         return self.attributes.shape[1] - raster.CHANNEL
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """The Gaussian of each row [rows] int64, as counted through all instances."""
+        return np.concatenate([self.source[pieces[0][0]:last].astype(np.int64) + pieces[0][0] for pieces, last in zip(
+            self.runs, [*(after[0][0] for after in self.runs[1:]), len(self.source)])])
+
     def order(self) -> np.ndarray:
         """The rows written [V] int32, front to back."""
         return order_by(self.depth[self.index], self.index)
