@@ -105,5 +105,7 @@ class Buffers:
 
 def numbered(picture: np.ndarray, numbers: np.ndarray | None) -> np.ndarray:
     """The probe "splat" [h, w] int64 of what kernels remembered [h, w]; numbers: the Gaussian of each row, None: the row's own number."""
-    rows = np.ascontiguousarray(picture, np.float32).view(np.int32).astype(np.int64) & (MARK - 1)
-    return np.where(picture > 0, rows if numbers is None else numbers[rows], -1)
+    found, seen = np.full(picture.shape, -1, np.int64), picture > 0
+    rows = np.ascontiguousarray(picture, np.float32).view(np.int32)[seen] & (MARK - 1)
+    found[seen] = rows if numbers is None else numbers[rows]
+    return found

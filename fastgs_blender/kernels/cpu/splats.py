@@ -50,8 +50,9 @@ class ProjectedSplats:
     @property
     def numbers(self) -> np.ndarray:
         """The Gaussian of each row [rows] int64, as counted through all instances."""
-        return np.concatenate([self.source[pieces[0][0]:last].astype(np.int64) + pieces[0][0] for pieces, last in zip(
-            self.runs, [*(after[0][0] for after in self.runs[1:]), len(self.source)])])
+        firsts = np.array([pieces[0][0] for pieces in self.runs], np.int64)
+        rows = np.diff([*firsts, len(self.source)])
+        return self.source + np.repeat(firsts, rows)
 
     def order(self) -> np.ndarray:
         """The rows written [V] int32, front to back."""
