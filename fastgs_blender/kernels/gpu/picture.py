@@ -130,7 +130,7 @@ def draw(device: Device, models: Models, instances: list[ViewedInstance], camera
     progress(0.3)
     how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0)
     bands = blend_all(device, front_to_back(device, splats.depths, splats.rows), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
-    return DeviceBuffers.of(bands, layout, how, splats.gaussians, again)
+    return DeviceBuffers.of(bands, layout, how, again, splats.gaussians)
 
 
 def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int, then=None) -> Splats:
@@ -198,7 +198,8 @@ class DeviceBuffers(Buffers):
     again: Callable[[], Buffers] = Buffers  # always given
 
     @classmethod
-    def of(cls, bands: list[Band], layout: Layout, how: How, gaussians: np.ndarray | None, again: Callable[[], Buffers]) -> DeviceBuffers:
+    def of(cls, bands: list[Band], layout: Layout, how: How, again: Callable[[], Buffers],
+           gaussians: np.ndarray | None = None) -> DeviceBuffers:
         """The bands by what their numbers mean; gaussians: of Splats."""
         def columns(array: Array, first: int, last: int, squeeze: bool) -> Array:
             shape = array.shape[:2] if squeeze else (*array.shape[:2], last - first)
