@@ -88,7 +88,8 @@ class Stepwise:
 
     def _show(self, context, done, whole, stage=""):
         context.window_manager.progress_update(100 * done / max(whole, 1))
-        text = ": ".join(filter(None, (self.doing, stage, f"{done} of {whole}" if whole != 1 else f"{done:.0%}")))
+        share = f"{done} of {whole}" if whole != 1 else f"{done:.0%}"
+        text = ": ".join(filter(None, (self.doing, stage if stage != self.doing else "", share)))
         if not bpy.app.background and context.workspace:
             rest = "Esc interrupts" if self.free else "only the view can be turned; Esc interrupts"
             context.workspace.status_text_set(f"{text}   ({rest})" if self.in_window else text)

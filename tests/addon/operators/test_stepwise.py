@@ -41,7 +41,7 @@ def operator(stepwise):
                 yield 1, 2
                 if error:
                     raise error
-                yield 2, 2
+                yield 2, 2, "Counting"
                 return "counted"
             finally:
                 self.closed = True
