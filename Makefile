@@ -39,7 +39,7 @@ test-library: .venv/ready
 	@$(PY) -m pytest tests/library -n 2 --dist worksteal
 
 # Blender has one set of global data a process, so these never share a process with the library's tests, and a file stays in one process.
-ADDON := tests/addon -n 2 --dist loadfile
+ADDON := tests/addon -n 2 --dist loadfile --no-loadscope-reorder
 test-addon: .venv/ready
 	@$(PY) -m pytest $(ADDON)
 

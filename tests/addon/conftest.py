@@ -20,9 +20,17 @@ settings.load_profile("fastgs")
 ROOT = Path(__file__).resolve().parents[2]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
+SLOWEST = ("test_maintenance.py", "test_training_jobs.py", "test_docs_python.py", "test_example_script.py", "test_viewport_pictures.py",
+           "test_export_splats.py", "test_engine_passes.py", "test_batch.py")
+"""Files that take longest.  They begin first, so that no worker is left alone with one at the end; the first compiles for all."""
+
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before the first test module imports bpy, which reads it once
 os.environ.setdefault("FASTGS_CACHE_DIR", str(ROOT / "build" / "cache"))  # all processes, and the library's tests, share compiled kernels
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: SLOWEST.index(item.path.name) if item.path.name in SLOWEST else len(SLOWEST))
 
 
 @pytest.fixture(scope="session")
