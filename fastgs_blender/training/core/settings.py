@@ -93,7 +93,8 @@ class Settings:
       density         default (clone, split, prune, opacity reset) or mcmc (relocation and noise)
       max_gaussians   never more than this
       densify_from, densify_until, densify_every   first and last step as fractions of the run, and steps between
-      gradient        plain mean gradient on the screen, or the sum of absolute ones per pixel
+      gradient        absolute: the sum of the absolute gradients on the screen per pixel, which do not cancel where a Gaussian covers
+                      detail; or plain, their sum, as 3DGS
       threshold       of that gradient: above it Gaussians are cloned or split; in units of half the image's size
       dense_size      scale in extents: larger Gaussians are split, smaller ones cloned
       grow            largest share of Gaussians that is added at once
@@ -173,7 +174,7 @@ class Settings:
     densify_from: float = 0.05
     densify_until: float = 0.6
     densify_every: int = 100
-    gradient: str = "plain"
+    gradient: str = "absolute"
     threshold: float = 2e-4
     dense_size: float = 0.01
     grow: float = 0.15
