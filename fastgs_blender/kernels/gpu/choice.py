@@ -151,7 +151,7 @@ def test(adapter: Adapter) -> str:
             for name, array in wanted.items():
                 error = np.linalg.norm(found[name] - array) / max(np.linalg.norm(array), 1e-12)
                 if not error < STRAY:
-                    return f"its gradients of {name} are wrong by {100 * error:.2g} %"
+                    return f"its {'' if name == 'loss' else 'gradients of '}{name} are wrong by {100 * error:.2g} %"
     except Failure as failure:
         return str(failure)
     return ""
@@ -178,10 +178,11 @@ def _picture(backend, model: GaussianModel, camera: Camera) -> np.ndarray:
 
 
 def _gradients(backend, model: GaussianModel, camera: Camera) -> dict[str, np.ndarray]:
-    """Gradients of the loss against a grey picture, by a backend."""
+    """Gradients of the loss against a grey picture, and the loss itself, by a backend."""
     decoder = {name: getattr(model.appearance, name) for name in DECODER if hasattr(model.appearance, name)}
     parameters = {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
     picture = backend.splat(parameters, model, camera, 0.4)
     goal = backend.array(np.full((camera.height, camera.width, 3), 0.4, np.float32))
     loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
-    return {name: backend.numpy(array) for name, array in backend.backward(picture, loss.rgb, loss.alpha).items()}
+    found = backend.backward(picture, loss.rgb, loss.alpha) | {"loss": loss.values}
+    return {name: backend.numpy(array) for name, array in found.items()}

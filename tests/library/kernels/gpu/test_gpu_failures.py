@@ -2,6 +2,8 @@
 """A GPU that fails at any stage, allocation or read-back breaks no frame and no run (what a run does then: test_gpu_devices.py)."""
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from random_cameras import random_pose
@@ -9,6 +11,7 @@ from random_models import random_model
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
+from fastgs_blender.kernels.gpu import choice
 from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device
 from fastgs_blender.kernels.protocol import DeviceError
@@ -122,3 +125,13 @@ def test_a_step_without_memory_is_a_device_error(gpu, another, breaking):
         breaking.at = "memory", first
         with pytest.raises(DeviceError, match="memory is full"):
             steps()
+
+
+def test_the_self_test_finds_every_stage_that_does_nothing(another, monkeypatch):
+    """So results that are wrong are not used, wherever they come from."""
+    sound, used, run = SimpleNamespace(open=lambda: another().device), set(), Device.run
+    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: used.add(stage) or run(self, stage, *rest, **more))
+    assert choice.test(sound) == "" and len(used) > 20
+    for stage in sorted(used - {"subgroups"}):  # without these a GPU can do
+        monkeypatch.setattr(Device, "run", lambda self, name, *rest, stage=stage, **more: name == stage or run(self, name, *rest, **more))
+        assert choice.test(sound), stage
