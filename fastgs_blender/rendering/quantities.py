@@ -78,10 +78,14 @@ class Shown:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Some numbers of each Gaussian: values(Shown) gives [M, width] float64."""
+    """Some numbers of each Gaussian: values(Shown) gives [M, width] float64.
+
+    same  gives the numbers [width] of an instance all of whose Gaussians have the same; None: they have their own
+    """
 
     width: int
     values: Callable[[Shown], np.ndarray]
+    same: Callable[[ViewedInstance], np.ndarray] | None = None
 
     def of(self, shown: Shown) -> np.ndarray:
         """The values [M, width]; 0 where they are not numbers or too large to be summed."""
@@ -116,13 +120,13 @@ def shares(instances: list[ViewedInstance], names: list) -> Quantity:
     """1 in the column of each Gaussian's object, among names (Instance.identity): what part of a pixel each object covers."""
     column = {instance: names.index(instance.identity) for instance in instances if instance.identity in names}
 
-    def values(shown: Shown) -> np.ndarray:
-        out = np.zeros((len(shown.index), len(names)))
-        if shown.instance in column:
-            out[:, column[shown.instance]] = 1
+    def same(instance: ViewedInstance) -> np.ndarray:
+        out = np.zeros(len(names))
+        if instance in column:
+            out[column[instance]] = 1
         return out
 
-    return Quantity(len(names), values)
+    return Quantity(len(names), lambda shown: np.tile(same(shown.instance), (len(shown.index), 1)), same)
 
 
 NORMAL = Quantity(3, lambda shown: shown.normal)

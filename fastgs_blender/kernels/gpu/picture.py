@@ -26,6 +26,8 @@ from .scene import Pack, View, packs
 NOWHERE = 0xFFFFFFFF
 """The depth of what is not drawn."""
 PLAIN = len(ACTIVATIONS)
+FILLED = 16
+"""Numbers that wgsl/fill.wgsl writes at most."""
 KEPT = 2 << 30
 """Bytes of models that stay on the device."""
 
@@ -178,14 +180,27 @@ def _joined(device: Device, parts: list[tuple[int, Splats]], quads: int) -> Spla
 
 
 def _fill(device: Device, splats: Splats, parts: list[tuple[View, Pack]], layout: Layout) -> None:
-    """Write the layout's quantities into the channels: they are computed in array code, for every backend."""
+    """Write the layout's quantities into the channels: what all Gaussians of an instance have in common on the device, and what each has
+    for itself, with a read-back, by array code that serves every backend."""
+    own = {name: quantity for name, quantity in layout.quantities.items() if quantity.same is None or quantity.width > FILLED}
+    done = 0
+    for view, pack in parts:
+        for name, quantity in layout.quantities.items():
+            if name not in own:
+                values = np.zeros(FILLED, np.float32)
+                values[:quantity.width] = quantity.same(view.instance)
+                job = [[pack.count, done, 4 * splats.quads, layout.places[name].start], [quantity.width, 0, 0, 0], values]
+                device.run("fill", pack.count, job, splats.channels)
+        done += pack.count
+    if not own:
+        return
     seen = device.read(splats.depths, np.uint32, splats.rows) != NOWHERE
     channels = device.read(splats.channels, np.float32, 4 * splats.quads * splats.rows).reshape(splats.rows, -1).copy()
     done = 0
     for view, pack in parts:
         index = np.flatnonzero(seen[done:done + pack.count])
         shown = Shown(view.instance, pack.first + index)
-        for name, quantity in layout.quantities.items():
+        for name, quantity in own.items():
             channels[done + index, layout.places[name]] = quantity.of(shown)
         done += pack.count
     device.write(splats.channels, channels)

@@ -74,8 +74,8 @@ def test_no_picture_is_read_back_between_samples(gpu, adapter, scene, monkeypatc
         self, buffer, dtype, count, begin))
     drawn, draw = [], expose.Taken._add
     monkeypatch.setattr(expose.Taken, "_add", lambda self, *given: drawn.append(len(sizes)) or draw(self, *given))
-    fg.render(*scene, backend=f"gpu:{adapter.name}", exposure=Exposure(-0.3, 0.3, steps=4))
-    assert len(drawn) == 5 and [size for size in sizes[drawn[0]:] if size] == [1] * 5 + [50 * 66 * 4]
+    fg.render(*scene, backend=f"gpu:{adapter.name}", exposure=Exposure(-0.3, 0.3, steps=4), passes=("rgb", "cryptomatte_00"))
+    assert len(drawn) == 5 and [size for size in sizes[drawn[0]:] if size] == [1] * 5 + [50 * 66 * 4, 50 * 66 * 2]
 
 
 def test_small_buffers_change_no_byte(fresh, adapter, scene, monkeypatch):
