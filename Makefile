@@ -72,6 +72,7 @@ bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
 	@$(PY) benchmarks/viewport.py
 	@$(PY) benchmarks/features.py
+	@$(PY) benchmarks/baked_passes.py
 	@$(PY) benchmarks/points.py
 
 extension: .venv/ready

@@ -10,6 +10,7 @@ from ...model.gaussians import GaussianModel
 from ...rendering.api import render
 from ...rendering.importance import importance_rank
 from ...rendering.instances import Instance
+from ...rendering.passes import PassSettings
 from ...rendering.visibility import order
 from . import cache
 
@@ -21,9 +22,10 @@ def compile_all(progress=lambda fraction: None) -> None:
     camera = Camera(16, 16, 16, 16, 8, 8, np.eye(4))
     models = [GaussianModel(position=np.diag([0.1, 0.2, 2.0]) + [0, 0, 1], rotation=np.eye(4)[:3], scale=np.full((3, 3), -2),
                             opacity=np.ones(3), features=np.ones((3, look.width)), appearance=look) for look in (RGB(), Features())]
-    jobs = [(model, passes) for passes in PASSES for model in models]
-    for i, (model, passes) in enumerate(jobs):
-        render(model, camera, passes=passes, backend="cpu")
+    jobs = [{"model": model, "passes": passes} for passes in PASSES for model in models]
+    jobs.append({"model": models[0], "settings": PassSettings(sorting="pixel")})
+    for i, job in enumerate(jobs):
+        render(camera=camera, backend="cpu", **job)
         progress((i + 1) / len(jobs))
     render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
