@@ -125,13 +125,20 @@ def symbols_of(zigzag: np.ndarray) -> np.ndarray:
 
 
 def _frame(parts: list[np.ndarray]) -> bytes:
-    """A zstd frame of all parts, each in blocks of its own."""
+    """A zstd frame of all parts, each in blocks of its own: the shorter of one at LEVEL and one that hardly looks for repetitions.
+
+    Symbols repeat by chance only, and short repetitions often cost more than the codes of their symbols.
+    """
     import zstandard
 
-    packer, out = zstandard.ZstdCompressor(level=LEVEL).compressobj(size=sum(map(len, parts))), b""
-    for part in parts:
-        out += packer.compress(part.tobytes()) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-    return out + packer.flush()
+    plain = zstandard.ZstdCompressionParameters.from_level(1, strategy=zstandard.STRATEGY_FAST, min_match=7, hash_log=6, window_log=18)
+    frames = []
+    for packer in (zstandard.ZstdCompressor(level=LEVEL), zstandard.ZstdCompressor(compression_params=plain)):
+        stream, out = packer.compressobj(size=sum(map(len, parts))), b""
+        for part in parts:
+            out += stream.compress(part.tobytes()) + stream.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+        frames.append(out + stream.flush())
+    return min(frames, key=len)
 
 
 def groups(symbols: np.ndarray, order: Order) -> tuple[str, list[int]]:
