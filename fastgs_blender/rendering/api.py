@@ -19,7 +19,6 @@ from ..model.sequence import Sequence, Source
 from ..util.arguments import real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
-from . import vectors
 from .exposure import Exposure
 from .holdout import as_triangles
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
@@ -114,14 +113,13 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
              settings: PassSettings, holdout: np.ndarray | None) -> Blended:
     """Draw the instances with a backend; returns the blended sums for the passes that were asked for."""
     objects = _objects(instances, needs)
-    quantities = settings.quantities(needs)
+    quantities = settings.quantities(needs, instances)
     if objects:
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))
     planes = holdout is not None
     layout = Layout(instances, False, quantities, planes or "plane" in needs, settings.by_pixel)
-    wanted = needs & set(PROBES) | ({"splat"} if "vector" in needs else set())
-    buffers = backend.draw(instances, camera, layout, wanted, lambda f: progress(f / draws), holdout=holdout)
+    buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws), holdout=holdout)
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
     sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))
     parts = [sums.pop("shares")] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)] if "shares" in needs else []
@@ -130,9 +128,8 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
         drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
     shadow = settings.shadow.picture(backend, instances, camera, progress) if settings.shadow and "shadow" in needs else None
-    moving = vectors.picture(instances, probes["splat"], camera, settings.before, settings.after) if "vector" in needs else None
     return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None,
-                   None if buffers.held is None else backend.numpy(buffers.held), shadow, moving)
+                   None if buffers.held is None else backend.numpy(buffers.held), shadow)
 
 
 def _exposed(backend: Any, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,

@@ -17,11 +17,8 @@ from .quantities import Quantity
 
 DEPTH_FROM = {"median": 0.5, "first": float(np.nextafter(np.float32(1), np.float32(0)))}
 """Probes that are a depth: that of the last splat before which the transmittance is above this; infinite where nothing is."""
-PROBES = (*DEPTH_FROM, "count", "splat")
-"""All probes; count: how many splats were blended into the pixel; splat: which one gives the median depth, the number of its Gaussian as
-counted through all instances one after the other, or -1 where nothing is."""
-MARK = 1 << 30
-"""The bit that makes a row's number, below this, one of the ordinary float32: kernels remember it among depths, where 0 means none."""
+PROBES = (*DEPTH_FROM, "count")
+"""All probes; count: how many splats were blended into the pixel."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,7 @@ class Buffers:
     channels  [h, w, C]  premultiplied, as the layout says
     alpha     [h, w]
     sums      [h, w, K]  by name: the channels of the depth, the plane and the quantities
-    probes    [h, w]     by name: those that were asked for; float32, "splat" int64
+    probes    [h, w]     by name: those that were asked for
     held, covered  [h, w]  the light that a holdout stops, and which share of each pixel it covers; None without one
     """
 
@@ -101,11 +98,3 @@ class Buffers:
     probes: dict[str, Any]
     held: Any = None
     covered: Any = None
-
-
-def numbered(picture: np.ndarray, numbers: np.ndarray | None) -> np.ndarray:
-    """The probe "splat" [h, w] int64 of what kernels remembered [h, w]; numbers: the Gaussian of each row, None: the row's own number."""
-    found, seen = np.full(picture.shape, -1, np.int64), picture > 0
-    rows = np.ascontiguousarray(picture, np.float32).view(np.int32)[seen] & (MARK - 1)
-    found[seen] = rows if numbers is None else numbers[rows]
-    return found

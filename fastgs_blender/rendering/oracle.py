@@ -38,7 +38,6 @@ class Splats:
 
     mean [M, 2] pixels, covariance [M, 2, 2] square pixels with the blur added, determinant [M] of it, opacity [M],
     depth [M] along the view axis, channels [M, C], alpha_max [M], alpha_cut [M]
-    number [M] int: which Gaussian each is
     """
 
     mean: np.ndarray
@@ -49,7 +48,6 @@ class Splats:
     channels: np.ndarray
     alpha_max: np.ndarray
     alpha_cut: np.ndarray
-    number: np.ndarray
 
 
 def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -150,7 +148,7 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     for name, quantity in layout.quantities.items():
         channels[:, layout.places[name]] = quantity.of(shown)
     same, faint = np.ones(len(z)), share(pixel, sharp, trace, raster.blur)
-    splats = Splats(mean, covariance, determinant, opacity * faint, z, channels, raster.alpha_max * same, raster.alpha_cut * faint, s.index)
+    splats = Splats(mean, covariance, determinant, opacity * faint, z, channels, raster.alpha_max * same, raster.alpha_cut * faint)
     drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & (np.abs(channels) <= LIMIT).all(1)
     drawn &= faint > 0
     return Splats(**{name: value[drawn] for name, value in vars(splats).items()})
@@ -158,8 +156,7 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
 
 def _nothing(layout: Layout) -> Splats:
     """The splats of no instance."""
-    return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)), np.zeros((0, layout.channels)), *np.zeros((2, 0)),
-                  np.zeros(0, int))
+    return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)), np.zeros((0, layout.channels)), *np.zeros((2, 0)))
 
 
 def plane(deep, flat, blur, determinant, box, mean, z, camera: Camera) -> np.ndarray:
@@ -201,8 +198,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     transmittance, live = np.ones(depths.shape), np.ones(depths.shape, bool)  # of each point of a pixel
     probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
     farthest = depths.max(-1)  # infinite unless triangles cover the whole pixel
-    probes["splat"] -= 1
-    for box, alpha, cut, depth, surface, values, number in (_by_pixel if by_pixel else _by_centre)(splats, camera, px, py, planes):
+    for box, alpha, cut, depth, surface, values in (_by_pixel if by_pixel else _by_centre)(splats, camera, px, py, planes):
         t = transmittance[box]
         shows = depths[box] >= np.asarray(depth, np.float32)[..., None]
         if holdout is not None:
@@ -219,7 +215,6 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
         for name, above in DEPTH_FROM.items():
             probes[name][box] = np.where(drawn & (light > above), depth, probes[name][box])
         probes["count"][box] += drawn
-        probes["splat"][box] = np.where(drawn & (light > DEPTH_FROM["median"]), number, probes["splat"][box])
         transmittance[box] = np.where(blended, after, t)
     hidden = np.isfinite(depths)
     held = () if holdout is None else ((transmittance * hidden).mean(-1), hidden.mean(-1))
@@ -228,7 +223,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
 
 def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
     """Yields the splats front to back: of each the box of pixels that it touches, its alpha [h, w] there and the cut, its depth, the
-    depths of its plane (or its own), its channels [C], and its number."""
+    depths of its plane (or its own), and its channels [C]."""
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     reach = 2 * np.log(splats.opacity / splats.alpha_cut)  # Mahalanobis distance squared beyond which alpha is under the cut
     for i in order:
@@ -248,7 +243,7 @@ def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
         if splats.channels[i, planes].size:
             z, along_x, along_y = splats.channels[i, planes]
             surface = z + along_x * (px[left:right] - camera.width / 2)[None, :] + along_y * (py[top:bottom] - camera.height / 2)[:, None]
-        yield np.s_[top:bottom, left:right], alpha, splats.alpha_cut[i], splats.depth[i], surface, splats.channels[i], splats.number[i]
+        yield np.s_[top:bottom, left:right], alpha, splats.alpha_cut[i], splats.depth[i], surface, splats.channels[i]
 
 
 def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
@@ -256,13 +251,13 @@ def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
     those of the planes."""
     layers = list(_by_centre(splats, camera, px, py, planes))
     alphas, depths = np.zeros((len(layers), len(py), len(px))), np.full((len(layers), len(py), len(px)), np.inf)
-    for i, (box, alpha, cut, _, surface, *_) in enumerate(layers):
+    for i, (box, alpha, cut, _, surface, _) in enumerate(layers):
         alphas[i][box] = np.where(alpha >= cut, alpha, 0)
         depths[i][box] = np.where(alpha >= cut, surface, np.inf)
-    channels, numbers = np.array([values for *_, values, _ in layers]), np.array([number for *_, number in layers])
+    channels = np.array([values for *_, values in layers])
     for which in depths.argsort(0, kind="stable"):
         alpha, depth = (np.take_along_axis(array, which[None], 0)[0] for array in (alphas, depths))
-        yield np.s_[:, :], alpha, np.finfo(float).tiny, depth, depth, channels[which], numbers[which]
+        yield np.s_[:, :], alpha, np.finfo(float).tiny, depth, depth, channels[which]
 
 
 def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
@@ -295,12 +290,10 @@ class Oracle:
         with np.errstate(all="ignore"):  # what overflows is not drawn
             found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
-        firsts = np.cumsum([0, *(len(instance.model) for instance in instances)])
-        found = [replace(splats, number=splats.number + first) for splats, first in zip(found, firsts)]
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
         channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)), layout.by_pixel)
         sums = {name: channels[..., where] for name, where in layout.places.items()}
-        return Buffers(channels, alpha, sums, {name: found[name].astype(int) if name == "splat" else found[name] for name in probes}, *held)
+        return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 
     def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> np.ndarray:
         """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""

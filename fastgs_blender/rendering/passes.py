@@ -13,8 +13,8 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..util.errors import FastGSError
 from . import cryptomatte, false_colour
-from .instances import Moment
-from .quantities import NORMAL, Mist, Quantity
+from .instances import Moment, ViewedInstance
+from .quantities import NORMAL, Mist, Quantity, vector
 from .shadow import Shadow
 
 FAR = np.float32(1e10)
@@ -29,7 +29,7 @@ class PassSettings:
     """The settings of a scene that passes depend on, besides the models and the camera.
 
     mist           the distances of the Mist pass
-    before, after  the scene one frame earlier and later, for the Vector pass; see vectors.picture
+    before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
     shadow         the light and the meshes of the pass of shadows, see shadow.py; None: there are no shadows
     sorting        "centre": all splats by the depth of their centres; "pixel": in each pixel by the depth of the greatest density on its
                    ray, so that none comes suddenly before another while the camera turns (StopThePop, Radl et al. 2024)
@@ -52,9 +52,13 @@ class PassSettings:
         """Whether each pixel sorts its splats for itself."""
         return self.sorting == "pixel"
 
-    def quantities(self, names) -> dict[str, Quantity]:
+    def quantities(self, names, instances: list[ViewedInstance]) -> dict[str, Quantity]:
         """Those quantities, of all that passes may need, whose names are given."""
-        return {name: make() for name, make in {"mist": self.mist.quantity, "normal": lambda: NORMAL}.items() if name in names}
+        table = {
+            "mist": self.mist.quantity, "normal": lambda: NORMAL,
+            "vector": lambda: vector(instances, self.before, self.after),
+        }
+        return {name: make() for name, make in table.items() if name in names}
 
 
 DEFAULTS = PassSettings()
@@ -73,7 +77,6 @@ class Blended:
     shares   [h, w, K]  what part of each pixel each of the objects covers; None where no pass needs it
     held     [h, w]     the light that a holdout stops; None without one
     shadow   [h, w]     the share of a light that splats let through to meshes; None where no pass needs it
-    vector   [h, w, 4]  see vectors.picture; None where no pass needs it
     """
 
     camera: Camera
@@ -85,7 +88,6 @@ class Blended:
     shares: np.ndarray | None
     held: np.ndarray | None = None
     shadow: np.ndarray | None = None
-    vector: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
         """A quantity's mean over what covers each pixel, weighted by how much each splat is seen; 0 where alpha is 0."""
@@ -103,7 +105,7 @@ class Pass:
 
     name      what render() calls it
     image     (Blended) -> [h, w] or [h, w, channels]
-    needs     what `image` reads of Blended, alpha apart: names of its fields, of sums and of probes
+    needs     what `image` reads of Blended, alpha apart: "rgb", "shares", names of sums and of probes
     channels  1, or how many the last axis has
     empty     its value where nothing is drawn
     colour    whether it is a colour, which files and Blender get in scene-linear light
@@ -232,7 +234,7 @@ PASSES = {entry.name: entry for entry in (
     Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
          blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", look=false_colour.directions,
          shows="Red, green and blue are x, y and z; -1 is dark, 1 is bright"),
-    Pass("vector", lambda b: b.vector, ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
+    Pass("vector", lambda b: b.at_pixels("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
          blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", look=false_colour.motion,
          shows="The hue is the direction of motion to the next frame, the brightness its speed"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",

@@ -6,14 +6,17 @@ They are computed here, in float64 array code, for every backend: only for the s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..util import rotations
-from .instances import LIMIT, ViewedInstance
+from .instances import LIMIT, Instance, Moment, ViewedInstance
+
+THIN = 1e-3
+"""Variance in pixels^2 that a Gaussian at least has when its motion is told apart along its width: seen edge-on it has none."""
 
 
 class Shown:
@@ -114,6 +117,46 @@ class Mist:
             return np.clip((distance - self.start) / max(self.depth, 1e-30), 0, 1)[:, None] ** exponent
 
         return Quantity(1, values)
+
+
+def vector(instances: list[ViewedInstance], before: Moment | None, after: Moment | None) -> Quantity:
+    """Blender's speed vectors in pixels, y up: from where a Gaussian is to where it was one frame earlier, and from where it will be
+    one frame later to where it is (Cycles `primitive_motion_vector`).
+
+    The places at the other frames come from the model's motion as a function of time, at those very times, and from the moments'
+    placements and cameras.  Without moments, cameras and placements stand still and the time moves by a frame of each model's clip.
+
+    A Gaussian that turns, or grows in the picture, moves differently at each of its pixels, so its vector is a plane, as its depth is
+    (oracle.plane): 12 numbers a, b, c of four each, with which it is a + b x + c y, x and y counted from the image's middle.
+    """
+    moved = {instance: (_moved(instance, before, -1), _moved(instance, after, 1)) for instance in instances}
+
+    def values(shown: Shown) -> np.ndarray:
+        now, spread = shown.pixels(shown.instance)
+        (xx, xy), (_, yy) = np.einsum("mik,mjk->ijm", spread, spread) + THIN * np.eye(2)[..., None]
+        towards = np.stack([np.stack([yy, -xy], -1), np.stack([-xy, xx], -1)], 1) / (xx * yy - xy * xy)[:, None, None]
+        towards = np.einsum("mik,mij->mkj", spread, towards)  # from pixels to the Gaussian's own axes
+        shift, slope = np.empty((len(now), 4)), np.empty((len(now), 4, 2))
+        for i, other in enumerate(moved[shown.instance]):
+            there, wide = shown.pixels(other)
+            sign = (1 - 2 * i) * np.array([1, -1])
+            shift[:, 2 * i:2 * i + 2] = sign * (there - now)
+            slope[:, 2 * i:2 * i + 2] = sign[:, None] * np.einsum("mik,mkj->mij", wide - spread, towards)
+        camera = shown.instance.camera
+        shift -= np.einsum("mck,mk->mc", slope, now - np.array([camera.width, camera.height]) / 2)
+        return np.concatenate([shift, slope[..., 0], slope[..., 1]], 1)
+
+    return Quantity(12, values)
+
+
+def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> ViewedInstance:
+    """The instance at another moment, or so many frames of its clip later."""
+    if moment is None:
+        return replace(instance, t=instance.t + frames / instance.model.clip.frame_count)
+    there = moment.instances.get(instance.place, instance)
+    if there.source is not instance.source:  # frames of a sequence are not the same Gaussians
+        return Instance(instance.model, there.placement, instance.t).viewed(moment.camera)
+    return Instance(there.model, there.placement, there.t).viewed(moment.camera)
 
 
 def shares(instances: list[ViewedInstance], names: list) -> Quantity:

@@ -8,7 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from ...rendering.layout import Buffers, Layout, numbered
+from ...rendering.layout import Buffers, Layout
 from ...rendering.looks import graded_picture
 from . import initial, resample, steps, training, visible
 from .decoder import decode_features
@@ -48,8 +48,6 @@ class CPU:
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
                             lambda f: progress(0.35 + 0.6 * f), holdout=holdout, plane=layout.plane, by_pixel=layout.by_pixel)
-        if "splat" in picture.probes:
-            picture.probes["splat"] = numbered(picture.probes["splat"], splats.numbers)
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):

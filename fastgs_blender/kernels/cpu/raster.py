@@ -61,9 +61,8 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z,
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
     channels, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  probes: which of
-    layout.PROBES are computed, a bit each; trace: remember `place` as that of the last splat blended (the probe "splat": of
-    the one that gives the median depth); smooth: let alpha fade in over `band` above the cut; hides: the splat shows only where its
-    surface, z + i dz, lies before the depths in the last plane.
+    layout.PROBES are computed, a bit each; trace: remember `place` as that of the last splat blended; smooth: let alpha fade in
+    over `band` above the cut; hides: the splat shows only where its surface, z + i dz, lies before the depths in the last plane.
     """
     if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, probes, trace, smooth, hides)):
         return None
@@ -105,8 +104,6 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z,
             old, drawn = state.floats(pixel, plane), weight > 0.0
             if name == "count":
                 new = (old + 1.0).where(drawn, old)
-            elif name == "splat":
-                new = simd.broadcast(b, args[7]).where(b.and_(drawn, before > DEPTH_FROM["median"]), old)
             else:
                 new = column(DEPTH).where(b.and_(drawn, before > DEPTH_FROM[name]), old)
             state.store(pixel, plane, new)
@@ -221,9 +218,8 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                             dz = attributes[i, surface + 1]
                             z = float32(attributes[i, surface] + dz * (left + x + 0.5 - middle_x)
                                         + attributes[i, surface + 2] * (top + y + 0.5 - middle_y))
-                        place = float32(k - starts[tile]) if trace else simd.marked(i)
-                        blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, place, float32(band), z, dz, channels, bits,
-                               trace, smooth, hides)
+                        blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
+                               z, dz, channels, bits, trace, smooth, hides)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]

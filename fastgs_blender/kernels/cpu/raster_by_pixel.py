@@ -26,9 +26,6 @@ from .raster import CHANNEL, L11, L21, L22, LOG2_OPACITY, MEAN_X, MEAN_Y, PIXELS
 WAITING = 32
 """Splats for which each pixel has room at first."""
 STOP = float32(T_STOP)
-MEDIAN = float32(DEPTH_FROM["median"])
-COUNT, SPLAT = float32(-1.0), float32(-2.0)
-"""What stands for the probes that are no depths."""
 
 
 @intrinsic
@@ -104,10 +101,8 @@ def _settle(p, bound, waiting, hides, canvas):
             state[PIXELS * (1 + c) + p] += weight * attributes[i, CHANNEL + c]
         for k in range(len(probes)):
             at = PIXELS * (1 + channels + k) + p
-            if probes[k] == COUNT:
+            if probes[k] < float32(0.0):  # the count
                 state[at] += float32(1.0)
-            elif probes[k] == SPLAT:
-                state[at] = simd.marked(i) if before > MEDIAN else state[at]
             elif before > probes[k]:
                 state[at] = z
 
@@ -132,7 +127,7 @@ def _wait(p, z, opacity, i, waiting):
 def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra, hiding,
               held, middle_x, middle_y, plane, probes):
     """raster.rasteriser's kernel; plane: the column of attributes with which planes begin; probes: of each that is wanted the transmittance
-    from which it takes a depth, or what stands for it."""
+    from which it takes a depth, or -1 for the count."""
     channels, hides, infinite = out.shape[2], len(held) > 0, float32(np.inf)
     state = np.empty((1 + channels + len(probes)) * PIXELS, np.float32)
     left_over, stopped, taken = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32), np.zeros(PIXELS, np.int64)
@@ -222,6 +217,5 @@ def _sort(hiding, tile, depths):
 @cache
 def rasteriser(channels: int, probes: tuple[str, ...], plane: int):
     """The kernel as raster.rasteriser gives it, for splats whose planes are in the channels from `plane` on."""
-    codes = DEPTH_FROM | {"count": COUNT, "splat": SPLAT}
-    wanted = np.array([codes[name] for name in PROBES if name in probes], np.float32)
+    wanted = np.array([DEPTH_FROM.get(name, -1.0) for name in PROBES if name in probes], np.float32)
     return lambda *given: rasterise(*given, CHANNEL + plane, wanted)

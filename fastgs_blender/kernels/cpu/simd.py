@@ -11,22 +11,10 @@ from numba.core import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from ...rendering.layout import MARK
-
 LANES = 8
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 INTS = ir.VectorType(ir.IntType(32), LANES)
 FUSE = ("contract", "nsz")
-
-
-@intrinsic
-def marked(context, number):
-    """A whole number below 2^30 as the float32 of these bits, with the bit that makes it an ordinary number set (layout.MARK)."""
-    def build(context, b, signature, args):
-        bits = b.or_(b.trunc(args[0], ir.IntType(32)), ir.Constant(ir.IntType(32), MARK))
-        return b.bitcast(bits, ir.FloatType())
-
-    return types.float32(types.int64), build
 
 
 class Floats:

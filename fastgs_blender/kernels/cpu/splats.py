@@ -47,13 +47,6 @@ class ProjectedSplats:
         """The number of channels, padded to one that the rasteriser has a kernel for."""
         return self.attributes.shape[1] - raster.CHANNEL
 
-    @property
-    def numbers(self) -> np.ndarray:
-        """The Gaussian of each row [rows] int64, as counted through all instances."""
-        firsts = np.array([pieces[0][0] for pieces in self.runs], np.int64)
-        rows = np.diff([*firsts, len(self.source)])
-        return self.source + np.repeat(firsts, rows)
-
     def order(self) -> np.ndarray:
         """The rows written [V] int32, front to back."""
         return order_by(self.depth[self.index], self.index)

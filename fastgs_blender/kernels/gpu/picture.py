@@ -15,7 +15,7 @@ from ...cameras.camera import Camera
 from ...model.appearance import ACTIVATIONS, Features
 from ...model.gaussians import GaussianModel, unchanging
 from ...rendering.instances import ViewedInstance
-from ...rendering.layout import Buffers, ChannelGroup, Layout, numbered
+from ...rendering.layout import Buffers, ChannelGroup, Layout
 from ...rendering.quantities import Shown
 from .blend import Band, How, blend_all
 from .device import Array, Buffer, Device
@@ -34,20 +34,15 @@ KEPT = 2 << 30
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """An array of a picture [h, ...] in bands, from the top down.
-
-    instead  gives the same by the CPU, should the device fail
-    meaning  turns what was read into what it means
-    """
+    """An array of a picture [h, ...] in bands, from the top down; instead: gives the same by the CPU, should the device fail."""
 
     parts: list[Array]
     instead: Callable[[], np.ndarray]
-    meaning: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     def numpy(self) -> np.ndarray:
         """The whole of it."""
         found = [part.numpy() for part in self.parts]
-        return self.meaning(found[0] if len(found) == 1 else np.concatenate(found))
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +51,6 @@ class Splats:
 
     rows     their number
     quads    4 channels each, of a splat
-    gaussians  which one each row is, counted through all instances; None: the row's own number
     """
 
     a: Buffer
@@ -65,7 +59,6 @@ class Splats:
     depths: Buffer
     rows: int
     quads: int
-    gaussians: np.ndarray | None = None
 
     @property
     def arrays(self) -> tuple[Buffer, ...]:
@@ -119,7 +112,7 @@ def project(device: Device, instances: list[ViewedInstance], camera: Camera, lay
     squeezed, done = [], 0
     for view, pack in parts:
         found = _projected(device, [(view, pack)], layout, quads, then and (lambda splats, first, done=done: then(splats, done + first)))
-        squeezed.append((done, _squeezed(device, found)))
+        squeezed.append(_squeezed(device, found))
         done += pack.count
     return _joined(device, squeezed, quads)
 
@@ -132,7 +125,7 @@ def draw(device: Device, models: Models, instances: list[ViewedInstance], camera
     progress(0.3)
     how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0)
     bands = blend_all(device, front_to_back(device, splats.depths, splats.rows), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
-    return DeviceBuffers.of(bands, layout, how, again, splats.gaussians)
+    return DeviceBuffers.of(bands, layout, how, again)
 
 
 def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int, then=None) -> Splats:
@@ -149,10 +142,9 @@ def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, q
     return splats
 
 
-def _room(device: Device, rows: int, quads: int, gaussians: np.ndarray | None = None) -> Splats:
+def _room(device: Device, rows: int, quads: int) -> Splats:
     """Splats that are not initialised."""
-    return Splats(device.buffer(4 * rows), device.buffer(4 * rows), device.buffer(4 * quads * rows), device.buffer(rows), rows, quads,
-                  gaussians)
+    return Splats(device.buffer(4 * rows), device.buffer(4 * rows), device.buffer(4 * quads * rows), device.buffer(rows), rows, quads)
 
 
 def _squeezed(device: Device, splats: Splats) -> Splats:
@@ -161,18 +153,16 @@ def _squeezed(device: Device, splats: Splats) -> Splats:
     device.clear(places)
     device.run("present", splats.rows, [[splats.rows, 0, 0, 0]], splats.depths, places)
     scan(device, places, splats.rows + 1)
-    gaussians = np.flatnonzero(device.read(splats.depths, np.uint32, splats.rows) != NOWHERE)
-    drawn = _room(device, len(gaussians), splats.quads, gaussians)
+    drawn = _room(device, int(device.read(places, np.uint32, 1, splats.rows)[0]), splats.quads)
     for values, copies, numbers in zip(splats.arrays, drawn.arrays, splats.numbers):
         device.run("squeeze", splats.rows, [[splats.rows, numbers, 0, 0]], splats.depths, places, values, copies)
     return drawn
 
 
-def _joined(device: Device, parts: list[tuple[int, Splats]], quads: int) -> Splats:
-    """Splats of several packs one after the other; each with the number of its pack's first Gaussian."""
-    gaussians = np.concatenate([first + part.gaussians for first, part in parts])
-    splats, done = _room(device, len(gaussians), quads, gaussians), 0
-    for _, part in parts:
+def _joined(device: Device, parts: list[Splats], quads: int) -> Splats:
+    """Splats of several packs one after the other."""
+    splats, done = _room(device, sum(part.rows for part in parts), quads), 0
+    for part in parts:
         for values, copies, numbers in zip(part.arrays, splats.arrays, splats.numbers):
             device.copy(values, copies, numbers * part.rows, 0, numbers * done)
         done += part.rows
@@ -213,9 +203,8 @@ class DeviceBuffers(Buffers):
     again: Callable[[], Buffers] = Buffers  # always given
 
     @classmethod
-    def of(cls, bands: list[Band], layout: Layout, how: How, again: Callable[[], Buffers],
-           gaussians: np.ndarray | None = None) -> DeviceBuffers:
-        """The bands by what their numbers mean; gaussians: of Splats."""
+    def of(cls, bands: list[Band], layout: Layout, how: How, again: Callable[[], Buffers]) -> DeviceBuffers:
+        """The bands by what their numbers mean."""
         def columns(array: Array, first: int, last: int, squeeze: bool) -> Array:
             shape = array.shape[:2] if squeeze else (*array.shape[:2], last - first)
             return Array(array.buffer, shape, array.dtype, (first, last, array.shape[2]))
@@ -223,16 +212,13 @@ class DeviceBuffers(Buffers):
         def channels(where: slice, instead) -> Bands:
             return Bands([columns(band.channels, where.start, where.stop, False) for band in bands], instead)
 
-        def flat(place: int, instead, meaning=np.asarray) -> Bands:
-            return Bands([columns(band.flat, place, place + 1, True) for band in bands], instead, meaning)
-
-        meanings = {"splat": lambda picture: numbered(picture, gaussians)}
+        def flat(place: int, instead) -> Bands:
+            return Bands([columns(band.flat, place, place + 1, True) for band in bands], instead)
 
         held = {name: flat(how.places[name], lambda name=name: getattr(again(), name)) for name in ("held", "covered") if how.occluder}
         return cls(channels(slice(0, layout.channels), lambda: again().channels), flat(0, lambda: again().alpha),
                    {name: channels(where, lambda name=name: again().sums[name]) for name, where in layout.places.items()},
-                   {name: flat(place, lambda name=name: again().probes[name], meanings.get(name, np.asarray))
-                    for name, place in how.places.items() if name not in held},
+                   {name: flat(place, lambda name=name: again().probes[name]) for name, place in how.places.items() if name not in held},
                    **held, again=again)
 
 

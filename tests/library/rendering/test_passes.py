@@ -131,20 +131,6 @@ def test_a_turning_gaussian_moves_differently_at_each_of_its_pixels(backend, axi
     assert np.abs(out["vector"][solid] - wanted).mean() < 0.01
 
 
-@pytest.mark.parametrize("sorting", ["centre", "pixel"])
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_no_vector_lies_between_those_of_two_surfaces(backend, sorting):
-    """Where a pixel mixes a disc with the wall behind it, which moves the other way, it has that of which it shows more."""
-    wall, disc = sheet(6.0, 8.0, scale=np.log([[9, 9, 1e-3]])), sheet(4.0, 8.0, scale=np.log([[0.15, 0.15, 1e-3]]))
-    here = [of(wall, placement=moved(x=1.0), place="wall"), of(disc, "disc", 1, place="disc")]
-    after = Moment({"wall": of(wall, placement=moved(x=1.3)), "disc": of(disc, placement=moved(x=-0.2))}, CAMERA)
-    settings = PassSettings(after=after, sorting=sorting)
-    out = fg.render(here, CAMERA, passes=("object_index", "vector"), backend=backend, settings=settings)
-    front = out["object_index"] == 1
-    assert 10 < front.sum() < 300
-    np.testing.assert_allclose(out["vector"][..., 2], np.where(front, 40 * 0.2 / 4, -40 * 0.3 / 6), atol=1e-3)
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_object_index_and_cryptomatte(backend):
     """Twenty objects, of which more than sixteen at once do not fit into one list: each pixel knows who covers it, and how far."""

@@ -22,7 +22,6 @@ struct Job {
 const MEDIAN = {MEDIAN}; // places of the probes in `flat`, 0: not wanted
 const FIRST = {FIRST};
 const COUNT = {COUNT};
-const SPLAT = {SPLAT};
 const HELD = {HELD}u; // the first place of two, with a holdout: the light that it stops, and which share of the pixel it covers
 const TRACE = {TRACE};
 
@@ -52,7 +51,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var sum = array<vec4f, {QUADS}>();
     var median = bitcast<f32>(0x7f800000u + (lane >> 16u));
     var nearest = median;
-    var which = 0.0; // of the splat that gives the median depth: its row, marked, as bits
     var count = 0.0;
     var last = -1.0;
     let begin = lists[tile];
@@ -113,9 +111,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             if MEDIAN > 0u && t > {MEDIAN_FROM} {
                 median = depths[row];
             }
-            if SPLAT > 0u && t > {MEDIAN_FROM} {
-                which = bitcast<f32>(row | {MARK}u);
-            }
             if FIRST > 0u && t > {FIRST_FROM} {
                 nearest = depths[row];
             }
@@ -144,9 +139,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     if COUNT > 0u {
         flat[own + COUNT] = count;
-    }
-    if SPLAT > 0u {
-        flat[own + SPLAT] = which;
     }
     if HOLDOUT {
         flat[own + HELD] = stopped;

@@ -25,7 +25,6 @@ struct Job {
 const MEDIAN = {MEDIAN}; // places of the probes in `flat`, 0: not wanted
 const FIRST = {FIRST};
 const COUNT = {COUNT};
-const SPLAT = {SPLAT};
 const HELD = {HELD}u; // the first place of two, with a holdout: the light that it stops, and which share of the pixel it covers
 const KEPT = 16u;
 
@@ -53,7 +52,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var sum = array<vec4f, {QUADS}>();
     var median = bitcast<f32>(0x7f800000u + (lane >> 16u));
     var nearest = median;
-    var which = 0.0; // of the splat that gives the median depth: its row, marked, as bits
     var count = 0.0;
     let begin = lists[tile];
     let end = lists[tile + 1u];
@@ -133,9 +131,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             if MEDIAN > 0u && t > {MEDIAN_FROM} {
                 median = z;
             }
-            if SPLAT > 0u && t > {MEDIAN_FROM} {
-                which = bitcast<f32>(row | {MARK}u);
-            }
             if FIRST > 0u && t > {FIRST_FROM} {
                 nearest = z;
             }
@@ -165,9 +160,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     if COUNT > 0u {
         flat[own + COUNT] = count;
-    }
-    if SPLAT > 0u {
-        flat[own + SPLAT] = which;
     }
     if HOLDOUT {
         flat[own + HELD] = stopped;

@@ -155,7 +155,7 @@ def test_splats_that_are_too_many_are_squeezed_to_those_that_are_drawn(gpu, fres
     instances = [Instance(random_model(rng, n, "fourier", "line", "radial", "rgb", size=0.05), random_pose(rng, 0.0), 0.3, name=str(n))
                  for n in (900, 600)]
     camera = fg.Camera(40, 30, 90, 90, 20, 15, random_pose(rng, 3.0))
-    passes = ("rgb", "alpha", "depth", "normal", "object_index", "vector")
+    passes = ("rgb", "alpha", "depth", "normal", "object_index")
     whole = fg.render(instances, camera, passes=passes, backend=name_of(adapter))
     fresh.backend.device.__dict__["binding"] = 1 << 16
     ran, run = [], device.Device.run
