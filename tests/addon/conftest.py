@@ -21,8 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ADDON = "bl_ext.user_default.fastgs_blender"
 
 FIRST = ("test_frusta.py",)
-"""Files that each worker's process must not run late: Blender 5.2 as a module crashes in its own shader for smaller copies of an image
-(Image.gl_load) where a GPU was opened by a test before, and that shader freed."""
+"""Files that begin: Blender 5.2 as a module crashes in Image.gl_load, because its shader for smaller copies of an image was freed, if
+certain other files ran before in the same process, test_viewport.py for one."""
 SLOWEST = ("test_maintenance.py", "test_training_jobs.py", "test_docs_python.py", "test_example_script.py", "test_viewport_pictures.py",
            "test_export_splats.py", "test_engine_passes.py", "test_batch.py")
 """Files that take longest.  They begin first, so that no worker is left alone with one at the end; the first compiles for all."""

@@ -198,6 +198,8 @@ def test_actions_are_replaced(splats, where, scene):
 
 def test_a_rigid_body_falls_and_is_baked(splats, where, scene):
     """And the rest of the menu Rigid Body, but for Connect."""
+    if bpy.app.version < (5, 2, 0):
+        pytest.skip("Blender 5.0 can crash here: its simulation reads the object's mesh while that is evaluated anew (Mesh.bounds_min_max)")
     scene.frame_start, scene.frame_end = 1, 12
     select(splats)
     ops.rigidbody.objects_add(type='ACTIVE')
