@@ -175,7 +175,7 @@ def filmed_objects(out) -> list[str]:
         names = read_json(Path(out) / FILMED)["objects"]
     except (FastGSError, KeyError, TypeError):
         return []
-    return [name for name in names if isinstance(name, str) and name.isprintable()] if isinstance(names, list) else []
+    return [name for name in names if isinstance(name, str) and not re.search("[\ud800-\udfff]", name)] if isinstance(names, list) else []
 
 
 def _write(out: Path, view: str, name: str, picture):

@@ -13,7 +13,7 @@ from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.shadow import Light, Shadow
 from fastgs_blender.util.backends import load_backend
 
-CLOSE, MEAN, FEW = 2e-3, 1e-5, 0.005
+CLOSE, MEAN, FEW = 2e-3, 1e-5, 0.001
 """Pictures may differ by more than CLOSE in a share FEW of the pixels: where a splat's alpha or a triangle's edge is at a limit."""
 
 
