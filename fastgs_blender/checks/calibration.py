@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..captures.pixels import undistortion
 from ..training.initial import features
 from . import drawing
 from .matching import Matches
@@ -137,8 +138,9 @@ def _lenses(section: Section, looked: Looked) -> None:
             section.add("note", f"The calibration of {view} is unusual: {' and '.join(odd)}.", "That is right for cropped or squeezed "
                                                                                                "pictures only; "
                         "else calibrate again.", [view])
-        empty = 0.0 if sample.valid is None else float(1 - sample.valid.mean())
-        if empty > EMPTY and not sample.shot.image.lens.is_pinhole:
+        inside = None if sample.shot.image.lens.is_pinhole else undistortion.valid(sample.shot)  # sample.valid knows transparency too
+        empty = 0.0 if inside is None else float(1 - inside.mean())
+        if empty > EMPTY:
             section.add("note", f"Undoing the lens of {view} leaves {empty:.0%} of its picture empty.", "Such borders do not count in "
                                                                                                         "training; check the "
                         "coefficients of distortion if that is a surprise.", [view], ("empty share", round(empty, 3), ""))

@@ -32,7 +32,7 @@ class Sample:
 
     rgb      [h, w, 3] uint8, display sRGB, with its longer side at most SIDE
     camera   of that size; None in a capture without poses
-    valid    [h, w] bool, False where the lens has no picture; None: everywhere
+    valid    [h, w] bool, False where the lens has no picture, or the picture is transparent; None: it counts everywhere
     shrunk   by how much the picture was shrunk
     blur     Gaussian blur in pixels of the picture as it is trained on, NaN where it has no texture
     """

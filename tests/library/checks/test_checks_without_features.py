@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 from filmed_room import write_room
+from PIL import Image
 
 from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import calibration, cost, exposure
@@ -50,6 +51,20 @@ def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
     assert found.keys() == {"cam00", "cam01"}, "a few per cent are usual"
     assert "its focal lengths are 300 and 360 pixels and its optical axis is 19% of the picture off its middle" in found["cam00"]
     assert "Undoing the lens of cam01 leaves" in found["cam01"]
+
+
+def test_transparent_pixels_are_no_fault_of_the_lens(tmp_path, looked):
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    values = json.loads((path / "cameras.json").read_text("utf-8"))
+    values["cameras"][1]["distortion"] = {"model": "opencv", "k1": 0.01}
+    (path / "cameras.json").write_text(json.dumps(values), "utf-8")
+    for file in (path / "cam01").iterdir():
+        picture = Image.open(file).convert("RGBA")
+        picture.paste((0, 0, 0, 0), (0, 0, picture.width, picture.height // 2))
+        picture.save(file)
+    of = looked(path)
+    assert not of.samples["cam01"][0].valid[:100].any()
+    assert "cam01" not in told(calibration.run(of))
 
 
 def made_up(path, distance, features=60):
