@@ -98,6 +98,15 @@ def failure_of(name: str) -> str:
     return getattr(loaded.get(name), "failed", None) or ""
 
 
+def overflow_of(name: str) -> str:
+    """Why the last picture that did not fit on a GPU did not, as a part of a sentence; "" where all did.  It is forgotten by this."""
+    backend = loaded.get(name)
+    reason = getattr(backend, "too_large", "")
+    if reason:
+        backend.too_large = ""
+    return reason
+
+
 def try_again() -> None:
     """Let GPUs that have failed be used again."""
     for name in [name for name in loaded if failure_of(name)]:

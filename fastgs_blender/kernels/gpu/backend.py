@@ -14,24 +14,27 @@ from ..cpu.backend import CPU
 from . import steps, training
 from .adapters import find
 from .blend import How, blend_all
-from .device import Array, Device, Failure
+from .device import Array, Device, Failure, TooLarge
 from .expose import expose
 from .holdout import surface
-from .lists import front_to_back
-from .picture import NOWHERE, Bands, DeviceBuffers, Models, colour, draw, project
+from .picture import Bands, DeviceBuffers, Models, colour, draw
 from .rows import Split, as_rows, zero_rows
+from .splats import front_to_back, project
 
 
 class GPU(CPU):
     """A backend on one device; the methods' contracts are those of protocol.TrainingBackend.
 
-    open  gives the Device, or raises Failure
+    open       gives the Device, or raises Failure
+    failed     why it is not used any more, as a part of a sentence; None while it is
+    too_large  why the last picture that did not fit on it did not, or ""
 
-    Whatever goes wrong on the device, the picture is drawn by the CPU, and so are all others from then on; a line of the log says why.
+    What does not fit into the device's memory is drawn by the CPU, and the device goes on with the next picture.  Whatever else goes wrong
+    on the device, the picture is drawn by the CPU, and so are all others from then on.  A line of the log says why.
     """
 
     def __init__(self, open):  # noqa: A002
-        self.open, self.failed = open, None
+        self.open, self.failed, self.too_large = open, None, ""
 
     @cached_property
     def models(self) -> Models:
@@ -47,6 +50,10 @@ class GPU(CPU):
         if self.failed is None:
             try:
                 return work()
+            except TooLarge as failure:
+                if not self.too_large:  # of a film one line is enough
+                    logging.getLogger(__name__).warning("a picture does not fit on the GPU, so the CPU draws it: %s.", failure)
+                self.too_large = str(failure)
             except Failure as failure:
                 self.failed = str(failure)
                 self.__dict__.pop("models", None)
@@ -93,12 +100,11 @@ class GPU(CPU):
                 return made
 
             splats = done(project(self.device, [instance], camera, layout, found))
-            order = done(front_to_back(self.device, splats.depths, splats.rows))
+            order = done(front_to_back(self.device, splats))
             done(blend_all(self.device, order, splats, camera, How(), lambda share: None))
             for values, begin, end in zip(times.values(), clock, clock[1:]):
                 values.append(1000 * (end - begin))
-        drawn = 0 if splats is None else int((self.device.read(splats.depths, np.uint32, splats.rows) != NOWHERE).sum())
-        return {name: statistics.median(values) for name, values in times.items()}, drawn
+        return {name: statistics.median(values) for name, values in times.items()}, 0 if splats is None else splats.drawn(self.device)
 
     # training: its arrays stay on the device, so what fails there ends the step
 

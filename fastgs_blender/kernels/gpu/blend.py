@@ -11,6 +11,7 @@ from .device import Array, Buffer, Device, TooLarge
 from .holdout import Occluder
 from .lists import ENTRIES, TileLists, grid_of, list_tiles
 from .shaders import TILE
+from .splats import Piece, Splats, counted, gathered
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,8 @@ class Band:
 
     channels  [h, w, 4 quads]
     flat      [h, w, P]: alpha, then what How.places says; with a trace: alpha, transmittance, and the place of the last splat
+    splats    those that the lists are of, and
+    rows      the row of each of these among all, in the order of depth
     """
 
     top: int
@@ -60,11 +63,13 @@ class Band:
     channels: Array
     flat: Array
     lists: TileLists
+    splats: Piece
+    rows: Buffer
 
 
-def blend_all(device: Device, order: Buffer, splats, camera: Camera, how: How, progress: Callable[[float], None]) -> list[Band]:
-    """Blend splats (picture.Splats) in their order into the camera's window: in one go, or in as many bands as it takes.  A row of tiles
-    that does not fit fails."""
+def blend_all(device: Device, order: Buffer, splats: Splats, camera: Camera, how: How, progress: Callable[[float], None]) -> list[Band]:
+    """Blend splats in their order into the camera's window: in one go, or in as many bands as it takes.  A row of tiles that does not fit
+    fails."""
     rows = grid_of(camera.window)[3]
     waiting, bands = [(0, rows)], []
     while waiting:
@@ -80,27 +85,31 @@ def blend_all(device: Device, order: Buffer, splats, camera: Camera, how: How, p
     return bands
 
 
-def blend(device: Device, order: Buffer, splats, camera: Camera, rows: tuple[int, int], how: How) -> Band:
+def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: tuple[int, int], how: How) -> Band:
     """Blend the splats into the rows of tiles first..last of the camera's window; raises TooLarge."""
     x0, y0, width, height = camera.window
     left, top, columns, _ = grid_of(camera.window)
     first, last = max(y0, (top + rows[0]) * TILE), min(y0 + height, (top + rows[1]) * TILE)
     grid = left, top + rows[0], columns, rows[1] - rows[0]
     entry = 16 * (splats.quads + 2) if how.trace else 4  # bytes: the backward pass has a row of sums for each
-    lists = list_tiles(device, order, splats, grid, min(ENTRIES, device.binding // entry), how.trace and device.guessing,
+    own, piece, guess = order, splats.pieces[0], how.trace and device.guessing
+    if len(splats.pieces) > 1:
+        piece, own = gathered(device, order, splats, grid)
+        order, guess = counted(device, piece.rows), False
+    lists = list_tiles(device, order, piece, grid, min(ENTRIES, device.binding // entry), guess,
                        None if how.tiles is None else (how.tiles, rows[0] * columns))
     shape, numbers = (last - first, width), 3 if how.trace else 1 + len(how.places)
     if how.trace:
-        device.fits(4 * (splats.quads + 1) * shape[0] * width)  # the seeds of the backward pass, and a decoder's slopes are less
-    channels, flat = device.empty((*shape, 4 * splats.quads)), device.empty((*shape, numbers))
+        device.fits(4 * (piece.quads + 1) * shape[0] * width)  # the seeds of the backward pass, and a decoder's slopes are less
+    channels, flat = device.empty((*shape, 4 * piece.quads)), device.empty((*shape, numbers))
     cover = lists.lists if how.occluder is None else how.occluder.cover(grid, first, last)
     places = {name.upper(): how.places.get(name, 0) for name in (*PROBES, "held")}
     job = [[x0, first, x0 + width, last], list(grid), [first, numbers, how.plane, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]]
-    inputs = [lists.lists, splats.a, splats.b, splats.channels]
-    constants = {"QUADS": splats.quads, "HOLDOUT": how.occluder is not None, **places}
+    inputs = [lists.lists, piece.a, piece.b, piece.channels]
+    constants = {"QUADS": piece.quads, "HOLDOUT": how.occluder is not None, **places}
     if how.by_pixel:
         device.run("raster_by_pixel", columns * grid[3], job, *inputs, cover, channels, flat, groups=True, **constants)
     else:
-        device.run("raster", columns * grid[3], job, *inputs, splats.depths, cover, channels, flat, groups=True, TRACE=how.trace,
+        device.run("raster", columns * grid[3], job, *inputs, piece.depths, cover, channels, flat, groups=True, TRACE=how.trace,
                    **constants, **how.smooth)
-    return Band(first, last, channels, flat, lists)
+    return Band(first, last, channels, flat, lists, piece, own)

@@ -22,10 +22,11 @@ from ..cpu.project import SCALE
 from .blend import How, blend_all
 from .device import Array, Device
 from .holdout import Occluder
-from .lists import front_to_back, grid_of
-from .picture import NOWHERE, DeviceBuffers, Models, Splats, colour, project
+from .lists import grid_of
+from .picture import DeviceBuffers, Models, colour
 from .scene import Pack
 from .shaders import FARTHEST, TILE
+from .splats import NOWHERE, Piece, front_to_back, project
 
 LIGHT = 4
 """Numbers of a pixel on the film: red, green, blue, alpha."""
@@ -100,12 +101,12 @@ class Taken:
         device = self.device
         layout = Layout(moved, False, {"shares": shares(moved, self.objects)} if self.objects else None, self.holdout is not None,
                         self.by_pixel)
-        splats = project(device, moved, eye, layout, self._packs(moved), then=self.stretched)  # as the whole window sees them
+        splats = project(device, moved, eye, layout, self._packs(moved), self.stretched)  # as the whole window sees them
         eye = replace(eye, window=film.window)
         occluder = None if triangles is None else Occluder(device, triangles, eye)
         wanted = Array(weights.buffer, weights.shape, np.dtype(np.uint32))  # 0.0 has the bits of 0
         how = How(tiles=wanted, occluder=occluder, by_pixel=self.by_pixel, plane=layout.plane or 0)
-        bands = blend_all(device, front_to_back(device, splats.depths, splats.rows), splats, eye, how, lambda share: None)
+        bands = blend_all(device, front_to_back(device, splats), splats, eye, how, lambda share: None)
         buffers = DeviceBuffers.of(bands, layout, how, _nothing_instead)
         rgb = colour(device, buffers, layout, eye, _nothing_instead).parts if colours else [band.flat for band in bands]
         corner, done = [*film.corner, grid_of(eye.window)[2]], 0
@@ -130,7 +131,7 @@ class Taken:
         look, done, layout, device = Snapshot.nothing(total), 0, Layout(moved, False), self.device
         for instance, packs in zip(moved, self._packs(moved), strict=True):
             for pack in packs:
-                splats = project(device, [instance], eye, layout, [[pack]], every=True)
+                splats = project(device, [instance], eye, layout, [[pack]]).pieces[0]
                 seen = device.read(splats.depths, np.uint32, pack.count) != NOWHERE
                 a, b = (device.read(each, np.float32, 4 * pack.count).reshape(-1, 4)[seen] for each in (splats.a, splats.b))
                 at = done + np.flatnonzero(seen)
@@ -143,17 +144,17 @@ class Taken:
         return look
 
 
-def stretching(device: Device, paths: Paths, steps: int) -> Callable[[Splats, int], None] | None:
-    """What widens splats that begin with a Gaussian, counted through all, where so many steps are not enough; None: nothing."""
+def stretching(device: Device, paths: Paths, steps: int) -> Callable[[Piece], None]:
+    """What widens splats where so many steps are not enough."""
     if not steps or not (paths.needed > 1.5 * steps).any():
-        return None
+        return lambda splats: None
     table = np.column_stack([paths.shift, paths.blur, np.minimum(paths.needed, FARTHEST)]).astype(np.float32)
     uploaded: dict[tuple[int, int], Array] = {}
 
-    def widen(splats: Splats, first: int) -> None:
-        key = first, splats.rows
+    def widen(splats: Piece) -> None:
+        key = splats.first, splats.rows
         if key not in uploaded:
-            uploaded[key] = device.array(table[first:first + splats.rows])
+            uploaded[key] = device.array(table[splats.first:splats.first + splats.rows])
         device.run("draw_out", splats.rows, [[splats.rows, 0, 0, 0], [float(steps), 0.0, 0.0, 0.0]], uploaded[key], splats.depths,
                    splats.a, splats.b)
 

@@ -46,14 +46,6 @@ def sort(device: Device, keys: Buffer, values: Buffer, count: int, bits: int) ->
     return keys, values
 
 
-def front_to_back(device: Device, depths: Buffer, count: int) -> Buffer:
-    """The rows of splats by their depths, of which the bits are sorted; what is not drawn comes last."""
-    keys, rows = device.buffer(count), device.buffer(count)
-    device.copy(depths, keys, count)
-    device.run("iota", count, [[count, 0, 0, 0]], rows)
-    return sort(device, keys, rows, count, 32)[1]
-
-
 @dataclass(frozen=True, eq=False)
 class TileLists:
     """The splats of each tile of a grid, front to back.
@@ -86,7 +78,7 @@ def room_for(entries: int) -> int:
 
 def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False,
                only: tuple[Array, int] | None = None) -> TileLists:
-    """The lists of a grid of tiles for splats (picture.Splats) in their order; raises TooLarge where they have over `most` entries.
+    """The lists of a grid of tiles for splats (splats.Piece) in their order; raises TooLarge where they have over `most` entries.
 
     guess  take their length for what it has been for pictures of this size (device.rooms) and read nothing back; where they are longer,
            device.spilled becomes 1

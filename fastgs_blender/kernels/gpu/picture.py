@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of instances on a GPU: projects them, and decodes features.
+"""Pictures of instances on a GPU: draws them, and decodes features.
 
 A picture that does not fit into the GPU's memory is drawn in bands of rows of tiles; its buffers are then several Arrays (Bands).
 """
@@ -16,18 +16,13 @@ from ...model.appearance import ACTIVATIONS, Features
 from ...model.gaussians import GaussianModel, unchanging
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Buffers, ChannelGroup, Layout
-from ...rendering.quantities import Shown
 from .blend import Band, How, blend_all
-from .device import Array, Buffer, Device
+from .device import Array, Device
 from .holdout import Occluder
-from .lists import front_to_back, scan
-from .scene import Pack, View, packs
+from .scene import Pack, packs
+from .splats import front_to_back, project
 
-NOWHERE = 0xFFFFFFFF
-"""The depth of what is not drawn."""
 PLAIN = len(ACTIVATIONS)
-FILLED = 16
-"""Numbers that wgsl/fill.wgsl writes at most."""
 KEPT = 2 << 30
 """Bytes of models that stay on the device."""
 
@@ -43,32 +38,6 @@ class Bands:
         """The whole of it."""
         found = [part.numpy() for part in self.parts]
         return found[0] if len(found) == 1 else np.concatenate(found)
-
-
-@dataclass(frozen=True, eq=False)
-class Splats:
-    """Splats of instances, in rows (wgsl/project.wgsl).
-
-    rows     their number
-    quads    4 channels each, of a splat
-    """
-
-    a: Buffer
-    b: Buffer
-    channels: Buffer
-    depths: Buffer
-    rows: int
-    quads: int
-
-    @property
-    def arrays(self) -> tuple[Buffer, ...]:
-        """The buffers."""
-        return self.a, self.b, self.channels, self.depths
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """The numbers of a row in each of them."""
-        return 4, 4, 4 * self.quads, 1
 
 
 class Models:
@@ -96,27 +65,6 @@ class Models:
         return found
 
 
-def project(device: Device, instances: list[ViewedInstance], camera: Camera, layout: Layout, found: list[list[Pack]],
-            every: bool = False, then: Callable[[Splats, int], None] | None = None) -> Splats:
-    """The splats of all instances, in the order of their Gaussians; found: the packs of each one's model.
-
-    There is a row for each Gaussian; where these would be more than the device can use at once, for each that is drawn.
-    every  a row for each Gaussian in any case, as the backward pass needs
-    then   called with splats that have a row for each Gaussian, and the number of the first one, counted through all instances
-    """
-    quads, views = -(-layout.channels // 4), [View(device, instance, camera, layout) for instance in instances]
-    parts = [(view, pack) for view, packs_ in zip(views, found, strict=True) for pack in packs_]
-    rows = sum(pack.count for _, pack in parts)
-    if every or 16 * quads * rows <= device.binding:
-        return _projected(device, parts, layout, quads, then)
-    squeezed, done = [], 0
-    for view, pack in parts:
-        found = _projected(device, [(view, pack)], layout, quads, then and (lambda splats, first, done=done: then(splats, done + first)))
-        squeezed.append(_squeezed(device, found))
-        done += pack.count
-    return _joined(device, squeezed, quads)
-
-
 def draw(device: Device, models: Models, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
          progress: Callable[[float], None], holdout: np.ndarray | None, again: Callable[[], Buffers]) -> DeviceBuffers:
     """PictureBackend.draw()."""
@@ -124,76 +72,8 @@ def draw(device: Device, models: Models, instances: list[ViewedInstance], camera
     splats = project(device, instances, camera, layout, [models.packs(instance.model) for instance in instances])
     progress(0.3)
     how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0)
-    bands = blend_all(device, front_to_back(device, splats.depths, splats.rows), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
+    bands = blend_all(device, front_to_back(device, splats), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
     return DeviceBuffers.of(bands, layout, how, again)
-
-
-def _projected(device: Device, parts: list[tuple[View, Pack]], layout: Layout, quads: int, then=None) -> Splats:
-    """The splats of packs, each before its view: a row for each Gaussian."""
-    splats, done = _room(device, sum(pack.count for _, pack in parts), quads), 0
-    for view, pack in parts:
-        device.run("project", pack.count, view.parameters(pack, done, 4 * quads), pack.buffer, view.extra, view.hidden,
-                   splats.a, splats.b, splats.channels, splats.depths, BENDS=bool(view.instance.settings.bends))
-        done += pack.count
-    if layout.quantities:
-        _fill(device, splats, parts, layout)
-    if then is not None:
-        then(splats, 0)
-    return splats
-
-
-def _room(device: Device, rows: int, quads: int) -> Splats:
-    """Splats that are not initialised."""
-    return Splats(device.buffer(4 * rows), device.buffer(4 * rows), device.buffer(4 * quads * rows), device.buffer(rows), rows, quads)
-
-
-def _squeezed(device: Device, splats: Splats) -> Splats:
-    """Those of the splats that are drawn."""
-    places = device.buffer(splats.rows + 1)
-    device.clear(places)
-    device.run("present", splats.rows, [[splats.rows, 0, 0, 0]], splats.depths, places)
-    scan(device, places, splats.rows + 1)
-    drawn = _room(device, int(device.read(places, np.uint32, 1, splats.rows)[0]), splats.quads)
-    for values, copies, numbers in zip(splats.arrays, drawn.arrays, splats.numbers):
-        device.run("squeeze", splats.rows, [[splats.rows, numbers, 0, 0]], splats.depths, places, values, copies)
-    return drawn
-
-
-def _joined(device: Device, parts: list[Splats], quads: int) -> Splats:
-    """Splats of several packs one after the other."""
-    splats, done = _room(device, sum(part.rows for part in parts), quads), 0
-    for part in parts:
-        for values, copies, numbers in zip(part.arrays, splats.arrays, splats.numbers):
-            device.copy(values, copies, numbers * part.rows, 0, numbers * done)
-        done += part.rows
-    return splats
-
-
-def _fill(device: Device, splats: Splats, parts: list[tuple[View, Pack]], layout: Layout) -> None:
-    """Write the layout's quantities into the channels: what all Gaussians of an instance have in common on the device, and what each has
-    for itself, with a read-back, by array code that serves every backend."""
-    own = {name: quantity for name, quantity in layout.quantities.items() if quantity.same is None or quantity.width > FILLED}
-    done = 0
-    for view, pack in parts:
-        for name, quantity in layout.quantities.items():
-            if name not in own:
-                values = np.zeros(FILLED, np.float32)
-                values[:quantity.width] = quantity.same(view.instance)
-                job = [[pack.count, done, 4 * splats.quads, layout.places[name].start], [quantity.width, 0, 0, 0], values]
-                device.run("fill", pack.count, job, splats.channels)
-        done += pack.count
-    if not own:
-        return
-    seen = device.read(splats.depths, np.uint32, splats.rows) != NOWHERE
-    channels = device.read(splats.channels, np.float32, 4 * splats.quads * splats.rows).reshape(splats.rows, -1).copy()
-    done = 0
-    for view, pack in parts:
-        index = np.flatnonzero(seen[done:done + pack.count])
-        shown = Shown(view.instance, pack.first + index)
-        for name, quantity in own.items():
-            channels[done + index, layout.places[name]] = quantity.of(shown)
-        done += pack.count
-    device.write(splats.channels, channels)
 
 
 @dataclass(frozen=True, eq=False)

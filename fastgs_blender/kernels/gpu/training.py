@@ -18,11 +18,11 @@ from ...rendering.layout import Layout
 from ..parameters import DECODER
 from ..protocol import Comparison, Splatted
 from .blend import Band, How, blend_all
-from .device import Array, Buffer, Device, Failure
-from .lists import front_to_back
-from .picture import Bands, Splats, decoder, project
+from .device import Array, Device, Failure
+from .picture import Bands, decoder
 from .rows import add_in, copy_in, empty_rows, rows_of
 from .scene import DETACHED, ORDER, Pack, View, packs
+from .splats import Splats, front_to_back, project
 
 WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
 """SSIM's Gaussian window, as kernels/cpu/loss.py has it."""
@@ -42,10 +42,17 @@ class Seen:
     packs: list[Pack]
     matrices: Array | None
     splats: Splats
-    order: Buffer
     bands: list[Band]
     smooth: dict
     shapes: dict[str, tuple[int, ...]]
+
+    def splats_of(self, pack: Pack) -> list[Array]:
+        """The depths, a and b of a pack's splats."""
+        piece = self.splats.piece_of(pack.first)
+        first = pack.first - piece.first
+        every = (Array(piece.depths, (piece.rows,), np.dtype(np.uint32)),
+                 *(Array(buffer, (piece.rows, 4), np.dtype(np.float32)) for buffer in (piece.a, piece.b)))
+        return [rows_of(each, first, first + pack.count) for each in every]
 
 
 def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool,
@@ -53,8 +60,8 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
     """TrainingBackend.splat()."""
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
     layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
-    splats = project(device, [instance], camera, layout, [found], every=True)
-    order = front_to_back(device, splats.depths, splats.rows)
+    splats = project(device, [instance], camera, layout, [found])
+    order = front_to_back(device, splats)
     how = How(trace=True, band=band)
     bands = blend_all(device, order, splats, camera, how, lambda share: None)
     alpha = _bands([_columns(band.flat, 0) for band in bands])
@@ -68,7 +75,7 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
         matrices, rgb, features = None, _bands([_columns(band.channels, 0, 3) for band in bands]), None
     deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
     shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
-    seen = Seen(instance, camera, layout, found, matrices, splats, order, bands, how.smooth, shapes)
+    seen = Seen(instance, camera, layout, found, matrices, splats, bands, how.smooth, shapes)
     return Splatted(rgb, alpha, deep, seen, features)
 
 
@@ -166,7 +173,7 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
              seen: Array | None, detach_time: bool) -> dict[str, Array]:
     """TrainingBackend.backward()."""
     view: Seen = picture.state
-    splats, quads, channels, found = view.splats, view.splats.quads, 3, {}
+    quads, channels, found = view.splats.quads, 3, {}
     height, width = view.camera.window[3], view.camera.window[2]
     by_alpha = device.zeros((height, width)) if alpha is None else alpha
     slopes = [device.zeros((height, width, 3)) if rgb is None else rgb] * len(view.bands)
@@ -187,16 +194,18 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
         device.run("raster_seed", pixels, job, band.flat, its_slopes, by_alpha, depth if deep else by_alpha, start, QUADS=quads)
         x0 = view.camera.window[0]
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
-                   band.lists.lists, band.lists.values, splats.a, splats.b, splats.channels, start, rows, groups=True,
+                   band.lists.lists, band.lists.values, band.splats.a, band.splats.b, band.splats.channels, start, rows, groups=True,
                    QUADS=quads, **view.smooth)
         for pack, its in zip(view.packs, sums, strict=True):
-            job = [[splats.rows, pack.first, pack.count, 0]]
-            device.run("collect", splats.rows, job, view.order, band.lists.runs, rows, its, QUADS=quads)
+            job = [[band.splats.rows, pack.first, pack.count, 0]]
+            device.run("collect", band.splats.rows, job, band.rows, band.lists.runs, rows, its, QUADS=quads)
         done += pixels
     if statistics is not None:
         _observe(device, view, sums, statistics)
     if seen is not None:
-        device.run("mark", splats.rows, [[splats.rows, 0, 0, 0]], splats.depths, seen)
+        for pack in view.packs:
+            drawn = rows_of(seen, pack.first, pack.first + pack.count)
+            device.run("mark", pack.count, [[pack.count, 0, 0, 0]], view.splats_of(pack)[0], drawn)
     return _to_parameters(device, view, sums, found, into, detach_time)
 
 
@@ -214,16 +223,15 @@ def _decoder_backward(device: Device, view: Seen, band: Band, rgb: Array, by_alp
 
 def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:
     """Add the view to the statistics of density control."""
-    splats, camera = view.splats, view.camera
+    camera = view.camera
     for pack, its in zip(view.packs, sums, strict=True):
-        job = [[pack.count, 0, 0, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]]
-        found = [rows_of(each, pack.first, pack.first + pack.count) for each in (
-            Array(splats.depths, (splats.rows,), np.dtype(np.uint32)), *(Array(of, (splats.rows, 4), np.dtype(np.float32))
-                                                                         for of in (splats.a, splats.b)))]
-        sums_of = [rows_of(each, pack.first, pack.first + pack.count) for each in (statistics.gradient, statistics.absolute)]
-        device.run("observe", pack.count, job, *found, its, *sums_of, device.spilled, QUADS=splats.quads)
-    device.run("notice", splats.rows, [[splats.rows, 0, 0, 0], [float(max(camera.width, camera.height)), 0.0, 0.0, 0.0]], splats.depths,
-               splats.a, splats.b, statistics.seen, statistics.radius, device.spilled)
+        found, size = view.splats_of(pack), [pack.count, 0, 0, 0]
+        gradient, absolute, seen, radius = (rows_of(each, pack.first, pack.first + pack.count) for each in (
+            statistics.gradient, statistics.absolute, statistics.seen, statistics.radius))
+        device.run("observe", pack.count, [size, [camera.width / 2, camera.height / 2, 0.0, 0.0]], *found, its, gradient, absolute,
+                   device.spilled, QUADS=view.splats.quads)
+        device.run("notice", pack.count, [size, [float(max(camera.width, camera.height)), 0.0, 0.0, 0.0]], *found, seen, radius,
+                   device.spilled)
 
 
 def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
@@ -235,8 +243,8 @@ def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[st
     for pack, its in zip(view.packs, sums, strict=True):
         gradient = device.buffer(pack.buffer.size // 4)
         device.clear(gradient)
-        device.run("project_backward", pack.count, project_view.parameters(pack, pack.first, 4 * view.splats.quads), pack.buffer,
-                   project_view.extra, view.splats.depths, view.splats.a, view.splats.b, its, gradient, QUADS=view.splats.quads)
+        device.run("project_backward", pack.count, project_view.parameters(pack, 0, 4 * view.splats.quads), pack.buffer,
+                   project_view.extra, *view.splats_of(pack), its, gradient, QUADS=view.splats.quads)
         at = 0
         for name in ORDER:
             bring(device, gradient, at, out[name], pack.first, pack.count)

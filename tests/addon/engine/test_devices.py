@@ -82,6 +82,15 @@ def test_why_the_processor_renders_is_told_once(scene, card, shot, capfd):
     assert drawn and "Arc fails, so the processor goes on: Parent device is lost." in capfd.readouterr().out
 
 
+def test_a_picture_that_does_not_fit_is_told_and_the_next_one_is_not(scene, card, shot, backends, capfd):
+    card()
+    backends.loaded["gpu:Arc"].too_large = "its memory is full"
+    shot()
+    assert "Arc has no room for this picture, so the processor draws it: its memory is full." in capfd.readouterr().out
+    shot()
+    assert "no room" not in capfd.readouterr().out
+
+
 def test_an_untested_gpu_is_tested_before_the_first_picture(scene, card, shot, devices, monkeypatch):
     asked = []
 

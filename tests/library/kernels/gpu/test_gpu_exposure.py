@@ -79,7 +79,7 @@ def test_no_picture_is_read_back_between_samples(gpu, adapter, scene, monkeypatc
 
 
 def test_small_buffers_change_no_byte(fresh, adapter, scene, monkeypatch):
-    """Films in strips, splats squeezed to those that are drawn, and models in several buffers."""
+    """Films in strips, splats gathered from several buffers, and models in several buffers."""
     given = {"passes": ("rgb", "alpha", "cryptomatte_00"), "exposure": Exposure(-3, 3, steps=2)}
     rng = np.random.default_rng(5)
     many = [Instance(random_model(rng, 1100, "fourier", "line", "radial", look, size=0.03), np.eye(4), 0.3, name=look)
@@ -92,5 +92,5 @@ def test_small_buffers_change_no_byte(fresh, adapter, scene, monkeypatch):
     fresh.backend.device.__dict__["binding"] = 1 << 17
     monkeypatch.setattr(expose, "rows_at_once", lambda *given, all_=expose.rows_at_once: all_(*given) and 1)
     parts = fg.render(*scene, backend=fresh.name, **given)
-    assert fresh.backend.failed is None and len(strips) == 4 and {"squeeze", "draw_out"} <= set(stages)
+    assert fresh.backend.failed is None and len(strips) == 4 and {"gather", "draw_out"} <= set(stages)
     assert all(np.array_equal(whole[name], parts[name]) for name in whole)

@@ -19,6 +19,7 @@ from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
 from fastgs_blender.rendering.passes import PASSES
 from fastgs_blender.rendering.volumes import mesh_volume
+from fastgs_blender.util import backends
 
 SCENES = int(os.environ.get("FASTGS_GPU_SCENES", "24"))
 RASTERS = (fg.Raster(), fg.Raster(alpha_max=0.999, near=0.01), fg.Raster(blur=0.1, antialiased=True), fg.Raster(alpha_cut=0.05, near=1.0))
@@ -149,12 +150,12 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     assert np.array_equal(cut, whole["rgb"][15:38, 19:36])
 
 
-def test_splats_that_are_too_many_are_squeezed_to_those_that_are_drawn(gpu, fresh, adapter):
-    """With bindings of 64 KiB the rows of all Gaussians do not fit, and those of the ones before the camera do; no byte changes."""
+def test_splats_lie_in_several_buffers_and_are_gathered_for_each_band(gpu, fresh, adapter):
+    """With bindings of 64 KiB the rows of all Gaussians do not fit into one; those that a band shows do.  No byte changes."""
     rng = np.random.default_rng(4)
     instances = [Instance(random_model(rng, n, "fourier", "line", "radial", "rgb", size=0.05), random_pose(rng, 0.0), 0.3, name=str(n))
-                 for n in (900, 600)]
-    camera = fg.Camera(40, 30, 90, 90, 20, 15, random_pose(rng, 3.0))
+                 for n in (1100, 700)]
+    camera = fg.Camera(40, 30, 40, 40, 20, 15, random_pose(rng, 3.0))
     passes = ("rgb", "alpha", "depth", "normal", "object_index")
     whole = fg.render(instances, camera, passes=passes, backend=name_of(adapter))
     fresh.backend.device.__dict__["binding"] = 1 << 16
@@ -162,7 +163,7 @@ def test_splats_that_are_too_many_are_squeezed_to_those_that_are_drawn(gpu, fres
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device.Device, "run", lambda self, stage, *rest, **more: ran.append(stage) or run(self, stage, *rest, **more))
         found = fg.render(instances, camera, passes=passes, backend=fresh.name)
-    assert fresh.backend.failed is None and "squeeze" in ran and whole["alpha"].mean() > 0.05
+    assert fresh.backend.failed is None and ran.count("gather_rows") > 1 and whole["alpha"].mean() > 0.05
     assert all(np.array_equal(whole[name], found[name], equal_nan=True) for name in whole)
 
 
@@ -196,7 +197,7 @@ def test_models_that_nothing_changes_stay_on_the_gpu(fresh, tmp_path, monkeypatc
     assert not models.kept and uploads(first) == 1
 
 
-@pytest.mark.parametrize("stage", ["project", "sort_scatter", "raster", "colour", "read", "buffer"])
+@pytest.mark.parametrize("stage", ["project", "sort_scatter", "raster", "colour", "read"])
 def test_what_fails_is_drawn_by_the_cpu_and_told_in_a_line(fresh, crowd, monkeypatch, caplog, stage):
     import wgpu
 
@@ -212,20 +213,41 @@ def test_what_fails_is_drawn_by_the_cpu_and_told_in_a_line(fresh, crowd, monkeyp
     def lost(*args, **kwargs):
         raise RuntimeError("Parent device is lost")
 
-    def full(*args, **kwargs):
-        raise wgpu.GPUOutOfMemoryError("Out of memory\n")
-
     if stage == "read":
         monkeypatch.setattr(native.queue, "read_buffer", lost)
-    elif stage == "buffer":
-        monkeypatch.setattr(native, "create_buffer", full)
     else:
         monkeypatch.setattr(device.Device, "_pipeline", broken)
     passes = ("rgb", "alpha", "median_depth")
     wanted, got, again = (fg.render(instances, camera, passes=passes, backend=name) for name in ("cpu", fresh.name, fresh.name))
     assert all(np.array_equal(wanted[name], found[name]) for name in passes for found in (got, again))
     assert len(caplog.records) == 1 and caplog.messages[0].startswith("the GPU fails, so the CPU goes on: ")
-    assert "memory" in caplog.messages[0] if stage == "buffer" else "lost" in caplog.messages[0]
+    assert "lost" in caplog.messages[0]
+
+
+@pytest.mark.parametrize("why", ["the memory is full", "a row of tiles has too many splats"])
+def test_what_does_not_fit_concerns_its_own_picture_alone(fresh, adapter, crowd, monkeypatch, caplog, why):
+    """The CPU draws it, and the GPU draws the next one."""
+    import wgpu
+
+    instances, camera = crowd
+    passes = ("rgb", "alpha", "median_depth")
+    wanted, whole = (fg.render(instances, camera, passes=passes, backend=name) for name in ("cpu", name_of(adapter)))
+
+    def full(*args, **kwargs):
+        raise wgpu.GPUOutOfMemoryError("Out of memory\n")
+
+    with monkeypatch.context() as patch:
+        if "memory" in why:
+            patch.setattr(fresh.backend.device.native, "create_buffer", full)
+        else:
+            patch.setattr(blend, "ENTRIES", 9)
+        for _ in range(2):
+            got = fg.render(instances, camera, passes=passes, backend=fresh.name)
+            assert all(np.array_equal(wanted[name], got[name]) for name in passes)
+    again = fg.render(instances, camera, passes=passes, backend=fresh.name)
+    assert fresh.backend.failed is None and all(np.array_equal(whole[name], again[name]) for name in passes)
+    assert len(caplog.records) == 1 and caplog.messages[0].startswith("a picture does not fit on the GPU, so the CPU draws it: ")
+    assert backends.overflow_of(fresh.name) and not backends.overflow_of(fresh.name)
 
 
 def test_a_refused_shader_is_told(fresh, crowd, monkeypatch, caplog):

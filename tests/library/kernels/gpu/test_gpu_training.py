@@ -321,3 +321,19 @@ def test_pictures_that_are_too_large_for_a_buffer_are_compared_in_strips(fresh, 
     for name, wanted in found[0].items():
         np.testing.assert_allclose(found[1][name], wanted, rtol=2e-4, atol=2e-6 * np.abs(wanted).max(initial=0), err_msg=name)
         assert name != "by rgb" or np.array_equal(found[1][name], wanted), "no pixel's own gradient changes"
+
+
+def test_splats_of_several_buffers_change_no_byte(fresh, rng, monkeypatch):
+    """With bindings of 64 KiB the splats of 4500 Gaussians lie in two; those that the view shows are gathered in one."""
+    model = random_model(rng, 4500, "line", "line", "radial", "rgb", size=0.005)
+    camera, goal = fg.Camera(24, 16, 150, 150, 12, 8, random_pose(rng, 3.0)), rng.uniform(0, 1, (16, 24, 3)).astype(np.float32)
+    found, stages, run, before = [], [], Device.run, fresh.backend.device.binding
+    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
+    for binding in (before, 1 << 16):
+        stages.clear()
+        fresh.backend.device.__dict__["binding"] = binding
+        found.append(two_passes(fresh.backend, model, camera, 0.4, goal, None, None, None, False))
+    assert stages.count("touch") == 2 and stages.count("raster") == 1, "one band, of two buffers"
+    assert 50 < np.count_nonzero(found[0]["drawn"]) < 4000
+    for name, wanted in found[0].items():
+        assert np.array_equal(found[1][name], wanted), name
