@@ -39,7 +39,9 @@ test-library: .venv/ready
 	@$(PY) -m pytest tests/library -n 2 --dist worksteal
 
 # Blender has one set of global data a process, so these never share a process with the library's tests, and a file stays in one process.
-ADDON := tests/addon -n 2 --dist loadfile --no-loadscope-reorder
+# A process that crashes ends the run, with the test's name: xdist would give the file's other tests to a new process, which then waits
+# for ever (github.com/pytest-dev/pytest-xdist/issues/1327).
+ADDON := tests/addon -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 test-addon: .venv/ready
 	@$(PY) -m pytest $(ADDON)
 

@@ -4,7 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..scene import model_space, notices, objects, paths, point_edits
-from ..scene.splats import feeding, guard, moving, native, proxy_nodes
+from ..scene.splats import bodies, feeding, guard, moving, native, proxy_nodes
 from . import compiling
 
 
@@ -55,9 +55,11 @@ HANDLERS = (
     (bpy.app.handlers.load_pre, _forget_objects),
     (bpy.app.handlers.load_post, _compile_for_splats),
     (bpy.app.handlers.load_post, _upgrade),
+    (bpy.app.handlers.frame_change_pre, bodies.rest),
     (bpy.app.handlers.frame_change_pre, feeding.before),
     (bpy.app.handlers.frame_change_post, feeding.after),
     (bpy.app.handlers.frame_change_post, moving.follow),
+    (bpy.app.handlers.depsgraph_update_post, bodies.rest),
     (bpy.app.handlers.depsgraph_update_post, feeding.after),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),

@@ -33,7 +33,7 @@ _fed: dict[int, tuple[weakref.ref, np.ndarray, int]] = {}
 def before(scene, depsgraph=None) -> None:
     """Handler, before a frame is evaluated."""
     for obj in bpy.data.objects:
-        if objects.is_splat(obj):
+        if objects.is_splat(obj) and not obj.rigid_body:  # a simulation may be reading its mesh on the new frame (bodies.py)
             feed(obj, obj, scene)
 
 

@@ -57,6 +57,8 @@ def follow(scene, depsgraph=None) -> None:
         _chosen.pop(key, None)  # a render runs in a thread of its own
     for obj in splats if depsgraph is not None else ():
         evaluated = obj.evaluated_get(depsgraph)
+        if obj.rigid_body and depsgraph.mode == 'VIEWPORT':  # its mesh stays from frame to frame (bodies.py)
+            continue
         if evaluated.is_evaluated and evaluated.type == 'MESH' and _shows_points(evaluated.data):
             _move(evaluated, depsgraph)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Geometry Nodes group that makes proxies' points visible to every engine, and the materials that colour them.
+"""The Geometry Nodes groups that make proxies' points visible to every engine, and the materials that colour them.
 
 Engines with shaders read the colour from an attribute.  Workbench draws each material in one colour, so the points are spread over the
 materials of a palette.
@@ -12,7 +12,7 @@ from mathutils import Color
 
 from .. import proxies
 from ..point_edits import OPACITY
-from ..proxies import OFFSET
+from ..proxies import OFFSET, STILL
 
 NAME = proxies.GROUP
 """Of the node group, the modifier and the materials."""
@@ -35,7 +35,7 @@ VERSION_KEY = "fastgs_version"
 def give_modifier(obj: bpy.types.Object) -> None:
     """Give the object the modifier with the group."""
     modifier = obj.modifiers.new(NAME, 'NODES')
-    modifier.node_group = group()
+    modifier.node_group = group(STILL if obj.rigid_body else NAME)
     modifier.show_expanded = False
     keep_last(modifier)
 
@@ -53,27 +53,30 @@ def modifier_of(obj):
 
 def _own(collection, name: str, kind: str | None = None):
     """The datablock of our name that this .blend itself holds, or None.  One that is linked from a library may disappear."""
-    return next((x for x in collection if x.name == name and x.library is None and kind in (None, x.bl_idname)), None)
+    return next((x for x in collection if x.name == name and x.library is None and (kind is None or x.bl_idname == kind)), None)
 
 
-def group() -> bpy.types.NodeTree:
-    """The group of this .blend; made where it is missing, and made anew where an older version of the extension made it."""
-    found = _own(bpy.data.node_groups, NAME, 'GeometryNodeTree')
+def group(name: str = NAME) -> bpy.types.NodeTree:
+    """The group NAME or STILL of this .blend; made where it is missing, and made anew where an older version of the extension made it."""
+    found = _own(bpy.data.node_groups, name, 'GeometryNodeTree')
     if found is None:
-        found = bpy.data.node_groups.new(NAME, 'GeometryNodeTree')
+        found = bpy.data.node_groups.new(name, 'GeometryNodeTree')
         found.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
         found.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
     if found.get(VERSION_KEY) != VERSION:
         found.nodes.clear()
         _build(found)
+        if name == NAME:  # what depends on the time is evaluated on each frame, so that moving.py finds it as it was made
+            found.nodes.new('GeometryNodeInputSceneTime').location = 0, -200
         found[VERSION_KEY] = VERSION
     return found
 
 
 def upgrade() -> None:
-    """Make the group of a .blend anew where an older version of the extension made it."""
-    if _own(bpy.data.node_groups, NAME, 'GeometryNodeTree') is not None:
-        group()
+    """Make the groups of a .blend anew where an older version of the extension made them."""
+    for name in (NAME, STILL):
+        if _own(bpy.data.node_groups, name, 'GeometryNodeTree') is not None:
+            group(name)
 
 
 def _build(tree):
@@ -84,8 +87,7 @@ def _build(tree):
             ("ball", 'GeometryNodeMeshUVSphere'), ("position", 'GeometryNodeInputPosition'), ("store", 'GeometryNodeStoreNamedAttribute'),
             ("smooth", 'GeometryNodeSetShadeSmooth'), ("balls", 'GeometryNodeJoinGeometry'), ("shade", 'GeometryNodeInputNamedAttribute'),
             ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'), ("join", 'GeometryNodeJoinGeometry'),
-            # what depends on the time is evaluated on each frame, so that moving.py finds it as it was made
-            ("time", 'GeometryNodeInputSceneTime'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
+            ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
             ("all", 'GeometryNodeInputNamedAttribute'), ("carried", 'GeometryNodeSeparateGeometry'), ("kept", 'GeometryNodeJoinGeometry'),
             ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
             ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):

@@ -139,6 +139,18 @@ def test_files_of_earlier_versions_look_as_they_did(make_model, model_file, obje
     np.testing.assert_allclose(placement(obj), upright, atol=1e-5)
 
 
+def test_groups_of_earlier_versions_are_made_anew(imported, module):
+    """In a file that has the palette's materials already."""
+    obj = imported()
+    for name in ("FAST-GS Proxy", "FAST-GS Proxy (Still)"):
+        tree = module("scene.splats.proxy_nodes").group(name)
+        tree["fastgs_version"] = 1
+        tree.nodes.remove(tree.nodes["Hide Points in Viewports"])
+    module("scene.splats.proxy_nodes").upgrade()
+    assert all("Hide Points in Viewports" in tree.nodes for tree in bpy.data.node_groups) and module("scene.proxies").hidden() is False
+    assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons) == 8 * 40
+
+
 def test_a_failed_save_changes_no_path(imported, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
     obj = imported()
