@@ -56,10 +56,11 @@ class Splatv(Format):
                 count = length - begin  # splaTV's own converter states the size of the whole texture and leaves its last row unfilled
             if count % RECORD or begin + count > length:
                 raise FastGSError(f"the file is cut short: {count} bytes of Gaussians are promised; copy or export it again.")
-            if begin + count < length and last:
-                raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
             stream.seek(begin)
             texels = np.frombuffer(stream.read(count), "<u4").reshape(-1, 16)
+            more = length - begin - count if last else 0  # zeros that fill the texture's last row hold nothing
+            if more >= ROW * RECORD or any(stream.read(more)):
+                raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
         recorded = understand(chunk.get("fastgs", {}))
         recorded.pop("appearance", None)
         return GaussianModel(**restored(_decode(texels[texels.any(1)]), {"clip": Clip(FRAMES)} | recorded))

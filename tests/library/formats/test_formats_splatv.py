@@ -156,6 +156,15 @@ def test_files_without_the_padding_of_the_last_row_are_whole(load_bytes):
             load_bytes(wrong)
 
 
+def test_files_with_padding_that_the_header_leaves_out_are_whole(load_bytes):
+    """A header may state the records alone, and the body fill the texture's last row with zeros."""
+    whole = file(b"".join(record() for _ in range(1100)))
+    assert len(load_bytes(whole + bytes(64 * 948))) == 1100
+    for wrong in (bytes(64 * 1024), bytes(64 * 10) + b"x"):
+        with pytest.raises(fg.FastGSError, match="more in the file"):
+            load_bytes(whole + wrong)
+
+
 def test_files_of_splatvs_own_converter(shared_data):
     files = sorted((shared_data / "splatv").glob("*.splatv"))
     if not files:
