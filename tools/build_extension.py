@@ -106,13 +106,15 @@ def copy_content(stage: Path):
 
 
 def copy_pages(stage: Path):
-    """README, CHANGELOG and docs/ as HTML, without pictures; a link to what the extension leaves out becomes its words."""
+    """README, CHANGELOG and docs/ as HTML, with the pictures that they show; a link to what the extension leaves out becomes its words."""
     pages = [Path("README.md"), Path("CHANGELOG.md"), *(page.relative_to(ROOT) for page in (ROOT / "docs").glob("*.md"))]
     (stage / "docs").mkdir()
 
     def kept(link: re.Match) -> str:
         picture, words, target = link.groups()
         inside = Path(os.path.normpath(page.parent / target.partition("#")[0]))
+        if picture and inside.parent.name == "docs":
+            shutil.copy(ROOT / inside, stage / inside)
         if "://" in target or target.startswith("#") or inside in pages or (stage / inside).exists():
             return link[0]
         return "" if picture else words

@@ -17,6 +17,7 @@ PAGE = """<!DOCTYPE html>
 :root {{ color-scheme: light dark; }}
 body {{ max-width: 56rem; margin: 2rem auto; padding: 0 1rem; font: 1rem/1.55 system-ui, sans-serif; }}
 a {{ color: light-dark(#0b61c4, #7db7ff); }}
+img {{ max-width: 100%; height: auto; }}
 pre, table {{ overflow-x: auto; display: block; }}
 pre {{ padding: .7rem; }}
 pre, code {{ background: light-dark(#f0f1f3, #2a2c30); border-radius: .3rem; font-family: ui-monospace, monospace; font-size: .92em; }}

@@ -202,6 +202,7 @@ def run_text(facts: dict, everything: bool) -> str:
     status, source, settings = facts["status"], facts["source"] or {}, facts["settings"] or {}
     steps = f", {status['iteration']} of {status['iterations']} steps" if {"iteration", "iterations"} <= status.keys() else ""
     quality = f", {status['held_out_psnr']:.2f} dB in the held-out views" if "held_out_psnr" in status else ""
+    source = {**source, **({"frames": _range_text(*source["frames"])} if source.get("frames") else {})}
     part = [f"{name.replace('_', ' ')} {', '.join(map(str, value)) if isinstance(value, list) else value}"
             for name, value in source.items() if name != "capture" and value is not None]
     lines = [("run", facts["run"]), ("state", facts["state"] + steps + quality), ("reason", status.get("reason")),
@@ -211,6 +212,11 @@ def run_text(facts: dict, everything: bool) -> str:
     lines = [line for line in lines if line[1] is not None]
     model, _, hidden = _rows(facts["model"], everything) if facts["model"] else ([], everything, 0)
     return screen(lines + model, everything, hidden)
+
+
+def _range_text(start: int, stop: int, step: int) -> str:
+    """A run's part of its capture as `train --frames` is given it, both ends included; a run begun in Python may name no end."""
+    return (f"{start}:{stop - 1}" if stop < 1 << 30 else f"from {start} on") + (f":{step}" if step > 1 else "")
 
 
 def _motion_text(motion: dict) -> str:

@@ -100,6 +100,8 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
                for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
     wanted |= {"CHANGELOG.html", *(f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md"))}
+    wanted |= {f"docs/{name}" for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+               for name in re.findall(r"!\[[^\]]*\]\((?:docs/)?([\w.-]+)\)", page.read_text("utf-8"))}
     assert {"scene/__init__.py", "engine/__init__.py"} <= wanted
     assert names == wanted
     assert str(path) in capsys.readouterr().out
@@ -117,7 +119,7 @@ def test_the_zips_pages_lead_to_one_another(builder, tmp_path):
         target = Path(os.path.normpath(page.parent / name)) if name else page
         assert target.exists() and (not heading or heading in headings[target]), (page.name, link)
     readme = pages[stage / "README.html"]
-    assert "<h1" in readme and "<table>" in readme and "first-light" not in readme
+    assert "<h1" in readme and "<table>" in readme and '<img src="docs/first-light.webp"' in readme
     assert (stage / "README.html", "docs/colour.html") in links
     assert (stage / "docs" / "README.html", "captures.html#check-my-capture") in links
     assert "CONTRIBUTING.md" in readme and "CONTRIBUTING.html" not in readme  # a name, where the file is not there

@@ -17,6 +17,8 @@ import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.commands import COMMANDS, bench
 from fastgs_blender.kernels.cpu import jit
+from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.run.plan import Plan, Source
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -86,6 +88,15 @@ def test_runs_as_a_module(file):
                             text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["gaussians"] == 30
+
+
+def test_info_of_a_run_names_its_frames_as_train_takes_them(tmp_path, capsys):
+    (tmp_path / "status.json").write_text('{"state": "stopped"}')
+    for part, words in (((2, 7, 1), "frames 2:6,"), ((0, 20, 3), "frames 0:19:3,"), ((4, 1 << 30, 1), "frames from 4 on,")):
+        plan = Plan(settings(), Source("/capture", scale=0.5, frames=part, held_out=("cam00",)))
+        (tmp_path / "run.json").write_text(json.dumps(plan.to_dict()))
+        assert cli.main(["info", str(tmp_path)]) == 0
+        assert words in " ".join(capsys.readouterr().out.split())
 
 
 def test_info_for_scripts(run, file, model):
