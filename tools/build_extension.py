@@ -106,14 +106,14 @@ def copy_content(stage: Path):
 
 
 def copy_pages(stage: Path):
-    """README, CHANGELOG and docs/ as HTML, with the pictures that they show; a link to what the extension leaves out becomes its words."""
+    """README, CHANGELOG and docs/ as HTML, with their pictures; a link to what the extension leaves out becomes its words."""
     pages = [Path("README.md"), Path("CHANGELOG.md"), *(page.relative_to(ROOT) for page in (ROOT / "docs").glob("*.md"))]
     (stage / "docs").mkdir()
 
     def kept(link: re.Match) -> str:
         picture, words, target = link.groups()
         inside = Path(os.path.normpath(page.parent / target.partition("#")[0]))
-        if picture and inside.parent.name == "docs":
+        if inside.parent.name == "docs" and inside.suffix in (".png", ".webp"):
             shutil.copy(ROOT / inside, stage / inside)
         if "://" in target or target.startswith("#") or inside in pages or (stage / inside).exists():
             return link[0]

@@ -9,7 +9,8 @@ from pathlib import Path
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras", "training", "trained", "baked")
+NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras", "training", "trained", "baked",
+         "ordinary-told", "first-preferences", "sequence-panel")
 LIMIT = 400_000
 """Bytes of a picture."""
 
@@ -26,14 +27,17 @@ def packed(path: Path) -> bytes:
 
 
 def main():
-    """For each Blender that was tested: docs/blender-VERSION-NAME.png."""
-    tested = sorted((ROOT / "build" / "blender").glob("*/f12.png"))
+    """For each Blender that was tested: docs/blender-VERSION-NAME.png, where a page names it."""
+    pages = "".join(page.read_text("utf-8") for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+    tested = sorted({path.parent for name in NAMES for path in (ROOT / "build" / "blender").glob(f"*/{name}.png")})
     if not tested:
         sys.exit("There are no screenshots; make test-blender takes them.")
-    for folder in (path.parent for path in tested):
+    for folder in tested:
         version = next(folder.glob("home/.config/blender/[0-9]*.[0-9]*")).name
         for name in (name for name in NAMES if (folder / f"{name}.png").exists()):
             target = ROOT / "docs" / f"blender-{version}-{name}.png"
+            if target.name not in pages:
+                continue
             target.write_bytes(packed(folder / f"{name}.png"))
             print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
 

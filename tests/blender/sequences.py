@@ -7,7 +7,7 @@ import sys
 
 import bpy
 from background import ADDON, bring, look
-from window import area_of, press, seen_by, settled, until, within
+from window import area_of, press, seen_by, settled, sidebar, until, within
 
 
 def playing(folder, names, beside):
@@ -58,6 +58,12 @@ def playing(folder, names, beside):
     scene.frame_set(scene.frame_start + 7)
     yield from settled("sequence-7")
     facts["views"]["7"] = seen_by(area)
+
+    # what its panel says
+    made[0].select_set(True)
+    bpy.context.view_layer.objects.active = made[0]
+    yield from sidebar(area)
+    yield from settled("sequence-panel")
 
     # F12
     facts |= {"camera": camera, "rendered": 9}

@@ -101,7 +101,7 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
                for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
     wanted |= {"CHANGELOG.html", *(f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md"))}
     wanted |= {f"docs/{name}" for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-               for name in re.findall(r"!\[[^\]]*\]\((?:docs/)?([\w.-]+)\)", page.read_text("utf-8"))}
+               for name in re.findall(r"\]\((?:docs/)?([\w.-]+\.(?:png|webp))\)", page.read_text("utf-8"))}
     assert {"scene/__init__.py", "engine/__init__.py"} <= wanted
     assert names == wanted
     assert str(path) in capsys.readouterr().out
