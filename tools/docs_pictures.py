@@ -10,7 +10,7 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras", "training", "trained", "baked",
-         "ordinary-told", "first-preferences", "sequence-panel")
+         "ordinary-joined", "first-preferences", "sequence-panel")
 LIMIT = 400_000
 """Bytes of a picture."""
 
@@ -34,12 +34,11 @@ def main():
         sys.exit("There are no screenshots; make test-blender takes them.")
     for folder in tested:
         version = next(folder.glob("home/.config/blender/[0-9]*.[0-9]*")).name
-        for name in (name for name in NAMES if (folder / f"{name}.png").exists()):
-            target = ROOT / "docs" / f"blender-{version}-{name}.png"
-            if target.name not in pages:
-                continue
-            target.write_bytes(packed(folder / f"{name}.png"))
-            print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
+        for name in NAMES:
+            picture, target = folder / f"{name}.png", ROOT / "docs" / f"blender-{version}-{name}.png"
+            if picture.exists() and target.name in pages:
+                target.write_bytes(packed(picture))
+                print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

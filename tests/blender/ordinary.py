@@ -8,7 +8,7 @@ from importlib import import_module
 import bpy
 from background import ADDON, bring, look
 from mathutils import Euler, Vector
-from window import area_of, press, seen_by, settled, shot, until, within
+from window import area_of, press, seen_by, settled, until, within
 
 
 def operators(model):
@@ -49,7 +49,6 @@ def operators(model):
         bpy.ops.object.join('EXEC_DEFAULT', True)
     yield 2.0
     facts["joined"] = sorted((o.name, len(o.data.polygons)) for o in scene.objects if o.type == 'MESH')
-    shot("ordinary-told")
     yield from away(area)
     yield from settled("ordinary-joined")
 
