@@ -106,14 +106,14 @@ class FASTGS_OT_set_scale(_Align, bpy.types.Operator):
     bl_label = "Set Scale"
 
     distance: FloatProperty(
-        name="Distance", description="Real distance of the two selected objects, or vertices of the proxy in Edit Mode", subtype='DISTANCE',
-        min=1e-6, default=1.0)
+        name="Distance", subtype='DISTANCE', min=1e-6, default=1.0,
+        description="Real distance of the two selected objects or cameras, or vertices of the proxy in Edit Mode")
 
     def invoke(self, context, event):
         return context.window_manager.invoke_props_dialog(self)
 
     def motion(self, context, worlds):
-        (a, b), marks = points(context, 2)
+        (a, b), marks = points(context, 2, of_cameras=True)
         apart = np.linalg.norm(b - a)
         if apart < 1e-9:
             raise FastGSError("the two points are at the same place; choose two points far apart.")

@@ -37,10 +37,11 @@ def _parents(obj):
         yield obj
 
 
-def points(context, count: int) -> tuple[np.ndarray, list]:
+def points(context, count: int, of_cameras: bool = False) -> tuple[np.ndarray, list]:
     """That many points [count, 3] of the world that the user marked, and the objects that mark them.
 
-    In Edit Mode they are the selected vertices of a splat's proxy, else the selected objects that are no splats.
+    In Edit Mode they are the selected vertices of a splat's proxy, else the selected objects that are neither splats nor cameras of a
+    capture, which an import leaves selected.  of_cameras: where nothing else is selected, these cameras are the points.
     Raises FastGSError where there are more or fewer.
     """
     if context.mode == 'EDIT_MESH':
@@ -50,13 +51,19 @@ def points(context, count: int) -> tuple[np.ndarray, list]:
         chosen = [obj.matrix_world @ v.co for v in bmesh.from_edit_mesh(obj.data).verts if v.select]
         return _exactly(count, chosen, "vertices"), []
     cameras = capture_cameras(context.scene)
-    marks = [obj for obj in context.selected_objects if not is_world(obj) and obj not in cameras]
-    return _exactly(count, [obj.matrix_world.translation for obj in marks], "objects (empties, for instance)"), marks
+    selected = [obj for obj in context.selected_objects if not is_world(obj)]
+    marks = [obj for obj in selected if obj not in cameras]
+    if of_cameras:
+        marks, what = marks or selected, "objects, such as empties or the capture's cameras"
+    else:
+        what = "objects, such as empties (the capture's cameras do not count)"
+    found = _exactly(count, [obj.matrix_world.translation for obj in marks], what)
+    return found, [obj for obj in marks if obj not in cameras]  # cameras go with their capture
 
 
 def _exactly(count, chosen, what):
     if len(chosen) != count:
-        raise FastGSError(f"mark {count} points: select {count} {what}; {len(chosen)} are selected.")
+        raise FastGSError(f"mark {count} points: select {count} {what}; {len(chosen)} are selected now.")
     return np.array([list(p) for p in chosen], np.float64)
 
 

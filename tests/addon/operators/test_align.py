@@ -92,6 +92,23 @@ def test_scale_from_two_points(scene, capture):
         np.testing.assert_allclose(obj.matrix_world.translation, 0.25 * np.array(TILT.translation), atol=1e-6)
 
 
+def test_scale_from_two_cameras_of_the_capture(scene, capture):
+    """A rig whose cameras' distance was measured; with empties selected too, these are meant."""
+    cameras = [bpy.data.objects[name] for name in ("cam0", "cam2")]
+    select(cameras)
+    assert bpy.ops.fastgs.set_scale(distance=3) == {'FINISHED'}
+    assert (cameras[0].matrix_world.translation - cameras[1].matrix_world.translation).length == pytest.approx(3)
+    np.testing.assert_allclose(capture[0].matrix_world.to_scale(), 0.5, atol=1e-6)
+    np.testing.assert_allclose(capture[1].matrix_world.to_scale(), 0.5, atol=1e-6)
+    a, b = marks(scene, [(1, 1, 0), (1, 3, 0)])
+    select([a, b, *cameras])
+    assert bpy.ops.fastgs.set_scale(distance=4) == {'FINISHED'}
+    np.testing.assert_allclose(capture[0].matrix_world.to_scale(), 1, atol=1e-6)
+    select(cameras)
+    with pytest.raises(RuntimeError, match="the capture's cameras do not count"):
+        bpy.ops.fastgs.set_ground()
+
+
 def test_vertices_of_the_proxy_are_points_too(scene, capture):
     import bmesh
 
