@@ -92,6 +92,8 @@ def from_entries(
     entries = [replace(entry, view=_name(entry.view)) for entry in entries]  # for messages, and for Blender
     entries, remarks = _by_the_clocks(entries, options.offsets)
     notes = [*notes, *remarks]
+    if options.scale is None and scale < 1:
+        notes.append(f"pictures are used at {scale:.0%} of their size, as in published work; a scale of 1 keeps all their pixels")
     entries = [entry for entry in entries if entry.frame in place]
     if not entries:
         reason = f": {faults[0]}" if faults else ""

@@ -16,6 +16,7 @@ STG: dict[str, Any] = {
     "rate_unit": "extent", "position_rate": 1.6e-4, "position_rate_end": 1.6e-6, "motion_rate": 2.8e-4, "motion_decay": 1.0,
     "rotation_rate": 1e-3, "turn_rate": 1e-4, "scale_rate": 1.5e-3, "opacity_rate": 0.05, "base_rate": 2.5e-3, "direction_rate": 2.5e-3,
     "time_rate": 1e-3, "centre_rate": 1e-4, "duration_rate": 0.03, "decoder_rate": 1e-4, "rate_decay": 1.0,
+    "cool_down": 0.0,
     "backdrop": 0.0, "points": 200_000, "start_opacity": 0.1, "start_size": 1.0, "start_life": 1.0, "static_life": 1.0,
     "density": "default", "max_gaussians": 500_000, "densify_from": 500 / 30_000, "densify_until": 9000 / 30_000, "densify_every": 100,
     "growths": 6, "gradient": "plain", "threshold": 2e-4, "dense_size": 0.01, "grow": 100.0, "prune_opacity": 0.005, "near_size": 1e6,
@@ -24,7 +25,7 @@ STG: dict[str, Any] = {
 PAPER: dict[str, Any] = {**STG, "motion": "paper", "order": 5, "motion_weight": 0.1, "regulariser": "printed", "loss": "sum"}
 
 LENGTHS: dict[str, dict[str, Any]] = {
-    "draft": {"iterations": 2500, "max_gaussians": 20_000, "points": 10_000},
+    "draft": {"iterations": 2500, "max_gaussians": 20_000, "points": 10_000, "cool_down": 0.0},
     "standard": {},
     "final": {"iterations": 30_000, "max_gaussians": 150_000, "points": 60_000},
 }

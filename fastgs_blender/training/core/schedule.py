@@ -22,7 +22,7 @@ def learning_rates(settings, iteration: int, extent: float, reach: float, basis:
     """The rate of every array at a step: a number, or a row of the array's columns.
 
     Lengths scale with the extent; positions begin with steps in proportion to the reach, how far away is what the cameras film, unless the
-    settings say otherwise.
+    settings say otherwise.  In the last part of the run all of them go down to nothing.
     """
     done = min(iteration / max(settings.iterations, 1), 1.0)
     first, last = settings.position_rate * (reach if settings.rate_unit == "reach" else extent), settings.position_rate_end * extent
@@ -44,8 +44,10 @@ def learning_rates(settings, iteration: int, extent: float, reach: float, basis:
         "w1": decoder, "w2": settings.decoder_rate,
     }
     fade = settings.rate_decay**done
-    return {"position": position, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
-            **{name: rate * fade for name, rate in others.items()}}
+    rates = {"position": position, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
+             **{name: rate * fade for name, rate in others.items()}}
+    rest = min((1 - done) / settings.cool_down, 1.0) if settings.cool_down else 1.0
+    return {name: rate * rest for name, rate in rates.items()}
 
 
 def reduction(settings, iteration: int) -> int:

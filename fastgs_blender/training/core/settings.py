@@ -75,6 +75,8 @@ class Settings:
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
       rate_decay      end of these last ones, as a fraction of their beginning: long steps first, so that Gaussians soon have their
                       shapes, short ones at the end, so that they come to rest
+      cool_down       share of the run, its last part, in which all rates also fall to nothing in a straight line: what moves is seen in
+                      few pictures, and goes to and fro with the latest ones until steps are short
       free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
 
     Starting values
@@ -157,6 +159,7 @@ class Settings:
     duration_rate: float = 0.03
     decoder_rate: float = 1e-3
     rate_decay: float = 0.3
+    cool_down: float = 0.1
     free_centre: bool = False
 
     backdrop: float = 0.3
@@ -234,8 +237,8 @@ LIMITS = (
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
     ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
-    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("rate_decay", 0, 1), ("position_rate", 0, 1), ("position_rate_end", 0, 1),
-    ("motion_rate", 0, 1),
+    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
+    ("position_rate_end", 0, 1), ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""
 

@@ -55,7 +55,8 @@ def load(path, **options):
 def test_videos(videos, tmp_path_factory):
     assert n3v.recognises(videos)
     capture = load(videos)
-    assert capture.held_out_views == ["cam00"] and capture.clip.fps == 30 and capture.clip.frame_count == 3 and not capture.notes
+    assert capture.held_out_views == ["cam00"] and capture.clip.fps == 30 and capture.clip.frame_count == 3
+    assert ["used at 50% of their size" in note for note in capture.notes] == [True] and not load(videos, scale=0.5).notes
     assert {(s.camera.width, s.camera.height, s.camera.fx) for s in capture.shots} == {(160, 120, 150)}  # halved
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
     RIG.check(load(videos, scale=1.0), tmp_path_factory.mktemp("cache"), NAMES)

@@ -161,7 +161,7 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
 
 
 def test_rates_fall_and_divide_by_the_frequency():
-    chosen = options.settings()
+    chosen = options.settings(cool_down=0.0)
     first, last = (schedule.learning_rates(chosen, i, 2.0, 2.0, fg.Fourier(2, linear=True)) for i in (0, chosen.iterations))
     assert first["position"] == pytest.approx(2 * chosen.position_rate) and last["position"] == pytest.approx(2 * chosen.position_rate_end)
     far = [schedule.learning_rates(chosen, i, 2.0, 12.0, fg.Fourier(2, linear=True))["position"] for i in (0, chosen.iterations)]
@@ -170,6 +170,16 @@ def test_rates_fall_and_divide_by_the_frequency():
     assert last["motion"][0] == pytest.approx(chosen.motion_decay * first["motion"][0])
     for name in set(first) - {"position", "motion"}:
         np.testing.assert_allclose(last[name], chosen.rate_decay * np.asarray(first[name]), err_msg=name)
+
+
+def test_all_rates_fall_to_nothing_in_the_last_part_of_a_run():
+    with_rest, without = options.settings(cool_down=0.2), options.settings(cool_down=0.0)
+    for share, rest in ((0.0, 1.0), (0.8, 1.0), (0.9, 0.5), (0.98, 0.1)):
+        step = round(share * with_rest.iterations)
+        found, usual = (schedule.learning_rates(chosen, step, 2.0, 2.0, fg.Fourier(2)) for chosen in (with_rest, without))
+        assert found.keys() == usual.keys()
+        for name in usual:
+            np.testing.assert_allclose(found[name], rest * np.asarray(usual[name]), err_msg=name)
 
 
 @pytest.mark.parametrize(("distance", "reach"), [(9.0, 9.0), (0.5, 2.2)])
