@@ -25,7 +25,7 @@ STG: dict[str, Any] = {
 PAPER: dict[str, Any] = {**STG, "motion": "paper", "order": 5, "motion_weight": 0.1, "regulariser": "printed", "loss": "sum"}
 
 LENGTHS: dict[str, dict[str, Any]] = {
-    "draft": {"iterations": 2500, "max_gaussians": 20_000, "points": 10_000, "cool_down": 0.0},
+    "draft": {"iterations": 2500, "max_gaussians": 20_000, "points": 10_000, "warm_up": (0.05, 0.2), "cool_down": 0.0},
     "standard": {},
     "final": {"iterations": 30_000, "max_gaussians": 150_000, "points": 60_000},
 }

@@ -190,7 +190,7 @@ class Settings:
     opacity_weight: float = 0.01
     scale_weight: float = 0.01
 
-    warm_up: tuple[float, ...] = (0.05, 0.2)
+    warm_up: tuple[float, ...] = (0.02, 0.08)
 
     segment_frames: int = 120
     segment_overlap: int = 8
