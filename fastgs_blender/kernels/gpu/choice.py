@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chooses the backend for a device's name, and tests whether a GPU computes correctly (the self-test, whose result is stored).
+"""Chooses the backend for a device's name, by the self-test of each GPU (selftest.py), whose result is stored.
 
 A result is valid for one adapter, its driver and the shaders.  It is stored in gpus.json in the user's folder for caches.  Before a test
 starts, "not finished" is stored: where a faulty driver ends the whole program, the next start does not test that GPU again.
@@ -13,32 +13,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 
-import numpy as np
-
-from ...cameras.camera import Camera
-from ...model.appearance import SH, Features
-from ...model.gaussians import GaussianModel
-from ...model.motion import Fourier, Polynomial
-from ...model.temporal import Radial
-from ...rendering.instances import Instance
-from ...rendering.layout import Layout
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json
-from ..cpu.backend import CPU
 from ..cpu.cache import user_folder
-from ..parameters import DECODER
 from . import shaders
 from .adapters import Adapter, adapters, find
-from .backend import GPU
 from .device import Failure
+from .selftest import test
 
 VERDICTS = "gpus.json"
 UNFINISHED = "the self-test did not come to its end"
-CLOSE, MEAN, MANY = 2e-3, 1e-4, 0.01
-"""A picture has passed if at most MANY of its pixels differ by more than CLOSE (those at the alpha cut), and the mean by less than MEAN."""
-STRAY = 0.01
-"""The relative error of gradients that passes."""
 
 
 def choose(device: str, examine: Callable[[Adapter], str | None] | None = None) -> tuple[str, str]:
@@ -131,58 +116,3 @@ def _keep(adapter: Adapter, wrong: str) -> None:
         os.makedirs(path.parent, exist_ok=True)
         with replacing([path]) as (aside,):
             aside.write_text(json.dumps(_kept() | {_key(adapter): wrong}, indent=1), "utf-8")
-
-
-def test(adapter: Adapter) -> str:
-    """Test an adapter: compute pictures and gradients of two models by it and by the CPU.  Returns the fault as verdict() does."""
-    backend = GPU(adapter.open)
-    try:
-        for look in (SH(1), Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))):
-            model, camera = _scene(look)
-            wanted, once, again = (_picture(each, model, camera) for each in (CPU(), backend, backend))
-            if backend.failed is not None:
-                return backend.failed
-            if not np.array_equal(once, again):
-                return "two pictures of the same are not the same"
-            difference = np.nan_to_num(np.abs(once - wanted), nan=np.inf)
-            if difference.mean() > MEAN or (difference > CLOSE).mean() > MANY:
-                return f"its pictures are wrong by {difference.max():.2g}"
-            wanted, found = (_gradients(each, model, camera) for each in (CPU(), backend))
-            for name, array in wanted.items():
-                error = np.linalg.norm(found[name] - array) / max(np.linalg.norm(array), 1e-12)
-                if not error < STRAY:
-                    return f"its {'' if name == 'loss' else 'gradients of '}{name} are wrong by {100 * error:.2g} %"
-    except Failure as failure:
-        return str(failure)
-    return ""
-
-
-def _scene(look) -> tuple[GaussianModel, Camera]:
-    """A small random model with a given appearance, and a camera."""
-    rng, n = np.random.default_rng(2), 300
-    model = GaussianModel(
-        position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-2.3, 0.6, (n, 3)),
-        opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)), motion=rng.normal(0, 0.05, (n, 4, 3)),
-        rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n), temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2),
-        rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
-    return model, Camera(96, 64, 70, 75, 47, 33, np.eye(4))
-
-
-def _picture(backend, model: GaussianModel, camera: Camera) -> np.ndarray:
-    """Colour and alpha [h, w, 4] by a backend."""
-    instances = [Instance(model, np.eye(4), 0.4).viewed(camera)]
-    layout = Layout(instances, depth=False)
-    buffers = backend.draw(instances, camera, layout, (), lambda share: None)
-    rgb, alpha = backend.numpy(backend.colour(buffers, layout, camera)), backend.numpy(buffers.alpha)
-    return np.concatenate([rgb, alpha[..., None]], -1)
-
-
-def _gradients(backend, model: GaussianModel, camera: Camera) -> dict[str, np.ndarray]:
-    """Gradients of the loss against a grey picture, and the loss itself, by a backend."""
-    decoder = {name: getattr(model.appearance, name) for name in DECODER if hasattr(model.appearance, name)}
-    parameters = {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
-    picture = backend.splat(parameters, model, camera, 0.4)
-    goal = backend.array(np.full((camera.height, camera.width, 3), 0.4, np.float32))
-    loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
-    found = backend.backward(picture, loss.rgb, loss.alpha) | {"loss": loss.values}
-    return {name: backend.numpy(array) for name, array in found.items()}

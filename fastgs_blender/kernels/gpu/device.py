@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -152,6 +153,16 @@ class Device:
         return self._try(lambda: self.native.create_buffer(size=PARAMETERS, usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST))
 
     # memory
+
+    @contextmanager
+    def narrow(self, binding: int) -> Iterator[None]:
+        """Within this, buffers hold at most so many bytes, as on a device that can do no more."""
+        before = self.binding
+        self.binding = min(binding, before)
+        try:
+            yield
+        finally:
+            self.binding = before
 
     def fits(self, numbers: int) -> int:
         """The bytes of so many numbers of 4 bytes; raises TooLarge where no shader can see them at once."""

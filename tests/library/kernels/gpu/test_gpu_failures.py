@@ -2,8 +2,6 @@
 """A GPU that fails at any stage, allocation or read-back breaks no frame and no run (what a run does then: test_gpu_devices.py)."""
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from random_cameras import random_pose
@@ -11,7 +9,7 @@ from random_models import random_model
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.gpu import choice
+from fastgs_blender.kernels.gpu import selftest, shaders
 from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device
 from fastgs_blender.kernels.protocol import DeviceError
@@ -22,6 +20,7 @@ from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.model import model_from_points
 from fastgs_blender.util import backends
+from fastgs_blender.util.backends import load_backend
 
 LOST = "Parent device is lost"
 
@@ -128,10 +127,18 @@ def test_a_step_without_memory_is_a_device_error(gpu, another, breaking):
 
 
 def test_the_self_test_finds_every_stage_that_does_nothing(another, monkeypatch):
-    """So results that are wrong are not used, wherever they come from."""
-    sound, used, run = SimpleNamespace(open=lambda: another().device), set(), Device.run
-    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: used.add(stage) or run(self, stage, *rest, **more))
-    assert choice.test(sound) == "" and len(used) > 20
-    for stage in sorted(used - {"subgroups"}):  # without these a GPU can do
-        monkeypatch.setattr(Device, "run", lambda self, name, *rest, stage=stage, **more: name == stage or run(self, name, *rest, **more))
-        assert choice.test(sound), stage
+    """There is no stage that it does not run, so results that are wrong are not used, wherever they come from."""
+    run, found = Device.run, set()
+    for kind, works in selftest.WORKS.items():
+        for work in works:
+            wanted, used = work(load_backend("cpu")), set()
+            monkeypatch.setattr(Device, "run", lambda self, stage, *rest, used=used, **more: used.add(stage) or run(
+                self, stage, *rest, **more))
+            assert selftest.fault_of(another(), kind, work, wanted) == ""
+            for stage in sorted(used - found):
+                monkeypatch.setattr(Device, "run", lambda self, name, *rest, stage=stage, **more: name == stage or run(
+                    self, name, *rest, **more))
+                if selftest.fault_of(another(), kind, work, wanted):
+                    found.add(stage)
+    every = {file.stem for file in shaders.FOLDER.glob("*.wgsl") if "@compute" in file.read_text("utf-8")}
+    assert every - found == {"subgroups"}, "without these a GPU can do (test_gpu_lists.py)"

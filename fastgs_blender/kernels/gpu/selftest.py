@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The self-test of a GPU: small pictures of every kind, the gradients of a view and the updates of a step, computed by it and by the CPU.
+
+Each stage that pictures or training use (wgsl/) is run here: a test lets each of them do nothing, and the self-test must notice.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from types import SimpleNamespace
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...model.appearance import SH, Features
+from ...model.gaussians import GaussianModel
+from ...model.motion import Fourier, Polynomial
+from ...model.temporal import Radial
+from ...rendering.exposure import Aperture, Exposure
+from ...rendering.instances import Instance, ViewedInstance
+from ...rendering.layout import PROBES, Layout
+from ...rendering.quantities import shares
+from ..cpu.backend import CPU
+from ..cpu.steps import GATE, SHARPNESS
+from ..parameters import DECODER
+from ..protocol import MotionNorm
+from .adapters import Adapter
+from .backend import GPU
+from .device import Failure
+
+CLOSE, MEAN, MANY = 2e-3, 1e-4, 0.01
+"""A picture has passed if at most MANY of its pixels differ by more than CLOSE (those at the alpha cut), and the mean by less than MEAN.
+Depths differ by their shares."""
+STRAY = 0.01
+"""The relative error of gradients and steps that passes."""
+NARROW = 32 << 10
+"""Bytes of bindings with which the splats of STRIP lie in several buffers."""
+TIME = 0.4
+N = 300
+STRIP = Camera(16, 48, 45, 45, 8, 24, np.eye(4))
+TRIANGLE = np.array([[[-0.6, -0.5, 3], [0.7, -0.4, 4], [0, 0.6, 3.5]]], np.float32)
+
+Work = Callable[[CPU], dict[str, np.ndarray]]
+
+
+def test(adapter: Adapter) -> str:
+    """Test an adapter.  Returns its fault as a clause, "" where there is none."""
+    backend, cpu = GPU(adapter.open), CPU()
+    return next((fault for kind, works in WORKS.items() for work in works if (fault := fault_of(backend, kind, work, work(cpu)))), "")
+
+
+def fault_of(backend: GPU, kind: str, work: Work, wanted: dict[str, np.ndarray]) -> str:
+    """What is wrong with a work, of a kind in WORKS, by a GPU, of which the CPU gives what is wanted."""
+    try:
+        once, again = work(backend), work(backend)
+    except Failure as failure:
+        return str(failure)
+    if fault := backend.failed or backend.too_large:
+        return fault
+    for name, array in wanted.items():
+        if not np.array_equal(once[name], again[name], equal_nan=True):
+            return f"two {kind} of the same are not the same"
+        if fault := (_wrong_picture if kind == "pictures" else _wrong_array)(once[name], array):
+            return f"its {kind} are wrong by {fault} ({name})"
+    return ""
+
+
+def _wrong_picture(found: np.ndarray, wanted: np.ndarray) -> str:
+    """By how much a picture is wrong; "" where it is not."""
+    found, wanted = (np.nan_to_num(each.astype(np.float64), nan=-2, posinf=-1, neginf=-3) for each in (found, wanted))
+    difference = np.abs(found - wanted) / np.maximum(np.abs(wanted), 1)
+    wrong = difference.mean() > MEAN or (difference > CLOSE).mean() > MANY
+    return f"{difference.max():.2g}" if wrong else ""
+
+
+def _wrong_array(found: np.ndarray, wanted: np.ndarray) -> str:
+    """By how much an array is wrong; "" where it is not."""
+    error = np.linalg.norm(found.astype(np.float64) - wanted) / max(np.linalg.norm(wanted), 1e-12)
+    return "" if error < STRAY else f"{100 * error:.2g} %"
+
+
+def _model(look, n: int = N) -> GaussianModel:
+    """A small random model with a given appearance."""
+    rng = np.random.default_rng(2)
+    return GaussianModel(
+        position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-2.3, 0.6, (n, 3)),
+        opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)), motion=rng.normal(0, 0.05, (n, 4, 3)),
+        rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n), temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2),
+        rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
+
+
+def _decoded() -> Features:
+    """An appearance with a random decoder."""
+    return Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))
+
+
+def _camera(width: int, height: int) -> Camera:
+    return Camera(width, height, 0.73 * width, 0.78 * width, width / 2 - 1, height / 2 + 1, np.eye(4))
+
+
+def _small_buffers(backend: CPU) -> AbstractContextManager[None]:
+    """Within this, a GPU has to do with buffers of NARROW bytes."""
+    return backend.device.narrow(NARROW) if isinstance(backend, GPU) else nullcontext()
+
+
+def _nothing(share: float) -> None:
+    """Nobody is told."""
+
+
+# pictures
+
+
+def _scene(camera: Camera, copies: int = 1) -> list[ViewedInstance]:
+    """An object with a decoder, and copies of one without."""
+    plain, decoded = _model(SH(1)), _model(_decoded())
+    places = [np.eye(4) for _ in range(copies + 1)]
+    for number, place in enumerate(places):
+        place[:3, 3] = 0.1 * number, -0.2 * number, 0.3 * number
+    return [Instance(model, place, TIME, name=str(number)).viewed(camera)
+            for number, (model, place) in enumerate(zip([decoded, *[plain] * copies], places, strict=True))]
+
+
+def _picture(backend: CPU, camera: Camera, triangles: np.ndarray | None = None, copies: int = 1) -> dict[str, np.ndarray]:
+    """All that a picture may hold."""
+    instances = _scene(camera, copies)
+    objects = [instance.identity for instance in instances[:2]]
+    layout = Layout(instances, True, {"shares": shares(instances, objects)}, triangles is not None)
+    buffers = backend.draw(instances, camera, layout, PROBES, _nothing, triangles)
+    found = {"colour": backend.colour(buffers, layout, camera), "alpha": buffers.alpha, **buffers.sums, **buffers.probes}
+    if triangles is not None:
+        found["held"] = buffers.held
+    return {name: np.array(backend.numpy(array)) for name, array in found.items()}
+
+
+def _plain(backend: CPU) -> dict[str, np.ndarray]:
+    return _picture(backend, _camera(96, 64), copies=7)  # more Gaussians than are scanned at once
+
+
+def _behind_a_triangle(backend: CPU) -> dict[str, np.ndarray]:
+    return _picture(backend, _camera(96, 64), TRIANGLE) | {"surface": np.array(backend.surface(TRIANGLE, _camera(96, 64)))}
+
+
+def _in_small_buffers(backend: CPU) -> dict[str, np.ndarray]:
+    with _small_buffers(backend):
+        return _picture(backend, STRIP)
+
+
+def _sorted_by_pixel_and_blurred(backend: CPU) -> dict[str, np.ndarray]:
+    camera = _camera(48, 32)
+    instances = _scene(camera)
+    exposure = Exposure(-2, 2, steps=2, aperture=Aperture(0.1, 2.0, samples=2))
+    objects = [instance.identity for instance in instances]
+    found = backend.expose(exposure, instances, camera, True, _nothing, TRIANGLE, objects, True)
+    return {name: np.array(backend.numpy(array)) for name, array in zip(("colour", "alpha", "held", "shares"), found, strict=True)}
+
+
+# training
+
+
+def _gradients(backend: CPU, look, camera: Camera, n: int = N) -> dict[str, np.ndarray]:
+    """The loss, its gradients and the statistics of density control, of a view."""
+    model = _model(look, n)
+    decoder = {name: getattr(look, name) for name in DECODER if hasattr(look, name)}
+    parameters = {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
+    statistics = SimpleNamespace(**{name: backend.zeros((n,)) for name in ("gradient", "absolute", "seen", "radius")})
+    seen, rng = backend.zeros((n,)), np.random.default_rng(3)
+    stored = rng.integers(0, 256, (camera.height, camera.width, 3), np.uint8)
+    weight = backend.array(rng.uniform(0.5, 1, stored.shape[:2]).astype(np.float32))
+    backend.begin_step()
+    picture = backend.splat(parameters, model, camera, TIME, True)
+    goal = backend.picture(stored.astype(np.float32) / 255, stored)
+    loss = backend.compare(picture, goal, weight, np.array([0.2, 0.3, 0.4], np.float32), 0.2, 0.01, 1.0)
+    depth = backend.array(np.full(stored.shape[:2], 1e-4, np.float32))
+    found = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, seen=seen)
+    found = backend.backward(picture, loss.rgb, loss.alpha, into=found)
+    values = backend.end_step(loss.values)()
+    return {"loss": values[0], "drawn": np.array(backend.numpy(seen))} | {
+        name: np.array(backend.numpy(array)) for name, array in (found | vars(statistics)).items()}
+
+
+def _gradients_of_plain(backend: CPU) -> dict[str, np.ndarray]:
+    return _gradients(backend, SH(1), _camera(96, 64))
+
+
+def _gradients_of_decoded(backend: CPU) -> dict[str, np.ndarray]:
+    return _gradients(backend, _decoded(), _camera(96, 64))
+
+
+def _gradients_in_small_buffers(backend: CPU) -> dict[str, np.ndarray]:
+    with _small_buffers(backend):
+        return _gradients(backend, _decoded(), STRIP, 720)
+
+
+def _step(backend: CPU) -> dict[str, np.ndarray]:
+    """What follows the gradients, each on random numbers: penalties, hold, Adam, and MCMC's terms and random moves."""
+    rng, model = np.random.default_rng(4), _model(SH(1))
+    parameters = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
+    slopes = {name: backend.array(rng.normal(0, 1, array.shape).astype(np.float32)) for name, array in model.arrays.items()}
+    rows = backend.rows(backend.array((np.arange(N) % 2).astype(np.float32)))
+    held = backend.array(np.where(np.arange(N)[:, None] % 3 == 0, np.nan, 0.5 * model.features).astype(np.float32))
+    moved = backend.array(np.arange(N) % 5)
+    waits = backend.waits(rows, moved, 9)
+    found = {"waits": waits, "count": backend.count(rows)}
+    weights = np.linspace(0, 2, 3 * model.basis.terms)
+    for reading in ("mean", "group"):
+        norm = MotionNorm(None, 100 * weights, 2.0, 1e-2, reading)
+        found[f"penalty {reading}"] = backend.motion_penalty(norm, parameters["motion"], slopes["motion"], 0.3, waits)
+    backend.hold(parameters["features"], held, slopes["features"], rows, 2.0)
+    backend.shrink(parameters, slopes, 1000.0, 1000.0, 2.0)
+    tensors = [(backend.zeros(model.arrays[name].shape), slopes[name], *(backend.zeros(model.arrays[name].shape) for _ in range(2)),
+                backend.zeros((N,), np.int32), 1e-2, name == "scale") for name in ("motion", "scale", "opacity", "features")]
+    backend.adam(rows, tensors, (0.9, 0.999), moved, 9)
+    backend.adam(rows, tensors, (0.9, 0.999), moved, 10)
+    found |= {f"Adam's {i} of {j}": array for i, tensor in enumerate(tensors) for j, array in enumerate(tensor[:5])} | {"moved": moved}
+    return {name: np.array(backend.numpy(array)) for name, array in found.items()} | {"random moves": _moves(backend, model)}
+
+
+def _moves(backend: CPU, model: GaussianModel) -> np.ndarray:
+    """Whether MCMC's random moves are as large as they should be: the random numbers themselves are each backend's own."""
+    arrays = dict(model.arrays) | {"opacity": np.full(N, -8, np.float32)}
+    parameters = {name: backend.array(array.copy()) for name, array in arrays.items()}
+    backend.shake(parameters, 2.0, (1, 2))
+    size = np.linalg.norm(backend.numpy(parameters["position"]) - model.position, axis=1)
+    wanted = 2.0 / (1 + np.exp(-SHARPNESS * (1 - 1 / (1 + np.exp(8.0)) - GATE))) * np.sqrt(np.exp(4.0 * model.scale).sum(1))
+    return np.array([abs(np.sqrt(np.mean((size / wanted) ** 2)) - 1) < 0.2, np.isfinite(size).all()])
+
+
+WORKS: dict[str, tuple[Work, ...]] = {
+    "pictures": (_plain, _behind_a_triangle, _in_small_buffers, _sorted_by_pixel_and_blurred),
+    "gradients": (_gradients_of_plain, _gradients_of_decoded, _gradients_in_small_buffers),
+    "steps": (_step,),
+}
+"""The works by what they compute."""
