@@ -176,7 +176,7 @@ def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
 
 
 def test_torch_differentiates_by_pose_on_the_gpu(gpu, adapter, rng):
-    """The same gradients as on the CPU."""
+    """The same gradients as on the CPU, and those of the pose are the picture's differences on the GPU (gradcheck)."""
     torch = pytest.importorskip("torch")
     from fastgs_blender import torch as ours
 
@@ -190,6 +190,14 @@ def test_torch_differentiates_by_pose_on_the_gpu(gpu, adapter, rng):
         found.append({"pose": pose.grad.numpy(), **{name: tensor.grad.numpy() for name, tensor in parameters.items()}})
     for name, wanted in found[0].items():
         assert relative(found[1][name], wanted) <= 1e-4, name
+    constant, weights = {name: tensor.detach() for name, tensor in parameters.items()}, torch.from_numpy(rng.normal(size=(18, 22, 3)))
+    eye = fg.Camera(22, 18, 24, 22, 10.3, 9.6, random_pose(rng, 2.5))
+
+    def value(pose):
+        return (ours.render(constant, model, eye, 0.4, pose=pose, band=0.02, backend=f"gpu:{adapter.name}").rgb.double() * weights).sum()
+
+    at = torch.tensor([0.02, -0.01, 0.03, 0.1, 0.05, -0.1], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(value, (at,), eps=1e-3, atol=5e-2, rtol=1e-2)
 
 
 def test_the_backend_offers_what_the_protocol_says(gpu):
