@@ -62,18 +62,19 @@ def rotation_families(t: np.ndarray) -> list[Family]:
     return [family for kind in BASES.values() for family in kind.rotation_fits(float(t[0]), float(t[-1]))]
 
 
-def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0) -> Basis:
+def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0,
+           most: float = np.inf) -> Basis:
     """The basis with the fewest coefficients whose error is at most 1, else the one with the least error.
 
     t [S] the times that are known; families of bases by order, at a tie the first wins; error(fit) relative to the tolerance.
-    Never more coefficients than SAFE x S, nor a higher order than max_order (0: no such limit).
+    Never more coefficients than SAFE x S or `most`, nor a higher order than max_order (0: no such limit).
     """
     static = Fit.of(Static(), t)
     if len(t) < 2 or error(static) <= 1:
         return Static()
     best = None
     for family in families:
-        highest = _highest(family, len(t), max_order)
+        highest = _highest(family, min(max(int(SAFE * len(t)), 1), most), max_order)
         if highest < 1:
             continue
         errors: dict[int, float] = {}
@@ -90,9 +91,8 @@ def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float],
     return best[1] if best else Static()
 
 
-def _highest(family, samples: int, max_order: int) -> int:
-    limit = max(int(SAFE * samples), 1)
-
+def _highest(family, limit: float, max_order: int) -> int:
+    """The highest order whose basis has no more coefficients than the limit."""
     def allowed(n):
         basis = family(n)
         return basis.terms <= limit and (max_order <= 0 or getattr(basis, "order", n) <= max_order)

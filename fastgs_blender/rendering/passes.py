@@ -95,7 +95,7 @@ class Blended:
 
     def at_pixels(self, name: str) -> np.ndarray:
         """The same of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3]."""
-        (a, b, c), (x, y) = np.split(self.mean(name), 3, -1), self.camera.from_middle()
+        (a, b, c), (x, y) = np.split(self.mean(name), 3, -1), (side.astype(np.float32) for side in self.camera.from_middle())
         return a + b * x[:, None] + c * y[:, None, None]
 
 

@@ -21,7 +21,7 @@ from .colours import Colours, Painted
 from .sampling import SurfaceSamples
 from .trajectories import PROBES, WIDTH, MovingSurface, choose_paths, fit_paths, fit_turning
 
-THICKNESS = 0.1
+THICKNESS = 0.02
 """Standard deviation across the surface, as a share of the smaller one within it."""
 CLOSED = Raster(near=0.01, blur=0.05, antialiased=True)
 """How Gaussians that close the surface by themselves are drawn.  The usual blur of 0.3 square pixels would make outlines half a pixel

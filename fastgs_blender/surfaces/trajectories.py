@@ -20,11 +20,11 @@ STILL = 1e-4
 """Motion of less than this share of the object's size counts as no motion."""
 FOLLOW = 0.1
 """However small the motion, the fit leaves at most this share of it: a breathing chest must not freeze within the tolerance."""
-STEP = 1e-4
+STEP = 3e-5
 """Mean error of the motion from one frame to the next, as a share of the object's size, that more terms are spent on: the Vector pass shows
-it.  It is 0.05 pixels where the object is 500 pixels large."""
+it.  It is 0.03 pixels where the object is 1000 pixels large."""
 CHEAP = 10
-"""Number of terms that are spent on it in any case, as many as the paper's models have; otherwise up to twice as many as places need."""
+"""Number of terms that are spent on it at most, as many as the paper's models have, or twice as many as places need."""
 TURN = np.radians(1.0)
 """Mean error of rotations, in radians, that the order of their basis is chosen for."""
 MARGIN = 0.97
@@ -161,7 +161,8 @@ class Turning:
 def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, frame: float, basis: str, tolerance: float,
                  tail: float, max_order: int) -> tuple[Basis, bool]:
     """The smallest basis of positions that keeps every part within the tolerances of the mean and of the percentile, else the closest one;
-    and whether it keeps to them.  Where so many terms as CHEAP says bring the steps from frame to frame within STEP, they are taken.
+    and whether it keeps to them.  Where so many terms as CHEAP says bring the steps from frame to frame within STEP, or halve what they are
+    off by, they are taken.
 
     frame  the length of a frame, in the unit of the times t
     """
@@ -193,9 +194,10 @@ def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray,
     chosen = choose(families if moving else [], t, error, max_order)
     distance = distances(Fit.of(chosen, t))
     kept = bool((means(distance) <= MARGIN * tolerance * sizes).all() and (tails(distance) <= MARGIN * tail * sizes).all())
-    if kept and chosen.terms and steps(Fit.of(chosen, t)) > 1:
-        steadier = choose(families, t, lambda fit: max(error(fit), steps(fit)), max_order)
-        chosen = steadier if steadier.terms <= max(2 * chosen.terms, CHEAP) and steps(Fit.of(steadier, t)) <= 1 else chosen
+    off = steps(Fit.of(chosen, t)) if kept and chosen.terms else 0.0
+    if off > 1:
+        steadier = Fit.of(choose(families, t, lambda fit: max(error(fit), steps(fit)), max_order, max(2 * chosen.terms, CHEAP)), t)
+        chosen = steadier.basis if error(steadier) <= 1 and steps(steadier) <= max(1, off / 2) else chosen
     return chosen, kept
 
 

@@ -34,7 +34,7 @@ NOTHING = np.empty((0, PIXELS, SAMPLES), np.float32)
 """The depths of a picture without a holdout."""
 AHEAD = 8
 """How many splats ahead memory is asked for: a tile's splats lie all over it."""
-SIZES = (3, 4, 6, 9, 10, 16, 32, 64, 128, 256)
+SIZES = (3, 4, 6, 9, 10, 16, 24, 32, 64, 128, 256)
 """Numbers of channels for which code is made; others are padded to the next."""
 
 

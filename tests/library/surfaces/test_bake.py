@@ -238,7 +238,7 @@ def test_edges_between_faces_of_two_colours_are_crisp():
 
 
 def test_steps_from_frame_to_frame_are_followed():
-    """The mean step is right to 0.01 % of the size, for which the Vector pass has more terms than the places need."""
+    """The mean step is right to 0.009 % of the size, for which the Vector pass has more terms than the places need."""
     points, triangles = grid(4)
     points = points - points.mean(0)
 
@@ -254,16 +254,16 @@ def test_steps_from_frame_to_frame_are_followed():
                      for place in places[0][:, :2]])  # each Gaussian as a mean of vertices: the motion is rigid
     off = np.array([np.linalg.norm((there - here) - rows @ (after - before), axis=1).mean()
                     for here, there, before, after in zip(places, places[1:], truth, truth[1:])])
-    assert off.mean() < 1.2e-4 * report.size
+    assert off.mean() < 9e-5 * report.size
 
 
 def test_outlines_are_no_thicker_than_the_surface():
-    """A ball of 30 pixels covers as many pixels as it should, to 6 %: with the usual blur it would be 21 % too many."""
+    """A ball of 30 pixels covers as many pixels as it should, to 3.5 %: with the usual blur it would be 21 % too many."""
     points, triangles = sphere(48)
     model, _ = fg.bake(points[None], triangles, count=20_000)
     camera = fg.Camera(48, 48, 120, 120, 24, 24, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 8], [0, 0, 0, 1]]))
     area = np.pi * 120**2 / (64 - 1)
-    assert fg.render(model, camera, 0)["alpha"].sum() == pytest.approx(area, rel=0.06)
+    assert fg.render(model, camera, 0)["alpha"].sum() == pytest.approx(area, rel=0.035)
 
 
 def test_a_speckled_texture_leaves_no_holes():
