@@ -2,6 +2,8 @@
 """The parts of a training step that update all parameters, on the CPU: penalties, random moves, Adam."""
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...model.slicing import sigmoid
@@ -90,7 +92,7 @@ def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarra
         n = len(value)
         assert gradient.shape == mean.shape == square.shape == value.shape and len(count) == n and (shared or len(moved) == n)
         these = np.arange(n) if shared else rows
-        arrays = [a.reshape(n, -1) for a in (value, np.ascontiguousarray(gradient, np.float32), mean, square)]
+        arrays = [a.reshape(n, math.prod(value.shape[1:])) for a in (value, np.ascontiguousarray(gradient, np.float32), mean, square)]
         columns = np.broadcast_to(np.asarray(rate, np.float32).reshape(-1), arrays[0].shape[1]).copy()
         rest = (these, *arrays, count, columns, *betas, table)
         pieces += [(*piece, rest) for piece in ranges(len(these), ROWS)]
