@@ -124,7 +124,9 @@ def main(folder: Path):
     def picture(**options):
         return shown("rgb", fg.render(model, camera, WHEN, **options))
 
-    sheet(folder / "motion-blur.webp", [("sharp", picture()), ("shutter of 1 frame, 32 steps", picture(exposure=Exposure(-0.5, 0.5)))], 2)
+    sheet(folder / "motion-blur.webp", [("sharp", picture())] + [
+        (f"shutter of {text}, 32 steps", picture(exposure=Exposure(-half, half))) for text, half in (("1 frame", 0.5), ("3 frames", 1.5))],
+        3)
     depth = image["median_depth"][np.isfinite(image["median_depth"])]
     near, far = np.percentile(depth, [15, 75])
     lens = Aperture(0.03 * float(near + far), float(near), 6)
