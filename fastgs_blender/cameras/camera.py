@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,13 @@ from ..util.errors import FastGSError
 
 LARGEST_SIDE = 65_536
 """Pixels of the longer side of a picture that a file may claim."""
+
+
+class Rays(NamedTuple):
+    """The rays through a camera's pixels: where they begin [3], and their directions of length 1 [h, w, 3]."""
+
+    centre: np.ndarray
+    directions: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +64,8 @@ class Camera:
             raise FastGSError("a camera's world_to_camera must be a 4 x 4 matrix of finite numbers.")
         if self.fx == 0 or self.fy == 0:
             raise FastGSError("a camera's focal lengths must not be 0.")
-        if not self.far > self.near:
-            raise FastGSError(f"a camera's far plane must lie beyond its near plane at {self.near:g}, not at {self.far:g}.")
+        if not isinstance(self.far, Real) or not self.far > self.near:
+            raise FastGSError(f"a camera's far plane must lie beyond its near plane at {self.near:g}, not at {shown(self.far)}.")
         set_(self, "world_to_camera", matrix)
         window = (0, 0, self.width, self.height) if self.window is None else self.window
         if np.shape(window) != (4,):
@@ -95,13 +104,16 @@ class Camera:
         camera_to_world = np.linalg.pinv(self.world_to_camera)
         return points @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
 
-    def rays(self, model_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, model_to_camera: np.ndarray) -> Rays:
         """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space (model_to_camera [4, 4]).
 
         An orthographic camera has no centre: it gives the directions it looks along and, as centre, the point of the
         image plane's principal axis.
         """
         x0, y0, w, h = self.window
+        matrix = numbers(model_to_camera, "model_to_camera", "(4, 4)")
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise FastGSError("model_to_camera must be a 4 x 4 matrix of finite numbers.")
         camera_to_model = np.linalg.pinv(model_to_camera)
         u = (np.arange(x0, x0 + w) + 0.5 - self.cx) / self.fx
         v = (np.arange(y0, y0 + h) + 0.5 - self.cy) / self.fy
@@ -111,4 +123,4 @@ class Camera:
         rays[..., 2] = 1
         rays = rays @ camera_to_model[:3, :3].T
         length = np.linalg.norm(rays, axis=-1, keepdims=True)
-        return camera_to_model[:3, 3], rays / np.maximum(length, 1e-30)
+        return Rays(camera_to_model[:3, 3], rays / np.maximum(length, 1e-30))

@@ -56,7 +56,7 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
     Example:
         fg.save_cameras([camera], "cameras.json")
     """
-    file_path(path)
+    path = file_path(path)
     given = list(views) if isinstance(views, Iterable) else [views]
     wrong = [view for view in given if not isinstance(view, (View, Camera))]
     if wrong or not isinstance(views, Iterable):
@@ -70,7 +70,7 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
         entries.append({"id": i, "img_name": view.name, "width": camera.width, "height": camera.height, "position": pose[:3, 3].tolist(),
                         "rotation": pose[:3, :3].tolist(), "fy": camera.fy, "fx": camera.fx, "cx": camera.cx, "cy": camera.cy})
     try:
-        with replacing([Path(path)]) as (part,):
+        with replacing([path]) as (part,):
             part.write_text(json.dumps(entries, allow_nan=False) + "\n", encoding="utf-8")
     except (FastGSError, OSError) as error:
         reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")

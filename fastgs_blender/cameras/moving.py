@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..util import rotations
+from ..util.arguments import instance_of, numbers, real, shown, whole, yes_or_no
 from ..util.errors import FastGSError
 from . import moves, poses
 from .camera import Camera
@@ -44,14 +45,15 @@ def orbit(cameras: Sequence[Camera], frames: int, *, centre: np.ndarray | None =
         path = fg.orbit([view.camera for view in fg.load_cameras("examples/cameras.json")], 48)
     """
     first = _first(cameras)
-    middle = focus(cameras) if centre is None else np.asarray(centre, np.float64)
+    middle = focus(cameras) if centre is None else _point(centre)
+    turns, rise = real(turns, "the number of turns"), real(rise, "the rise")
     upright = _upright(cameras)
     away = upright @ (poses.inverse(first.world_to_camera)[:3, 3] - middle)
-    radius = float(np.linalg.norm(away)) if distance is None else float(distance)
+    radius = float(np.linalg.norm(away)) if distance is None else real(distance, "the distance")
     if not radius > 1e-9:
         raise FastGSError("an orbit needs a distance from its centre; the first camera stands in it, so give one.")
-    above = np.arctan2(away[2], np.hypot(away[0], away[1])) if elevation is None else np.radians(elevation)
-    path = moves.orbit(_shares(frames, ease, closed=float(turns).is_integer() and not rise), np.zeros(3), radius, above,
+    above = np.arctan2(away[2], np.hypot(away[0], away[1])) if elevation is None else np.radians(real(elevation, "the elevation"))
+    path = moves.orbit(_shares(frames, ease, closed=turns.is_integer() and not rise), np.zeros(3), radius, above,
                        np.arctan2(away[1], away[0]), turns, first.fx, np.radians(rise))
     turned = upright.T @ rotations.to_matrices(path.rotation) @ poses.OPENGL[:3, :3]
     return _cameras(first, path.position @ upright + middle, turned, path.focal)
@@ -65,7 +67,8 @@ def dolly(camera: Camera, frames: int, *, distance: float, subject: float | None
     Example:
         closer = fg.dolly(fg.load_cameras("examples/cameras.json")[0].camera, 48, distance=1.5)
     """
-    pose = poses.inverse(camera.world_to_camera)
+    pose = poses.inverse(_first([camera]).world_to_camera)
+    distance, subject = real(distance, "the distance"), None if subject is None else real(subject, "the distance of the subject")
     path = moves.dolly(_shares(frames, ease), pose[:3, 3], rotations.from_matrices(pose[None, :3, :3])[0], pose[:3, 2], distance, camera.fx,
                        subject)
     return _cameras(camera, path.position, rotations.to_matrices(path.rotation), path.focal)
@@ -77,7 +80,7 @@ def through(cameras: Sequence[Camera], frames: int, *, closed: bool = False, eas
     Example:
         path = fg.through([view.camera for view in fg.load_cameras("examples/cameras.json")[:4]], 48)
     """
-    first = _first(cameras)
+    first, closed = _first(cameras), yes_or_no(closed, "closed")
     placed = np.array([poses.inverse(camera.world_to_camera) for camera in cameras])
     focal = np.array([camera.fx * first.width / camera.width for camera in cameras])
     keys = moves.Path(placed[:, :3, 3], rotations.one_sign(rotations.from_matrices(placed[:, :3, :3])), focal)
@@ -93,16 +96,26 @@ def outside(path: Sequence[Camera], cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _first(cameras: Sequence[Camera]) -> Camera:
+    if not isinstance(cameras, Sequence) or isinstance(cameras, str | bytes):
+        raise FastGSError(f"a camera move needs a list of cameras, not {shown(cameras)}.")
     if not len(cameras):
         raise FastGSError("a camera move needs a camera to begin with.")
+    for camera in cameras:
+        instance_of(camera, Camera, "what a camera move begins with")
     return cameras[0]
+
+
+def _point(centre: np.ndarray) -> np.ndarray:
+    point = numbers(centre, "the centre", "[3]")
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise FastGSError(f"the centre must be three finite numbers, not {shown(centre)}.")
+    return point
 
 
 def _shares(frames: int, ease: float, closed: bool = False) -> np.ndarray:
     """The share of the way at each frame; a closed way ends a frame before its beginning, so that it can be repeated."""
-    if not 1 <= frames <= moves.MOST_FRAMES:
-        raise FastGSError(f"a camera move has from 1 to {moves.MOST_FRAMES} frames, not {frames}.")
-    return moves.ease(np.arange(frames) / max(frames if closed else frames - 1, 1), ease)
+    frames = whole(frames, "the number of frames of a camera move", 1, moves.MOST_FRAMES)
+    return moves.ease(np.arange(frames) / max(frames if closed else frames - 1, 1), real(ease, "the ease"))
 
 
 def _upright(cameras: Sequence[Camera]) -> np.ndarray:

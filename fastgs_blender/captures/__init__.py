@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
-from ..util.arguments import file_path
+from ..util.arguments import file_path, shown
 from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
@@ -33,6 +33,8 @@ def identify(path: str | os.PathLike, layout: str | None = None) -> ModuleType:
     """The layout of a capture, or the one of that name (its module's or the one users know); raises FastGSError."""
     path = _existing(path)
     if layout is not None:
+        if not isinstance(layout, str):
+            raise FastGSError(f"a layout has a name; there are {', '.join(LAYOUTS)}, not {shown(layout)}.")
         for module in layout_modules():
             if layout in {module.name, module.__name__.rpartition(".")[2]}:
                 return module
@@ -71,7 +73,7 @@ def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames:
     if offsets is None:
         clocks = read_clocks(path)
         offsets = {} if clocks is None else clocks.offsets
-    options = Options(scale, frames, None if held_out is None else tuple(held_out), dict(offsets))
+    options = Options(scale, frames, held_out, offsets)
     with reading(path, "its description is damaged, so copy or export it again"):
         return identify(path, layout).load(path, options)
 

@@ -5,8 +5,9 @@ World: as the layout gives it.  Cameras: OpenCV axes, world-to-camera, pixel cen
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from ..cameras.camera import Camera
 from ..cameras.moving import focus
 from ..model.gaussians import Clip
 from ..model.points import Points
+from ..util.arguments import names, real, shown
+from ..util.errors import FastGSError
 from .sources import Source
 
 MASKS = ("foreground", "valid")
@@ -32,8 +35,22 @@ class Options:
 
     scale: float | None = None
     frames: slice | None = None
-    held_out: tuple[str, ...] | None = None
+    held_out: Sequence[str] | None = None
     offsets: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.scale is not None:
+            object.__setattr__(self, "scale", real(self.scale, "the scale of a capture's pictures"))
+        part = self.frames
+        if part is not None and not (isinstance(part, slice) and all(
+                each is None or isinstance(each, Integral) for each in (part.start, part.stop, part.step))):
+            raise FastGSError(f"the frames of a capture are chosen by a slice of whole numbers, such as slice(0, 100), not {shown(part)}.")
+        if self.held_out is not None:
+            object.__setattr__(self, "held_out", names(self.held_out, "the views that are held out"))
+        if not isinstance(self.offsets, Mapping):
+            raise FastGSError(f"the offsets of clocks are given by view, as {{\"cam00\": 0.5}}, not as {shown(self.offsets)}.")
+        for view, offset in self.offsets.items():
+            real(offset, f"the offset of the clock of {view}")
 
 
 @dataclass(frozen=True, eq=False)

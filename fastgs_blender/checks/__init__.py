@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..captures import open_capture
-from ..util.arguments import file_path
+from ..util.arguments import file_path, listener
 from ..util.errors import FastGSError
 from .report import CheckReport, Section
 from .samples import Looked, look
@@ -36,7 +36,7 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
     """
     path = file_path(path, "the name of a capture")
     capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
-    report = progress or (lambda stage, share: None)
+    report = listener(progress)
 
     def at(stage: str, share: float) -> None:
         low, high = WEIGHTS[stage]

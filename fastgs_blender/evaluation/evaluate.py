@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from itertools import groupby
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from ..model.gaussians import GaussianModel
 from ..rendering import colour
 from ..rendering.api import render
 from ..rendering.images import write_png
-from ..util.arguments import shown
+from ..util.arguments import file_path, listener, names, shown, yes_or_no
 from ..util.backends import describe_backend
 from ..util.errors import FastGSError
 from . import halves, metrics
@@ -55,6 +56,10 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
         average = fg.evaluate(fg.load("run/model.safetensors"), fg.open_capture("my-capture", scale=0.5))["average"]
     """
     _check(model, capture)
+    lpips, fit_colours = yes_or_no(lpips, "lpips"), None if fit_colours is None else yes_or_no(fit_colours, "fit_colours")
+    progress, out = listener(progress), None if out is None else file_path(out, "the folder of the pictures")
+    if store is not None and not hasattr(store, "pixels"):
+        raise FastGSError(f"pictures are given by a FrameStore, not by {shown(store)}.")
     known = recorded(model)
     fit_colours = "exposures" in evened(model) if fit_colours is None else fit_colours
     shots = chosen(capture, views, frames, known)
@@ -110,8 +115,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 rows.append(row)
                 if gallery:
                     gallery.add(shot, whole[0], whole[1], row)
-                if progress:
-                    progress(len(rows), len(covered), row)
+                progress(len(rows), len(covered), row)
     if fit_colours:
         notes.append(halves.NOTE)
     notes += _remarks(rows, known)
@@ -166,12 +170,16 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
 
     views  default: those that the model was not trained on, as `known` says; without it those that the capture holds out
     """
-    names = capture.views
-    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    there = capture.views
+    listed = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
+    if views is not None:
+        views = names(views, "the views to evaluate")
+    if frames is not None and not (isinstance(frames, Iterable) and all(isinstance(frame, Integral) for frame in frames)):
+        raise FastGSError(f"the frames to evaluate must be a list of whole numbers, not {shown(frames)}.")
     if views is None and known is not None:
         shots = [shot for shot in capture.shots if shot.view not in known.views]
         if not shots:
-            raise FastGSError(f"the model was trained on all {len(names)} views of {capture.path}; choose views with --views, and frames "
+            raise FastGSError(f"the model was trained on all {len(there)} views of {capture.path}; choose views with --views, and frames "
                               "that it was not trained on with --frames.")
     elif views is None:
         shots = capture.held_out
@@ -179,7 +187,7 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
             raise FastGSError(f"{capture.path} holds out no view to evaluate with; choose views with --views (there are {listed}).")
     else:
         for name in views:
-            if name not in names:
+            if name not in there:
                 raise FastGSError(f"{capture.path} has no view {name!r}; there are {listed}.")
         shots = [shot for shot in capture.shots if shot.view in set(views)]
     if frames is not None:
@@ -189,7 +197,7 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
             raise FastGSError(f"{capture.path} has none of the frames to evaluate; it has the frames 0 to {capture.clip.frame_count - 1}.")
     if any(shot.camera is None for shot in shots):
         raise FastGSError(f"{capture.path} does not say where its cameras are, so a model cannot be compared with its pictures.")
-    return sorted(shots, key=lambda shot: (names.index(shot.view), shot.frame, shot.t))
+    return sorted(shots, key=lambda shot: (there.index(shot.view), shot.frame, shot.t))
 
 
 def _clock(model: GaussianModel, capture: Capture, beyond: bool = False) -> tuple[Callable[[Shot], tuple[float | None, float]], list[str]]:

@@ -23,7 +23,7 @@ from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..rendering.exposure import Exposure
 from ..rendering.instances import ViewedInstance
-from ..rendering.layout import Buffers, Layout
+from ..rendering.layout import Buffers, Exposed, Layout
 
 Array = Any
 """An array that a backend owns."""
@@ -74,10 +74,8 @@ class PictureBackend(Protocol):
 
     def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
                progress: Callable[[float], None], holdout: np.ndarray | None = None,
-               objects: Sequence[tuple[str, int]] = (),
-               by_pixel: bool = False) -> tuple[Array | None, Array, Array | None, Array | None]:
-        """The average picture of an exposure: premultiplied colour [h, w, 3] (None without colours), alpha [h, w], the light that the
-        holdout stops [h, w] (None without one), and what part of each pixel each of the objects covers [h, w, K] (None without any).
+               objects: Sequence[tuple[str, int]] = (), by_pixel: bool = False) -> Exposed:
+        """The average picture of an exposure: its colour [h, w, 3] and the rest of layout.Exposed.
 
         holdout   triangles at the picture's own time; while the shutter is open they are those of the exposure's moments
         objects   K of them, by Instance.identity

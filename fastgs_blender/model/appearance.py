@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..util.arguments import numbers, one_of
 from ..util.errors import FastGSError
 from .basis import Basis
 from .motion import Static
@@ -112,12 +113,11 @@ class Features(Appearance):
 
     def __post_init__(self) -> None:
         for key, shape in (("w1", (6, 12)), ("w2", (3, 6))):
-            value = np.ascontiguousarray(getattr(self, key), np.float32)
+            value = np.ascontiguousarray(numbers(getattr(self, key), f"the decoder's {key}", f"{shape}", np.float32))
             if value.shape != shape or not np.isfinite(value).all():
                 raise FastGSError(f"the decoder's {key} must be {shape[0]} x {shape[1]} finite numbers.")
             object.__setattr__(self, key, value)
-        if self.activation not in ACTIVATIONS:
-            raise FastGSError(f"the decoder's activation must be one of {', '.join(ACTIVATIONS)}, not {self.activation!r}.")
+        one_of(self.activation, "the decoder's activation", ACTIVATIONS)
 
     def features_of(self, rgb: np.ndarray) -> np.ndarray:
         """Features [N, 9] of colours rgb [N, 3], as base and direction: the first shows them as long as w2 is 0, the second gives the

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..util.errors import FastGSError
+from ..util.arguments import one_of
 from .motion import BASES, Basis, Family, Static
 
 SAFE = 0.4
@@ -50,11 +50,9 @@ def motion_families(name: str, t: np.ndarray) -> list[Family]:
     families = {}
     for kind in BASES.values():
         families |= kind.fits(float(t[0]), float(t[-1]))
-    if name == "auto":
+    if isinstance(name, str) and name == "auto":
         return [family for kind in BASES.values() if kind.competes for family in families[kind.name]]
-    if name not in families:
-        raise FastGSError(f"the basis {name!r} cannot be fitted; there are {', '.join(['auto', *families])}.")
-    return families[name]
+    return families[one_of(name, "the basis of a fit", ["auto", *families])]
 
 
 def rotation_families(t: np.ndarray) -> list[Family]:

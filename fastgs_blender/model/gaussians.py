@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any, ClassVar
 from weakref import WeakSet
 
 import numpy as np
 
-from ..util.arguments import in_words, numbers
+from ..util.arguments import finite, in_words, numbers, one_of, shown
 from ..util.errors import FastGSError
 from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
@@ -43,7 +43,7 @@ class Raster:
 
     def __post_init__(self) -> None:
         numbers = (self.blur, self.alpha_max, self.alpha_cut, self.near)
-        good = (all(isinstance(v, Real) and np.isfinite(v) for v in numbers) and isinstance(self.antialiased, (bool, np.bool_))
+        good = (all(map(finite, numbers)) and isinstance(self.antialiased, (bool, np.bool_))
                 and self.blur >= 0 and 0 < self.alpha_cut < 1 and 0 < self.alpha_max <= 1 and self.near >= 0)
         if not good:
             raise FastGSError(f"the rasteriser constants are out of range: {in_words(self)}.")
@@ -68,7 +68,7 @@ class Clip:
 
     def __post_init__(self) -> None:
         whole = all(isinstance(v, Integral) for v in (self.frame_count, self.start_frame)) and abs(self.start_frame) <= 1_000_000_000
-        if not (whole and 1 <= self.frame_count <= 10_000_000 and isinstance(self.fps, Real) and np.isfinite(self.fps) and self.fps > 0):
+        if not (whole and 1 <= self.frame_count <= 10_000_000 and finite(self.fps) and self.fps > 0):
             raise FastGSError(f"a clip needs at least one frame and a positive frame rate, not {in_words(self)}.")
 
     @property
@@ -132,10 +132,8 @@ class GaussianModel:
             if np.shape(value) != shape:
                 raise FastGSError(f"the model's {name} must have the shape {shape}, not {np.shape(value)}.")
             setattr(self, name, np.ascontiguousarray(numbers(value, f"the model's {name}", str(shape), np.float32)))
-        if self.axes not in AXES:
-            raise FastGSError(f"the model's axes must be one of {', '.join(AXES)}, not {self.axes!r}.")
-        if self.colour_space not in ("srgb", "linear"):
-            raise FastGSError(f"the model's colour space must be srgb or linear, not {self.colour_space!r}.")
+        one_of(self.axes, "the model's axes", AXES)
+        one_of(self.colour_space, "the model's colour space", ("srgb", "linear"))
 
     def _check_kinds(self) -> None:
         """The kernels take widths and codes from the kinds and read the arrays by them."""
@@ -176,8 +174,17 @@ class GaussianModel:
         return self, t
 
     def take(self, index: Any) -> GaussianModel:
-        """The model of some of its Gaussians (indices or a mask)."""
-        return replace(self, **{name: a[index] for name, a in self.arrays.items()})
+        """The model of some of its Gaussians: a slice, indices [M] or a mask [N] bool.  Raises FastGSError for others."""
+        chosen: Any = index if isinstance(index, slice) else np.asarray(index)
+        if isinstance(chosen, np.ndarray) and chosen.size == 0:
+            chosen = chosen.astype(np.intp)
+        try:
+            if isinstance(chosen, np.ndarray) and (chosen.ndim != 1 or chosen.dtype.kind not in "biu"):
+                raise IndexError
+            return replace(self, **{name: a[chosen] for name, a in self.arrays.items()})
+        except (IndexError, TypeError) as error:
+            raise FastGSError(f"Gaussians are chosen by a slice, by numbers from 0 to {len(self) - 1} or by a mask [{len(self)}], not by"
+                              f" {shown(index)}.") from error
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)

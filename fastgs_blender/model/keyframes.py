@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..util.arguments import numbers, shown
+from ..util.arguments import numbers, one_of, shown
 from ..util.errors import FastGSError
 from .basis import MAX_TERMS, Basis, Family
 
@@ -36,8 +36,7 @@ class Keyframes(Basis):
         if times.ndim != 1:
             raise FastGSError(f"keyframe times must be numbers of the shape (number of keyframes,), not {shown(self.times)}.")
         object.__setattr__(self, "times", tuple(times.tolist()))
-        if self.interpolation not in ("linear", "catmull-rom"):
-            raise FastGSError(f"keyframes are interpolated linear or catmull-rom, not {self.interpolation!r}.")
+        one_of(self.interpolation, "the interpolation of keyframes", ("linear", "catmull-rom"))
         if not 0 < len(self.times) <= MAX_TERMS or not np.isfinite(self.times).all() or not (np.diff(self.times) >= LEAST_GAP).all():
             raise FastGSError(f"keyframe times must be 1 to {MAX_TERMS} finite numbers that increase by at least {LEAST_GAP:g}.")
 

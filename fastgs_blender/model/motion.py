@@ -8,13 +8,13 @@ learning rates, the penalty of motion, training's choice of motions, fits, joini
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..util.arguments import in_words
+from ..util.arguments import finite, in_words
 from ..util.errors import FastGSError
 from .basis import MAX_TERMS, Basis, Family
 from .keyframes import Keyframes
@@ -31,7 +31,7 @@ def _whole_number(value: Any, low: int, high: int, what: str) -> None:
 
 
 def _finite(*values: Any) -> None:
-    if not all(isinstance(v, Real) and not isinstance(v, bool) and np.isfinite(float(v)) for v in values):
+    if not all(map(finite, values)):
         raise FastGSError(f"the scale and offset of a basis of time must be finite numbers, not {', '.join(map(repr, values))}.")
 
 

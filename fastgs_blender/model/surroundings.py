@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from ..util import rotations
+from ..util.arguments import finite, shown
 from ..util.errors import FastGSError
 
 FARTHEST = 1e15
@@ -111,6 +112,8 @@ class Surroundings:
     view: Viewpoint | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.cameras, Iterable):
+            raise FastGSError(f"the cameras of a capture are given as Viewpoints, not as {shown(self.cameras)}.")
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if len(self.cameras) > MOST_CAMERAS:
             raise FastGSError(f"a model's file keeps at most {MOST_CAMERAS} cameras of its capture, not {len(self.cameras)}.")
@@ -161,7 +164,7 @@ def _moved(place: np.ndarray, point: tuple[float, float, float]) -> tuple[float,
 
 def _numbers(values: Sequence[Any], count: int, what: str) -> tuple[float, ...]:
     good = isinstance(values, Iterable) and len(values) == count and all(
-        isinstance(v, Real) and abs(float(v)) <= FARTHEST for v in values)  # neither is NaN
+        finite(v) and abs(float(v)) <= FARTHEST for v in values)
     if not good:
         raise FastGSError(f"the {what} must be {count} finite number{'s' if count > 1 else ''}.")
     return tuple(float(v) for v in values)

@@ -8,11 +8,18 @@ factor is at least exp(-visible).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..util.errors import FastGSError
+
+
+class Span(NamedTuple):
+    """Begin and end [N] of times, one of each Gaussian."""
+
+    begin: np.ndarray
+    end: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -32,12 +39,12 @@ class Always:
         """Factor [N] float64 at time t; mu_tau [N], parameters [N, P]."""
         return np.ones(len(mu_tau))
 
-    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> Span:
         """Begin and end [N] of the time in which the factor is at least exp(-visible [N]); the clip's where there is no end.
 
         visible [N] float64; mu_tau [N] and parameters [N, P] are the Gaussians', see GaussianModel
         """
-        return np.zeros(len(mu_tau)), np.ones(len(mu_tau))
+        return Span(np.zeros(len(mu_tau)), np.ones(len(mu_tau)))
 
 
 @dataclass(frozen=True)
@@ -58,10 +65,10 @@ class Radial:
         delta = t - np.asarray(mu_tau, np.float64)
         return np.exp(-np.exp(np.asarray(parameters[:, 0], np.float64)) * delta**2)
 
-    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> Span:
         """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 1]."""
         reach = np.sqrt(visible * np.exp(-parameters[:, 0].astype(np.float64)))
-        return mu_tau - reach, mu_tau + reach
+        return Span(mu_tau - reach, mu_tau + reach)
 
 
 @dataclass(frozen=True)
@@ -85,10 +92,10 @@ class Window:
         early, late = np.maximum(begin - t, 0), np.maximum(t - end, 0)
         return np.exp(-((early / np.exp(before)) ** 2) - (late / np.exp(after)) ** 2)
 
-    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> Span:
         """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 4]."""
         begin, end, before, after = parameters.T.astype(np.float64)
-        return begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible)
+        return Span(begin - np.exp(before) * np.sqrt(visible), end + np.exp(after) * np.sqrt(visible))
 
 
 @dataclass(frozen=True)
@@ -112,12 +119,12 @@ class WindowedRadial:
         outside = np.maximum(np.maximum(begin - t, t - end), 0)
         return Radial().factor(t, mu_tau, parameters) * np.exp(-((outside / np.exp(soft)) ** 2))
 
-    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def span(self, visible: Any, mu_tau: np.ndarray, parameters: np.ndarray) -> Span:
         """As Always.span: begin and end [N]; mu_tau [N], parameters [N, 4].  Where both fade, a little more than that."""
         _, begin, end, soft = parameters.T.astype(np.float64)
         low, high = Radial().span(visible, mu_tau, parameters)
         flank = np.exp(soft) * np.sqrt(visible)
-        return np.clip(low, begin - flank, end + flank), np.clip(high, begin - flank, end + flank)
+        return Span(np.clip(low, begin - flank, end + flank), np.clip(high, begin - flank, end + flank))
 
 
 KINDS = {cls.name: cls for cls in (Always, Radial, Window, WindowedRadial)}

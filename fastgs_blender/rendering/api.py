@@ -16,7 +16,7 @@ from ..cameras.panorama import Panorama
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Sequence, Source
-from ..util.arguments import real, shown
+from ..util.arguments import instance_of, listener, real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .exposure import Exposure
@@ -75,18 +75,20 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     if isinstance(passes, str) or not isinstance(passes, Iterable):
         raise FastGSError(f"the passes are a list of names, such as [\"rgb\"], not {shown(passes)}.")
     passes = tuple(passes)
-    unknown = [p for p in passes if p not in PASSES]
+    unknown = [p for p in passes if not isinstance(p, str) or p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
-    holdout = as_triangles(holdout)
+    instance_of(settings, PassSettings, "the settings of a picture")
+    if exposure is not None:
+        instance_of(exposure, Exposure, "the exposure")
+    holdout, progress = as_triangles(holdout), listener(progress)
     if isinstance(camera, Panorama):
         face = partial(render, model, t=t, backend=backend, holdout=holdout)
-        return render_panorama(face, camera, passes, settings, exposure, progress or (lambda fraction: None))
+        return render_panorama(face, camera, passes, settings, exposure, progress)
     entries = [PASSES[name] for name in passes]
     sharp = [entry for entry in entries if not (entry.exposed and exposure)]
     needs = {part for entry in sharp for part in entry.needs} | {"alpha"}
     kernels = load_backend(backend)
-    progress = progress or (lambda fraction: None)
     instances = _instances(model, camera, t)
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
@@ -139,9 +141,9 @@ def _exposed(backend: Any, exposure: Exposure, instances: list[ViewedInstance], 
     draws = max(1, -(-len(objects) // AT_ONCE))
     found = [backend.expose(exposure, instances, camera, "rgb" in needs and i == 0, lambda f, i=i: progress((i + f) / draws),
                             holdout=holdout, objects=objects[i * AT_ONCE:(i + 1) * AT_ONCE], by_pixel=by_pixel) for i in range(draws)]
-    rgb, held = (None if array is None else backend.numpy(array) for array in found[0][::2])
-    parts = [backend.numpy(each[3]) for each in found] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)]
-    return Blended(camera, rgb, backend.numpy(found[0][1]), {}, {}, objects, np.concatenate(parts, -1), held)
+    rgb, held = (None if array is None else backend.numpy(array) for array in (found[0].rgb, found[0].held))
+    parts = [backend.numpy(each.objects) for each in found] if objects else [np.zeros((*camera.window[:1:-1], 0), np.float32)]
+    return Blended(camera, rgb, backend.numpy(found[0].alpha), {}, {}, objects, np.concatenate(parts, -1), held)
 
 
 def _objects(instances: list[ViewedInstance], needs: set[str]) -> list[tuple[str, int]]:

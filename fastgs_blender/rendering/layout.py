@@ -7,7 +7,7 @@ quantities of quantities.py), and probes, which look at the splats one by one wh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,3 +98,18 @@ class Buffers:
     probes: dict[str, Any]
     held: Any = None
     covered: Any = None
+
+
+class Exposed(NamedTuple):
+    """The average picture of an exposure, in the backend's own arrays.
+
+    rgb      [h, w, 3]  premultiplied; None where no colours were asked for
+    alpha    [h, w]
+    held     [h, w]     the light that a holdout stops; None without one
+    objects  [h, w, K]  what part of each pixel each of the objects covers; None without any
+    """
+
+    rgb: Any
+    alpha: Any
+    held: Any
+    objects: Any

@@ -21,7 +21,7 @@ from .distance import share
 from .exposure import Exposure, Film
 from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
-from .layout import DEPTH_FROM, PROBES, Buffers, Layout
+from .layout import DEPTH_FROM, PROBES, Buffers, Exposed, Layout
 from .looks import Look, graded, size_factor
 from .quantities import Shown, shares
 
@@ -318,7 +318,7 @@ class Oracle:
             film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held,
                      buffers.sums.get("shares"))
         rgb, alpha = film.picture()
-        return (rgb if colours else None), alpha, None if holdout is None else film.held, film.shares if objects else None
+        return Exposed(rgb if colours else None, alpha, None if holdout is None else film.held, film.shares if objects else None)
 
     def surface(self, triangles, camera):
         return sample_depths(triangles, camera).min(-1)

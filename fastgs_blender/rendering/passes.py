@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.errors import FastGSError
+from ..util.arguments import one_of
 from . import cryptomatte, false_colour
 from .instances import Moment, ViewedInstance
 from .quantities import NORMAL, Mist, Quantity, vector
@@ -44,8 +44,7 @@ class PassSettings:
     sorting: str = "centre"
 
     def __post_init__(self) -> None:
-        if self.sorting not in SORTINGS:
-            raise FastGSError(f"how splats are sorted must be one of {', '.join(SORTINGS)}, not {self.sorting!r}.")
+        one_of(self.sorting, "how splats are sorted", SORTINGS)
 
     @property
     def by_pixel(self) -> bool:

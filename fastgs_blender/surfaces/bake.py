@@ -9,13 +9,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
-from ..util.arguments import numbers, real, whole
+from ..util.arguments import instance_of, listener, numbers, real, shown, whole
 from ..util.errors import FastGSError
 from .colours import Colours, Painted
 from .sampling import SurfaceSamples
@@ -121,11 +121,18 @@ class BakeReport:
                 f"99 % of them by at most {self._percent(self.tail_residual)}, worst at {self.worst}")
 
 
+class Baked(NamedTuple):
+    """A model of a mesh, and how well it follows that."""
+
+    model: GaussianModel
+    report: BakeReport
+
+
 def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, frames: np.ndarray | None = None,
          frame_count: int | None = None, fps: float = 24.0, start_frame: int = 0, count: int = 100_000, tolerance: float = 0.005,
          tail_tolerance: float = 0.01, max_order: int = 0, basis: str = "auto", part: np.ndarray | None = None,
          patch: np.ndarray | None = None, samples: SurfaceSamples | None = None, provenance: dict[str, str] | None = None,
-         progress: Callable[[float], None] | None = None) -> tuple[GaussianModel, BakeReport]:
+         progress: Callable[[float], None] | None = None) -> Baked:
     """4D Gaussians on an animated triangle mesh.
 
     positions    [S, V, 3]  the vertices in world space at S times
@@ -158,13 +165,15 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     Example:
         baked, report = fg.bake(positions, triangles, colours=(0.8, 0.3, 0.1), count=1000)
     """
-    progress = progress or (lambda fraction: None)
+    progress = listener(progress)
+    if provenance is not None and not isinstance(provenance, dict):
+        raise FastGSError(f"the provenance must be a dictionary of texts, not {shown(provenance)}.")
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
     for name, value in (("tolerance", tolerance), ("tolerance of the 99th percentile", tail_tolerance)):
         if not real(value, f"the {name}") > 0:
             raise FastGSError(f"the {name} must be positive, not {value}.")
     given = samples is not None
-    samples = _spread(surface, count) if samples is None else samples
+    samples = _spread(surface, count) if samples is None else instance_of(samples, SurfaceSamples, "the samples")
     progress(0.15)
     painted = colours if isinstance(colours, Painted) else surface.painted(colours, samples, given)
     visible = painted.rgba[:, 3] >= 1 / 255
@@ -196,7 +205,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
         worst_place=f"triangle {triangle}" + (f" of part {part[triangle]}" if part is not None else ""))
     if report.warning:
         warnings.warn(report.warning, stacklevel=2)
-    return model, report
+    return Baked(model, report)
 
 
 def followed(positions: np.ndarray, triangles: np.ndarray, *, frames: np.ndarray, frame_count: int, tolerance: float = 0.005,

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .errors import FastGSError
+
+T = TypeVar("T")
 
 
 def shown(value: object) -> str:
@@ -31,7 +34,7 @@ def file_path(value: object, what: str = "the name of a file") -> Path:
 
 def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> float:
     """A finite number from low to high."""
-    if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(float(value)) or not low <= float(value) <= high:
+    if not finite(value) or not low <= float(value) <= high:
         bounds = "" if np.isinf(low) else f" of {low:g} or more" if np.isinf(high) else f" from {low:g} to {high:g}"
         raise FastGSError(f"{what} must be a finite number{bounds}, not {shown(value)}.")
     return float(value)
@@ -39,19 +42,66 @@ def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> f
 
 def whole(value: Any, what: str, low: int, high: int) -> int:
     """A whole number from low to high; 64.0 is one, 64.5 is not."""
-    number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(float(value))
-    if not number or value != int(value):
+    if not finite(value) or value != int(value):
         raise FastGSError(f"{what} must be a whole number, not {shown(value)}.")
     if not low <= value <= high:
         raise FastGSError(f"{what} must be a whole number from {low} to {high}, not {shown(value)}.")
     return int(value)
 
 
+def finite(value: Any) -> bool:
+    """Whether a value is a number that float64 holds."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+    except OverflowError:
+        return False
+
+
+def one_of(value: Any, what: str, names: Iterable[str]) -> str:
+    """One of several names."""
+    choices = list(names)
+    if not isinstance(value, str) or value not in choices:
+        raise FastGSError(f"{what} must be one of {', '.join(choices)}, not {shown(value)}.")
+    return value
+
+
+def instance_of(value: Any, kind: type[T], what: str) -> T:
+    """One of this library's objects, told by its class."""
+    if not isinstance(value, kind):
+        raise FastGSError(f"{what} must be {'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}, not {shown(value)}.")
+    return value
+
+
+def names(value: Any, what: str) -> tuple[str, ...]:
+    """Several names, as a list of texts."""
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes) or (isinstance(value, np.ndarray) and value.ndim != 1):
+        raise FastGSError(f"{what} must be a list of names, not {shown(value)}.")
+    found = tuple(value)
+    wrong = [each for each in found if not isinstance(each, str)]
+    if wrong:
+        raise FastGSError(f"{what} must be names, not {shown(wrong[0])}.")
+    return found
+
+
+def yes_or_no(value: Any, what: str) -> bool:
+    """A truth value; numbers are true where they are not 0."""
+    if value is not None and not isinstance(value, (bool, np.bool_, Real)):
+        raise FastGSError(f"{what} must be True or False, not {shown(value)}.")
+    return bool(value)
+
+
+def listener(value: Any, what: str = "what is told of progress") -> Callable[..., Any]:
+    """A function that is called with progress; for None one that does nothing."""
+    if value is not None and not callable(value):
+        raise FastGSError(f"{what} must be a function, not {shown(value)}.")
+    return value or (lambda *progress: None)
+
+
 def numbers(value: Any, what: str, shape: str, kind: Any = np.float64) -> np.ndarray:
     """An array of numbers; `shape` says in words which shape is wanted."""
     try:
         return np.asarray(value, kind)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise FastGSError(f"{what} must be numbers of the shape {shape}, not {shown(value)}.") from error
 
 

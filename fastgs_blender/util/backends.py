@@ -31,7 +31,7 @@ def load_backend(name: str = "auto"):
     kind, _, part = name.partition(":") if isinstance(name, str) else ("", "", "")
     if isinstance(name, str) and name in loaded:
         return loaded[name]
-    if name == "auto":
+    if isinstance(name, str) and name == "auto":
         try:
             loaded[name] = load_backend("cpu")
         except ImportError:

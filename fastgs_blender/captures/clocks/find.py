@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...util.arguments import listener, one_of
 from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture
@@ -51,8 +52,8 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
     """
     if not isinstance(capture, Capture):
         raise FastGSError(f"offsets are found of a Capture, as open_capture() gives it, not of {described(capture)}.")
-    if way not in WAYS:
-        raise FastGSError(f"offsets are found by {', '.join(WAYS)}, not by {way!r}.")
+    one_of(way, "how offsets are found", WAYS)
+    listener(progress)
     if len(capture.views) < 2:
         raise FastGSError(f"{capture.path}: it has one camera, whose clock has none to be compared with.")
     if way in ("auto", "sound"):

@@ -15,7 +15,7 @@ from numba import float32
 from ...model.slicing import slice_model, still
 from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
-from ...rendering.layout import Layout
+from ...rendering.layout import Exposed, Layout
 from ...rendering.quantities import shares
 from ...util.threads import run
 from . import raster
@@ -68,7 +68,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         _collect(film, rgb, picture.alpha, picture.held, weights, runs, grid, camera.window)
         progress((i + 1) / len(samples))
     rgb, alpha = film.picture()
-    return (rgb if colours else None), alpha, None if holdout is None else film.held, film.shares if objects else None
+    return Exposed(rgb if colours else None, alpha, None if holdout is None else film.held, film.shares if objects else None)
 
 
 def _frozen(instance):

@@ -15,7 +15,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...rendering.exposure import Exposure, Film
 from ...rendering.instances import ViewedInstance
-from ...rendering.layout import Layout
+from ...rendering.layout import Exposed, Layout
 from ...rendering.quantities import shares
 from ..cpu.paths import Paths, Snapshot, levels_of, measure
 from ..cpu.project import SCALE
@@ -46,7 +46,7 @@ def expose(device: Device, models: Models, exposure: Exposure, instances: list[V
         levels = taken.levels[row * columns:(row + at_once) * columns]
         strips.append(taken.picture(strip, levels, colours, lambda f, row=row: progress(min((row + f * at_once) / rows, 1.0))))
     rgb, alpha, held, covered = (np.concatenate(parts) for parts in zip(*strips, strict=True))
-    return (rgb if colours else None), alpha, (None if holdout is None else held), (covered if objects else None)
+    return Exposed(rgb if colours else None, alpha, None if holdout is None else held, covered if objects else None)
 
 
 def rows_at_once(device: Device, width: int, numbers: int) -> int:

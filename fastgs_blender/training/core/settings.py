@@ -6,7 +6,7 @@ import math
 from dataclasses import MISSING, asdict, dataclass, fields
 
 from ...model.motion import trained_motions
-from ...util.arguments import shown
+from ...util.arguments import one_of, shown
 from ...util.errors import FastGSError
 from .presets import PRESETS
 
@@ -206,8 +206,7 @@ class Settings:
         for name, known in {"motion": (*trained_motions(), "static"), **CHOICES}.items():
             if getattr(self, name) not in known:
                 raise FastGSError(f"the training option {name} is one of {', '.join(known)}, not {getattr(self, name)!r}.")
-        if self.preset not in PRESETS:
-            raise FastGSError(f"the preset {self.preset!r} is unknown; there are {', '.join(PRESETS)}.")
+        one_of(self.preset, "the preset", PRESETS)
         for name, low, high in LIMITS:
             if not low <= getattr(self, name) <= high:
                 raise FastGSError(f"the training option {name} must lie between {low:g} and {high:g}, not at {getattr(self, name):g}.")
@@ -245,9 +244,7 @@ LIMITS = (
 
 def settings(preset: str = "standard", **options) -> Settings:
     """The settings of a preset with some options replaced; raises FastGSError for unknown ones."""
-    if preset not in PRESETS:
-        raise FastGSError(f"the preset {preset!r} is unknown; there are {', '.join(PRESETS)}.")
-    return from_dict({**PRESETS[preset], "preset": preset, **options})
+    return from_dict({**PRESETS[one_of(preset, "the preset", PRESETS)], "preset": preset, **options})
 
 
 def from_dict(values: dict) -> Settings:

@@ -145,7 +145,7 @@ def test_it_is_fitted_by_name_and_competes(rng):
         assert basis == Chebyshev(6)
     found, _ = Fit.of(basis, t)(values)
     np.testing.assert_allclose(found[1:].transpose(1, 0, 2), motion, atol=1e-6)
-    with pytest.raises(fg.FastGSError, match="there are auto, .*chebyshev"):
+    with pytest.raises(fg.FastGSError, match="one of auto, .*chebyshev"):
         motion_families("bare chebyshev", t)
 
 
