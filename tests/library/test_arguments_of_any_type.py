@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arguments of any type to the public face: each ends in a FastGSError, one sentence, or in a result.  test_wrong_arguments.py has the words.
-"""
+"""Arguments of any type to the public face: each ends in one sentence, or in a result.  test_wrong_arguments.py has the words."""
 from __future__ import annotations
 
 import inspect
