@@ -174,8 +174,11 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
     listed = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
     if views is not None:
         views = names(views, "the views to evaluate")
-    if frames is not None and not (isinstance(frames, Iterable) and all(isinstance(frame, Integral) for frame in frames)):
-        raise FastGSError(f"the frames to evaluate must be a list of whole numbers, not {shown(frames)}.")
+    if frames is not None:
+        numbered = tuple(frames) if isinstance(frames, Iterable) else (None,)
+        if not all(isinstance(frame, Integral) for frame in numbered):
+            raise FastGSError(f"the frames to evaluate must be a list of whole numbers, not {shown(frames)}.")
+        frames = numbered
     if views is None and known is not None:
         shots = [shot for shot in capture.shots if shot.view not in known.views]
         if not shots:
