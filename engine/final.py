@@ -11,7 +11,7 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
-from ..fastgs_blender.util.backends import describe_backend, failure_of, overflow_of
+from ..fastgs_blender.util.backends import describe_backend, failure_of, take_overflow
 from ..fastgs_blender.util.threads import set_threads
 from ..scene import camera, devices, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
 from . import compiling, passes, worker
@@ -80,7 +80,7 @@ def _render_layer(engine, depsgraph):
         engine.end_result(result)
     if failed := failure_of(backend):
         notices.warn(engine, f"{describe_backend(backend)} fails, so the processor goes on: {failed}.")
-    if large := overflow_of(backend):
+    if large := take_overflow(backend):
         notices.warn(engine, f"{describe_backend(backend)} has no room for this picture, so the processor draws it: {large}.")
     passes.describe(engine, layer, wanted, [instance.name for instance in instances])
 

@@ -98,7 +98,7 @@ def failure_of(name: str) -> str:
     return getattr(loaded.get(name), "failed", None) or ""
 
 
-def overflow_of(name: str) -> str:
+def take_overflow(name: str) -> str:
     """Why the last picture that did not fit on a GPU did not, as a part of a sentence; "" where all did.  It is forgotten by this."""
     backend = loaded.get(name)
     reason = getattr(backend, "too_large", "")

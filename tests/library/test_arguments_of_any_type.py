@@ -38,7 +38,7 @@ def good(tmp_path_factory):
         through=dict(cameras=[camera, camera], frames=4), train=dict(capture="/nowhere", out=folder / "run"),
         write_clocks=dict(capture=folder, clocks=None))
     classes = dict(
-        Backdrop=dict(centre=(0, 0, 0), radius=1.0), Camera=CAMERA, GaussianModel=FLAT, View=dict(name="a", camera=camera),
+        Backdrop=dict(centre=(0, 0, 0), radius=1.0), Camera=CAMERA, GaussianModel=FLAT,
         Viewpoint=dict(width=8, height=6, fx=5.0, fy=5.0, cx=4.0, cy=3.0, position=(0, 0, 0), distance=1.0))
     return functions | classes
 

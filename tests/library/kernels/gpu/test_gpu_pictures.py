@@ -247,7 +247,7 @@ def test_what_does_not_fit_concerns_its_own_picture_alone(fresh, adapter, crowd,
     again = fg.render(instances, camera, passes=passes, backend=fresh.name)
     assert fresh.backend.failed is None and all(np.array_equal(whole[name], again[name]) for name in passes)
     assert len(caplog.records) == 1 and caplog.messages[0].startswith("a picture does not fit on the GPU, so the CPU draws it: ")
-    assert backends.overflow_of(fresh.name) and not backends.overflow_of(fresh.name)
+    assert backends.take_overflow(fresh.name) and not backends.take_overflow(fresh.name)
 
 
 def test_a_refused_shader_is_told(fresh, crowd, monkeypatch, caplog):
