@@ -94,6 +94,8 @@ def from_entries(
     notes = [*notes, *remarks]
     if options.scale is None and scale < 1:
         notes.append(f"pictures are used at {scale:.0%} of their size, as in published work; a scale of 1 keeps all their pixels")
+    if options.frames is not None and frame_count < (options.frames.stop or 0):
+        notes.append(f"the part asked for goes on behind the capture's last frame, {frame_count - 1}, and ends there")
     entries = [entry for entry in entries if entry.frame in place]
     if not entries:
         reason = f": {faults[0]}" if faults else ""

@@ -216,7 +216,9 @@ def run_text(facts: dict, everything: bool) -> str:
 
 def _range_text(start: int, stop: int, step: int) -> str:
     """A run's part of its capture as `train --frames` is given it, both ends included; a run begun in Python may name no end."""
-    return (f"{start}:{stop - 1}" if stop < 1 << 30 else f"from {start} on") + (f":{step}" if step > 1 else "")
+    from ..training.run.plan import NO_END
+
+    return (f"{start}:{stop - 1}" if stop < NO_END else f"from {start} on") + (f":{step}" if step > 1 else "")
 
 
 def _motion_text(motion: dict) -> str:

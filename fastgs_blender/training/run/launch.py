@@ -49,12 +49,12 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
 def source_of(capture: str | Path | None, layout: Any, scale: float | None, frames: slice | None, held_out: Sequence[str] | None) -> Source:
     """The Source of open_capture()'s arguments."""
     from ...captures.capture import Options
-    from .plan import Source
+    from .plan import NO_END, Source
 
     Options(scale, frames, held_out)  # checks them
     if layout is not None and not isinstance(layout, str):
         raise FastGSError(f"a layout has a name, and is not {shown(layout)}.")
-    part = None if frames is None else (frames.start or 0, 1 << 30 if frames.stop is None else frames.stop, frames.step or 1)
+    part = None if frames is None else (frames.start or 0, NO_END if frames.stop is None else frames.stop, frames.step or 1)
     return Source(None if capture is None else str(file_path(capture, "the name of a capture").absolute()), layout, scale, part,
                   None if held_out is None else tuple(held_out))
 

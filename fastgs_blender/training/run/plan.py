@@ -23,12 +23,16 @@ from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REPORT, RUN, SEGMENTS
 DAMAGED = "delete it to train from the beginning"
 
 
+NO_END = 1 << 30
+"""The end of a part of a capture that goes to its last frame."""
+
+
 @dataclass(frozen=True)
 class Source:
     """What a run is trained on, as open_capture() takes it; None where the layout of the capture decides.
 
     capture  the folder or file
-    frames   first frame, end (not included) and step of the part that is used
+    frames   first frame, end (not included; or NO_END) and step of the part that is used
     """
 
     capture: str | None = None
@@ -41,7 +45,10 @@ class Source:
         """The capture; raises FastGSError."""
         if self.capture is None:
             raise FastGSError("the folder of the run does not say what it was trained on; name the capture.")
-        frames = None if self.frames is None else slice(*self.frames)
+        frames = None
+        if self.frames is not None:
+            first, end, step = self.frames
+            frames = slice(first, end if end < NO_END else None, step)
         return open_capture(self.capture, scale=self.scale, frames=frames, held_out=self.held_out, layout=self.layout)
 
 

@@ -108,6 +108,9 @@ def test_options(capture_folder):
     assert part.clip == fg.Clip(2, 25, 2) and {shot.frame for shot in part.shots} == {0, 1} and {shot.t for shot in part.shots} == {0, 0.5}
     assert part.held_out_views == ["cam01", "left eye"] and {shot.view for shot in part.training} == {"cam00"}
     assert part.shots[0].image.path.name == "0002.png"
+    assert not [note for note in part.notes if "asked for" in note]
+    beyond = open_capture(capture_folder, frames=slice(1, 99999))
+    assert beyond.clip == part.clip and any(note.startswith("the part asked for goes on behind") for note in beyond.notes)
     every_second = open_capture(capture_folder, frames=slice(0, None, 2))
     assert every_second.clip == fg.Clip(2, 12.5, 1) and not open_capture(capture_folder, held_out=[]).held_out
     for options, words in (({"held_out": ["cam9"]}, "no view 'cam9'"), ({"held_out": NAMES}, "nothing is left"), ({"scale": 0}, "scale"),
