@@ -28,7 +28,7 @@ import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.formats import rate, sensitivity  # noqa: E402
 from fastgs_blender.formats.rate import LEVELS  # noqa: E402
 
-EXAMPLE = ROOT / "examples" / "playground.safetensors"
+EXAMPLE = ROOT / "examples" / "fireside.safetensors"
 WANTED = {"fine": (8.0, 0.1), "small": (15.0, 0.3)}
 """How many times smaller, at least, and the dB that may be lost."""
 GUESSED, UNSEEN = 5, 5000

@@ -35,7 +35,7 @@ VARIANTS = {
 
 def film(folder: Path, kind: str, frames: int) -> None:
     """A capture of the example model; kind: even, uneven, or clock (where exposures are even)."""
-    model = fg.load(Path(__file__).resolve().parents[1] / "examples" / "playground.safetensors")
+    model = fg.load(Path(__file__).resolve().parents[1] / "examples" / "fireside.safetensors")
     cameras, entries = [], []
     for place in model.surroundings.cameras:
         c = camera_of(place)

@@ -7,11 +7,11 @@ import bpy
 from ..engine import compiling
 from ..scene.splats.importing import Options, import_files
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "playground.safetensors"
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "fireside.safetensors"
 
 
 class FASTGS_OT_import_example(bpy.types.Operator):
-    """Import the model that comes with FAST-GS: a small scene of fast things, trained from 13 cameras"""
+    """Import the model that comes with FAST-GS: a dancer in a room, trained from 12 cameras"""
 
     bl_idname = "fastgs.import_example"
     bl_label = "Import Example"

@@ -23,6 +23,7 @@ from fastgs_blender.cameras.cameras_json import resized  # noqa: E402
 from fastgs_blender.cameras.panorama import Panorama  # noqa: E402
 from fastgs_blender.rendering import colour  # noqa: E402
 from fastgs_blender.rendering.exposure import Aperture, Exposure  # noqa: E402
+from fastgs_blender.rendering.filters import parting, values  # noqa: E402
 from fastgs_blender.rendering.instances import Instance  # noqa: E402
 from fastgs_blender.rendering.passes import PASSES, SORTINGS, PassSettings  # noqa: E402
 from fastgs_blender.rendering.quantities import Mist  # noqa: E402
@@ -106,17 +107,16 @@ def about(camera, model, degrees: float) -> np.ndarray:
 
 
 def parts(model) -> list[Instance]:
-    """The model without its backdrop as two objects: the floor, and what stands on it."""
-    place = fg.slice_model(model, WHEN, cull=False).position
-    near = np.linalg.norm(place - np.median(place, 0), axis=1) < 3.0
-    low = place[:, 2] < np.percentile(place[near, 2], 30)
-    return [Instance(model.take(near & chosen), np.eye(4), WHEN, name=name, index=index)
-            for name, index, chosen in (("floor", 1, low), ("things", 2, ~low))]
+    """The model as two objects: what stands still, and what moves."""
+    speed = values(model, "SPEED")
+    moves = speed > parting(speed)
+    return [Instance(model.take(chosen), np.eye(4), WHEN, name=name, index=index)
+            for name, index, chosen in (("room", 1, ~moves), ("dancer", 2, moves))]
 
 
 def main(folder: Path):
-    model = fg.load(ROOT / "examples/playground.safetensors")
-    camera = resized(fg.load_cameras(ROOT / "examples/cameras.json")[0].camera, *SIZE)
+    model = fg.load(ROOT / "examples/fireside.safetensors")
+    camera = resized(fg.load_cameras(ROOT / "examples/cameras.json")[3].camera, *SIZE)
     names = [name for name, entry in PASSES.items() if not entry.level and not entry.meshes]
     image = fg.render(parts(model), camera, passes=names, settings=PassSettings(Mist(2.5, 5.0)))
     sheet(folder / "passes.webp", [(name.replace("_", " "), shown(name, image)) for name in names], 3)
@@ -128,8 +128,8 @@ def main(folder: Path):
         (f"shutter of {text}, 32 steps", picture(exposure=Exposure(-half, half))) for text, half in (("1 frame", 0.5), ("3 frames", 1.5))],
         3)
     depth = image["median_depth"][np.isfinite(image["median_depth"])]
-    near, far = np.percentile(depth, [15, 75])
-    lens = Aperture(0.03 * float(near + far), float(near), 6)
+    near, far = np.percentile(depth, [3, 90])
+    lens = Aperture(0.01 * float(near + far), float(near), 6)
     sheet(folder / "depth-of-field.webp", [("sharp", picture())] + [
         (f"focus at {distance:.1f}", picture(exposure=Exposure(aperture=replace(lens, distance=float(distance)))))
         for distance in (near, far)], 3)

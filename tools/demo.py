@@ -3,7 +3,7 @@
 
     python tools/demo.py [--model FILE] [--out demo]
 
-The model was trained by this project on pictures of a small scene (tools/train_example.py).
+The model was trained by this project on pictures of a scene of its own (tools/train_example.py).
 """
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from blender_setup import ROOT, enable_addon, set_image_output
 
-EXAMPLE = ROOT / "examples" / "playground.safetensors"
+EXAMPLE = ROOT / "examples" / "fireside.safetensors"
 POSTER_FRAME = 40
 FREEZE = 14, 30
 """Bullet time: the frame of the scene on which the capture freezes, and for how many frames."""
@@ -56,20 +56,20 @@ def main():
 
 
 def shot(bpy, scene, splats):
-    """Around the scene in an eased arc; on the way time stands still for a moment."""
+    """Around the dancer in an eased arc; on the way time stands still for a moment."""
     start, frames = FREEZE
     scene.frame_start, scene.frame_end = 1, splats.fastgs.frame_count + frames
     bpy.ops.fastgs.bullet_time(start=start, length=frames, ramp=5)
     target = bpy.data.objects.new("Target", None)
-    target.location, target.empty_display_size = (0.0, 0.1, 0.75), 0.1
+    target.location, target.empty_display_size = (0.0, 0.2, 1.02), 0.1
     scene.collection.objects.link(target)
     for obj in scene.objects:
         obj.select_set(obj == target)
     bpy.context.view_layer.objects.active = target
     bpy.context.view_layer.update()
-    bpy.ops.fastgs.camera_orbit(radius=3.9, elevation=0.62, start=-2.3, turns=0.36, rise=-0.12, ease=0.5, new_camera=True,
+    bpy.ops.fastgs.camera_orbit(radius=3.1, elevation=0.16, start=-2.42, turns=0.27, rise=0.12, ease=0.5, new_camera=True,
                                 frame_start=scene.frame_start, frame_end=scene.frame_end, spacing=8)
-    scene.camera.data.lens = 29
+    scene.camera.data.lens = 27
 
 
 def say(text):

@@ -52,7 +52,7 @@ def main():
             obj.modifiers.remove(modifier)
     lattice = bpy.data.objects.new("Lattice", bpy.data.lattices.new("Lattice"))
     scene.collection.objects.link(lattice)
-    lattice.location, lattice.scale = (0, 0, 1), (4, 4, 2.2)
+    lattice.location, lattice.scale = (0, 0, 1.5), (7, 5.4, 3.2)
     for index, turn in enumerate((0.0, 0.9)):
         for point in list(lattice.data.points)[4 * index:4 * index + 4]:
             x, y, z = point.co

@@ -22,7 +22,7 @@ from fastgs_blender.rendering.instances import Instance, ObjectSettings  # noqa:
 
 SIZE = 300, 190
 FRAME = 30
-EYE, TARGET = np.array([1.6, -3.4, 1.7]), np.array([0.0, 0.1, 0.6])
+EYE, TARGET = np.array([1.1, -2.5, 1.5]), np.array([0.0, 0.15, 1.0])
 PAPER = (236, 239, 243)
 
 
@@ -30,8 +30,8 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=ROOT / "docs" / "looks.webp")
     options = arguments.parse_args()
-    model = fg.load(ROOT / "examples" / "playground.safetensors")
-    ball = np.diag([1 / 1.1, 1 / 1.1, 1 / 1.1, 1.0])
+    model = fg.load(ROOT / "examples" / "fireside.safetensors")
+    ball = np.diag([1.0, 1.0, 1.0, 1.0])
     ball[:3, 3] = -ball[:3, :3] @ TARGET
     speed = parting(values(model, "SPEED"))
     moving, still = ({"filters": [Filter("SPEED", speed, 1e6, keep)]} for keep in (True, False))
@@ -65,7 +65,7 @@ def camera() -> fg.Camera:
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
     pose[:3, 3] = -pose[:3, :3] @ EYE
     width, height = SIZE
-    return fg.Camera(width, height, 1.05 * width, 1.05 * width, width / 2, height / 2, pose)
+    return fg.Camera(width, height, 0.8 * width, 0.8 * width, width / 2, height / 2, pose)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from sheet import grid
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 400, 250
 FRAME = 30
-EYE, TARGET = np.array([1.6, -3.4, 1.7]), np.array([0.1, 0.1, 0.55])
+EYE, TARGET = np.array([0.9, -2.75, 1.6]), np.array([0.15, 0.0, 0.85])
 PAPER = np.array([236, 239, 243]) / 255
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before bpy is imported
@@ -60,7 +60,7 @@ def main():
 
 
 def build():
-    """The example with a platform, a monkey and a ring in its middle, and a sun."""
+    """The example with a ring around its dancer, a monkey on a platform beside her, and a spot light."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.render.engine = 'FASTGS'
@@ -68,25 +68,26 @@ def build():
     scene.render.dither_intensity = 0
     scene.render.film_transparent = True
     scene.world = bpy.data.worlds.new("World")
-    bpy.ops.import_scene.fastgs(filepath=str(ROOT / "examples" / "playground.safetensors"))
+    bpy.ops.import_scene.fastgs(filepath=str(ROOT / "examples" / "fireside.safetensors"))
     scene.view_settings.view_transform = 'Standard'
     camera = scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.data.lens = EYE, 1.05 * 36
+    camera.location, camera.data.lens = EYE, 0.8 * 36
     camera.rotation_euler = Vector(TARGET - EYE).to_track_quat('-Z', 'Y').to_euler()
-    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
-    sun.rotation_euler, sun.data.angle, sun.data.energy = (0.75, -0.45, 0.0), 0.06, 3.0
-    for obj in (camera, sun):
+    spot = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", 'SPOT'))
+    spot.location, spot.data.energy, spot.data.spot_size, spot.data.shadow_soft_size = (-1.3, -1.6, 2.5), 260, 1.4, 0.08
+    spot.rotation_euler = (Vector((0.5, -0.3, 0.5)) - spot.location).to_track_quat('-Z', 'Y').to_euler()
+    for obj in (camera, spot):
         scene.collection.objects.link(obj)
-    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.95, depth=0.1, location=(0.45, 0.0, 0.05))
+    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.62, depth=0.1, location=(0.8, -0.75, 0.05))
     paint((0.75, 0.75, 0.72), 0.6)
-    bpy.ops.mesh.primitive_torus_add(major_radius=0.42, minor_radius=0.07, major_segments=96, minor_segments=32,
-                                     location=(0.62, 0.05, 0.62), rotation=(1.1, 0.3, 0.2))
+    bpy.ops.mesh.primitive_torus_add(major_radius=0.62, minor_radius=0.035, major_segments=128, minor_segments=32,
+                                     location=(0.02, 0.0, 1.18), rotation=(0.3, 0.15, 0.0))
     paint((0.95, 0.6, 0.15), 0.15, metallic=1.0)
-    bpy.ops.mesh.primitive_monkey_add(size=0.5, location=(-0.05, -0.3, 0.32), rotation=(-0.35, 0, 0.35))
+    bpy.ops.mesh.primitive_monkey_add(size=0.5, location=(0.8, -0.75, 0.34), rotation=(-0.45, 0, 0.25))
     bpy.context.object.modifiers.new("Smooth", 'SUBSURF').render_levels = 2
     bpy.ops.object.shade_smooth()
     paint((0.12, 0.3, 0.75), 0.35)
-    scene.fastgs.shadow_light, scene.fastgs.shadow_bias = sun, 0.06
+    scene.fastgs.shadow_light, scene.fastgs.shadow_bias = spot, 0.06
     scene.frame_set(FRAME)
     return scene
 

@@ -86,7 +86,7 @@ def open_source(path: str | os.PathLike) -> Source:
     to the next (load() gives models that may be changed).  Raises FastGSError.
 
     Example:
-        model, t = fg.open_source("examples/playground.safetensors").moment(0.25)
+        model, t = fg.open_source("examples/fireside.safetensors").moment(0.25)
     """
     path = file_path(path)
     with _reading(path):
@@ -124,7 +124,7 @@ def load(path: str | os.PathLike) -> GaussianModel:
     be computed with are left out, with a LossWarning.  Raises FastGSError.
 
     Example:
-        model = fg.load("examples/playground.safetensors")
+        model = fg.load("examples/fireside.safetensors")
     """
     path = file_path(path)
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers

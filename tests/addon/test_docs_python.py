@@ -24,7 +24,7 @@ def shot(scene, tmp_path, add_camera):
     import bpy
 
     (tmp_path / "captures").mkdir()
-    shutil.copy(ROOT / "examples" / "playground.safetensors", tmp_path / "captures" / "dance.safetensors")
+    shutil.copy(ROOT / "examples" / "fireside.safetensors", tmp_path / "captures" / "dance.safetensors")
     bpy.ops.mesh.primitive_cube_add(size=1.5)
     cube = bpy.context.object
     for frame, place in ((1, -0.3), (4, 0.3)):

@@ -14,7 +14,7 @@ from PIL import Image
 
 import fastgs_blender as fg
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "playground.safetensors"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "fireside.safetensors"
 ROOT = os.environ.get("FASTGS_BLENDER_ROOT", "")
 """A folder made by blender_root.sh."""
 OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))

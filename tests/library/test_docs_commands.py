@@ -69,7 +69,7 @@ def test_commands_run(page, folder, capsys):
                                                                 for code in blocks(page, "python"))], ids=lambda page: page.name)
 def test_python_runs(page, folder):
     square = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]
-    names = {"fg": fg, "np": np, "model": fg.load("examples/playground.safetensors"), "placement": np.eye(4), "t": 0.25,
+    names = {"fg": fg, "np": np, "model": fg.load("examples/fireside.safetensors"), "placement": np.eye(4), "t": 0.25,
              "camera": fg.load_cameras("examples/cameras.json")[4].camera, "positions": square,
              "triangles": np.array([[0, 1, 2], [1, 3, 2]]), "colours": (0.8, 0.3, 0.1)}
     with warnings.catch_warnings():

@@ -95,7 +95,7 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     (path,) = builder.main(["--no-wheels", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         names = {name for name in file.namelist() if not name.endswith("/")}
-    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.html", "examples/playground.safetensors",
+    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.html", "examples/fireside.safetensors",
               "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
                for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}

@@ -43,7 +43,7 @@ def test_everything_is_on_the_page_and_has_an_example(api_docs):
     made = {"BakeReport", "Capture", "CheckReport", "View", "Slice", "Sequence"}  # by other members
     assert not [name for name in fg.__all__ if f"fg.{'' if name in made else name}" not in example(name)]
     helped = pydoc.plain(pydoc.render_doc(fg))
-    assert all(re.search(rf"\b{name}\b", helped) for name in fg.__all__) and "examples/playground.safetensors" in helped
+    assert all(re.search(rf"\b{name}\b", helped) for name in fg.__all__) and "examples/fireside.safetensors" in helped
 
 
 def test_the_examples_run(tmp_path, monkeypatch):
@@ -55,7 +55,7 @@ def test_the_examples_run(tmp_path, monkeypatch):
     names = {"fg": fg, "np": np, "warnings": warnings, "positions": positions, "triangles": np.array([[0, 1, 2], [1, 3, 2]])}
     few = ', start="file", iterations=2, points=50, preview_every=0'
     overview = "\n".join(line.strip() for line in inspect.getdoc(fg).split("\n\n")[1:-1] for line in line.splitlines())
-    model, camera = fg.load("examples/playground.safetensors"), fg.load_cameras("examples/cameras.json")[4].camera
+    model, camera = fg.load("examples/fireside.safetensors"), fg.load_cameras("examples/cameras.json")[4].camera
     frozen = fg.freeze(model.take(slice(0, 50)), 0)
     for i in range(2):
         fg.save(frozen, f"still_{i:04d}.ply")

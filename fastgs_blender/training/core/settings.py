@@ -59,6 +59,7 @@ class Settings:
                       only: nothing else counts; off; auto: cut for pictures with alpha, weight for mask files that show
                       the foreground, only for those that say which pixels are valid
       foreground_weight  see masks
+      moving_weight   where there are no masks and cameras stand still: what moves counts so many times
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
     Cameras that differ (evening.py)
@@ -138,6 +139,7 @@ class Settings:
     opaque_weight: float = 0.01
     masks: str = "auto"
     foreground_weight: float = 2.0
+    moving_weight: float = 2.0
     background: str = "auto"
 
     exposures: str = "auto"
@@ -230,7 +232,8 @@ class Settings:
 
 LIMITS = (
     ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
-    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("points", 1, 10**8), ("backdrop", 0, 10),
+    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("moving_weight", 0, 1e3),
+    ("points", 1, 10**8), ("backdrop", 0, 10),
     ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),

@@ -24,6 +24,7 @@ from .evening import APART, Evened, Evening
 from .hold import HELD, backdrop_of, held_features, hold
 from .losses import motion_factor, motion_norm
 from .model import empty_model, lasting, with_arrays
+from .moving import Moving
 from .optimiser import Optimiser
 from .state import check_state
 from .statistics import Statistics
@@ -60,6 +61,7 @@ class Trainer:
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
         self.views = schedule.Views(self.shots, settings.seed)
+        self.moving = Moving(store, self.shots) if settings.moving_weight != 1 else None
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
         self.evening = Evening.begun(tuple(dict.fromkeys(shot.view for shot in self.shots)), capture.clip.frame_count, settings,
@@ -172,7 +174,7 @@ class Trainer:
             chosen, reduction, found = self.views.at(i, s.batch * group.size), schedule.reduction(s, i), []
             for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
                 shot = self.shots[chosen[place]]
-                goal = replace(target(self.capture, store, shot, s, reduction, i, place), t=self.evening.moment(shot))
+                goal = replace(target(self.capture, store, shot, s, reduction, i, place, moving=self.moving), t=self.evening.moment(shot))
                 found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), None if goal.weight is None else array(goal.weight)))
             self._ahead = i, found
         return self._ahead[1]

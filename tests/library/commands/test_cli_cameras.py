@@ -105,9 +105,9 @@ def test_paths_of_other_programs(run, capture, tmp_path):
 
 
 def test_from_a_model_to_frames_without_a_capture(run, tmp_path):
-    views = run(EXAMPLES / "playground.safetensors", "--move", "orbit", "--frames", 2, "--size", "16x9", "--distance", 4)
+    views = run(EXAMPLES / "fireside.safetensors", "--move", "orbit", "--frames", 2, "--size", "16x9", "--distance", 4)
     assert len(views) == 2
-    assert cli.main(["render", str(EXAMPLES / "playground.safetensors"), "--camera", str(tmp_path / "cameras.json"), "--frames", "0:1",
+    assert cli.main(["render", str(EXAMPLES / "fireside.safetensors"), "--camera", str(tmp_path / "cameras.json"), "--frames", "0:1",
                      "--out", str(tmp_path / "frames")]) == 0
     from PIL import Image
 

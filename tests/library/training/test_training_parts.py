@@ -14,6 +14,7 @@ from fastgs_blender.captures.pixels.store import Pixels
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
+from fastgs_blender.training.core.moving import Moving
 from fastgs_blender.training.initial.model import model_from_points, reach_of
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
@@ -158,6 +159,32 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
     np.testing.assert_allclose(found.weight, 1 + 2 * pixels.mask)
     np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
     assert found.opaque == (not has_alpha) and (found.background == 1).all()
+
+
+@pytest.mark.parametrize("why", ["", "the camera moves", "there are masks", "too few frames"])
+def test_what_moves_weighs_more(why, rng):
+    """A square walks over a wall with a little noise; without masks, and where the camera stands still, its pixels count more."""
+    count = 3 if why == "too few frames" else 8
+    films = np.tile(rng.uniform(0.2, 0.5, (24, 32, 3)).astype(np.float32), (count, 1, 1, 1)) + rng.uniform(0, 0.01, (count, 24, 32, 3))
+    for k in range(count):
+        films[k, 8:12, 3 * k:3 * k + 3] = 0.9
+    shots = []
+    for k in range(count):
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * k * (why == "the camera moves")
+        shots.append(SimpleNamespace(view="a", mask="file" if why == "there are masks" else None, t=k / 8, number=k,
+                                     camera=fg.Camera(32, 24, 20.0, 20.0, 16.0, 12.0, pose)))
+    store = SimpleNamespace(pixels=lambda shot: Pixels(films[shot.number].astype(np.float32)))
+    chosen = options.settings(moving_weight=3.0)
+    found = targets.target(SimpleNamespace(mask_means="foreground"), store, shots[1], chosen, 1, moving=Moving(store, shots)).weight
+    if why:
+        assert found is None
+        return
+    expected = np.ones((24, 32))
+    expected[8:12, 3:6] = 3.0
+    np.testing.assert_array_equal(found, expected)
+    half = targets.target(SimpleNamespace(mask_means="foreground"), store, shots[1], chosen, 2, moving=Moving(store, shots)).weight
+    assert half.shape == (12, 16) and half.mean() == pytest.approx(expected.mean())
 
 
 def test_rates_fall_and_divide_by_the_frequency():

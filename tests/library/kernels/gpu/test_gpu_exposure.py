@@ -89,7 +89,7 @@ def test_small_buffers_change_no_byte(fresh, adapter, scene, monkeypatch):
     strips, stages, run = [], [], Device.run
     monkeypatch.setattr(expose.Taken, "picture", lambda *a, one=expose.Taken.picture: strips.append(1) or one(*a))
     monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
-    fresh.backend.device.__dict__["binding"] = 1 << 17
+    fresh.backend.device.binding = 1 << 17
     monkeypatch.setattr(expose, "rows_at_once", lambda *given, all_=expose.rows_at_once: all_(*given) and 1)
     parts = fg.render(*scene, backend=fresh.name, **given)
     assert fresh.backend.failed is None and len(strips) == 4 and {"gather", "draw_out"} <= set(stages)

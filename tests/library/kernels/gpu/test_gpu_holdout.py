@@ -78,7 +78,7 @@ def test_surfaces_are_the_cpus(gpu, fresh, monkeypatch, orthographic):
     both = np.isfinite(wanted) & np.isfinite(found)
     assert (np.isfinite(wanted) != np.isfinite(found)).mean() < 0.002 and both.any() and not both.all()
     assert (np.abs(found[both] - wanted[both]) > 1e-3 * wanted[both]).mean() < 0.002
-    fresh.backend.device.__dict__["binding"] = 1 << 16
+    fresh.backend.device.binding = 1 << 16
     strips = []
     monkeypatch.setattr(holdout.Occluder, "cover", lambda *given, one=holdout.Occluder.cover: strips.append(given) or one(*given))
     assert np.array_equal(fresh.backend.surface(triangles, camera), found) and len(strips) == 3

@@ -132,7 +132,7 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     instances = [Instance(random_model(np.random.default_rng(1), 700, "fourier", "line", "radial", "sh1"), np.eye(4), 0.3)]
     whole = fg.render(instances, camera, passes=("rgb", "depth"), backend=name_of(adapter))
     monkeypatch.setattr(blend, "ENTRIES", 1500)
-    fresh.backend.device.__dict__["binding"] = 1 << 16
+    fresh.backend.device.binding = 1 << 16
     pieces = []
     monkeypatch.setattr(blend, "blend", lambda *given, one=blend.blend: pieces.append(one(*given)) or pieces[-1])
     bands = fg.render(instances, camera, passes=("rgb", "depth"), backend=fresh.name)
@@ -140,7 +140,7 @@ def test_bands_and_packs_change_no_byte(gpu, fresh, adapter, crowd, monkeypatch)
     assert len(scene.packs(fresh.backend.device, instances[0].model.arrays, 700)) > 1
     assert all(np.array_equal(whole[name], bands[name]) for name in whole)
     triangle, number = np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0]]], np.float32), len(pieces)
-    fresh.backend.device.__dict__["binding"] = 1 << 17
+    fresh.backend.device.binding = 1 << 17
     held = [fg.render(instances, camera, passes=("rgb", "holdout"), backend=name, holdout=triangle)
             for name in (name_of(adapter), fresh.name)]
     assert all(np.array_equal(held[0][name], held[1][name]) for name in held[0]) and held[0]["holdout"].max() > 0
@@ -158,7 +158,7 @@ def test_splats_lie_in_several_buffers_and_are_gathered_for_each_band(gpu, fresh
     camera = fg.Camera(40, 30, 40, 40, 20, 15, random_pose(rng, 3.0))
     passes = ("rgb", "alpha", "depth", "normal", "object_index")
     whole = fg.render(instances, camera, passes=passes, backend=name_of(adapter))
-    fresh.backend.device.__dict__["binding"] = 1 << 16
+    fresh.backend.device.binding = 1 << 16
     ran, run = [], device.Device.run
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device.Device, "run", lambda self, stage, *rest, **more: ran.append(stage) or run(self, stage, *rest, **more))

@@ -285,7 +285,7 @@ def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
     results, before = [], fresh.backend.device.binding
     for binding in (before, 1 << 17):
         backend = fresh.backend
-        backend.device.__dict__["binding"] = binding
+        backend.device.binding = binding
         found = two_passes(backend, model, camera, 0.4, goal, *given)
         arrays = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
         slopes = {name: backend.array(array * 0.1) for name, array in model.arrays.items()}
@@ -304,7 +304,7 @@ def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
             backend.adam(rows, tensors, (0.9, 0.999), moved, step)
         found |= {f"{name} {i}": np.array(backend.numpy(each)) for name, tensor in zip(names, tensors) for i, each in enumerate(tensor[:5])}
         results.append((found, split))
-    backend.device.__dict__["binding"] = before
+    backend.device.binding = before
     assert results[0][1] == [] and {"features", "motion"} <= set(results[1][1])
     for name, wanted in results[0][0].items():
         if name == "penalty group" or name.startswith("motion"):  # sums over pieces are rounded in another order
@@ -323,7 +323,7 @@ def test_pictures_that_are_too_large_for_a_buffer_are_compared_in_strips(fresh, 
     monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
     for binding in (before, 160 << 10):
         stages.clear()
-        fresh.backend.device.__dict__["binding"] = binding
+        fresh.backend.device.binding = binding
         found.append(two_passes(fresh.backend, model, camera, 0.4, goal, weight, None, None, False))
     assert stages.count("loss_similarity") == 4 and stages.count("raster") > 1
     for name, wanted in found[0].items():
@@ -339,7 +339,7 @@ def test_splats_of_several_buffers_change_no_byte(fresh, rng, monkeypatch):
     monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
     for binding in (before, 1 << 16):
         stages.clear()
-        fresh.backend.device.__dict__["binding"] = binding
+        fresh.backend.device.binding = binding
         found.append(two_passes(fresh.backend, model, camera, 0.4, goal, None, None, None, False))
     assert stages.count("touch") == 2 and stages.count("raster") == 1, "one band, of two buffers"
     assert 50 < np.count_nonzero(found[0]["drawn"]) < 4000

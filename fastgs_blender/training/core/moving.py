@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finds which pixels of a still camera's film move, so that training can give them more weight.
+
+Most of a room stands still.  What moves covers few pixels, each in few pictures, and a mean over all pixels hardly asks for it.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from .targets import smaller
+
+LOOKS, FEWEST = 15, 4
+"""Pictures of a camera whose median shows what stands still; and fewer tell nothing."""
+SIDE = 480
+"""Pictures are compared at no more than this size (their longer side)."""
+LOW, HIGH = 0.03, 0.10
+"""Differences in colour (0..1) below which a pixel stands still, and above which it surely moves; between them lies noise."""
+
+
+class Moving:
+    """How much each pixel of a shot moves; for shots of cameras that stand still, and that have no mask.
+
+    shots  those that training uses, by which a camera's still picture is found
+    """
+
+    def __init__(self, store, shots):
+        self._store, self._shots, self._still = store, {}, {}
+        for shot in shots:
+            self._shots.setdefault(shot.view, []).append(shot)
+
+    def share(self, shot) -> np.ndarray | None:
+        """[h, w] float32 of a shot's pixels: 0 stands still, 1 moves; None where it is not known."""
+        still = self._still_picture(shot.view)
+        if still is None:
+            return None
+        rgb = self._store.pixels(shot).rgb  # as it was filmed: a camera's own pictures are equally exposed
+        h, w = rgb.shape[:2]
+        r = _reduction(h, w)
+        change = np.abs(smaller(rgb, r) - still).max(-1)
+        share = np.clip((change - LOW) / (HIGH - LOW), 0, 1)
+        rows, columns = (np.minimum(np.arange(n) // r, m - 1) for n, m in zip((h, w), share.shape))
+        return share[np.ix_(rows, columns)]
+
+    def _still_picture(self, view: str) -> np.ndarray | None:
+        """The median [h, w, 3] of some of a camera's pictures, made when it is asked for first."""
+        if view not in self._still:
+            shots = self._shots.get(view, [])
+            usable = len(shots) >= FEWEST and all(shot.mask is None and _stands(shot, shots[0]) for shot in shots)
+            self._still[view] = self._median(shots) if usable else None
+        return self._still[view]
+
+    def _median(self, shots):
+        picked = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, min(LOOKS, len(shots))).round().astype(int))]
+        looks = [self._store.pixels(shot) for shot in picked]
+        if any(look.mask is not None for look in looks):
+            return None
+        return np.median([smaller(look.rgb, _reduction(*look.rgb.shape[:2])) for look in looks], axis=0).astype(np.float32)
+
+
+def _stands(shot, first) -> bool:
+    a, b = shot.camera, first.camera
+    return a is b or (a is not None and b is not None and (a.width, a.height, a.fx, a.fy) == (b.width, b.height, b.fx, b.fy)
+                      and np.array_equal(a.world_to_camera, b.world_to_camera))
+
+
+def _reduction(h: int, w: int) -> int:
+    return max(1, -(-max(h, w) // SIDE))
