@@ -28,7 +28,7 @@ VIEWS, FRONT = ROOT / "examples" / "cameras.json", "orbit04"
 """Cameras that the example can be looked at with, and the one that an import begins with."""
 LARGEST = 8_000_000
 """Bytes."""
-GAUSSIANS, STEPS = 150_000, 10_000
+GAUSSIANS, STEPS = 160_000, 5_000
 
 
 def main():
@@ -38,7 +38,7 @@ def main():
     capture, run = work / "capture", work / "run"
     film(capture)
     command = [sys.executable, "-m", "fastgs_blender", "train", capture, "--out", run, "--resume", "--basis", "paper",
-               "--iterations", STEPS, "--max-gaussians", GAUSSIANS, "--set", "warm_up=0.05,0.4"]
+               "--iterations", STEPS, "--max-gaussians", GAUSSIANS, "--set", "warm_up=0.05,0.5"]
     subprocess.run([*map(str, command)], check=True, cwd=ROOT)
     save_cameras(views(), VIEWS)
     publish(run / "model.safetensors", capture)

@@ -72,6 +72,7 @@ class Settings:
                                          share of the focal length in pixels, 0.8 of a pixel where that is 500
       rate_unit       unit of position_rate: reach, as just said, or extent, as published trainers have it
       motion_rate     of frequency 1; divided by k for frequency k
+      known_rate      factor on both of these where training begins with a model (start_model, a bake); its root on those of shapes
       motion_decay    end of the motion's rate, as a fraction of its beginning
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
       rate_decay      end of these last ones, as a fraction of their beginning: long steps first, so that Gaussians soon have their
@@ -150,6 +151,7 @@ class Settings:
     position_rate_end: float = 1.6e-6
     motion_rate: float = 1e-3
     motion_decay: float = 0.1
+    known_rate: float = 0.1
     rotation_rate: float = 1e-3
     turn_rate: float = 1e-3
     scale_rate: float = 3e-2
@@ -239,7 +241,8 @@ LIMITS = (
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
     ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
-    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
+    ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1),
+    ("known_rate", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
     ("position_rate_end", 0, 1), ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""

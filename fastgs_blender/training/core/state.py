@@ -54,6 +54,8 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
     if not is_length(about.get("reach", 1.0)):  # older checkpoints state none
         raise FastGSError(f"it does not say how far away the scene is; {ADVICE}")
+    if not isinstance(about.get("known", False), bool):  # nor this
+        raise FastGSError(f"it does not say whether it began with a model; {ADVICE}")
     expected = _expected(arrays, template)
     odd = sorted(arrays.keys() ^ expected.keys())
     if odd:

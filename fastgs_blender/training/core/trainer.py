@@ -43,12 +43,13 @@ class Trainer:
     reach           how far away is what the cameras film (initial.model.reach_of); None: the capture's extent
     gains           [V, 3] of the views trained on, as starting points tell them (initial.dense.evening_of); None: equal exposures
     fades           [V, 3] of these, how their exposures change (initial.fading.fades_of); None: they do not
+    known           it began with a model: see schedule.learning_rates()
     backend         the name of the backend that all arrays live on (util/backends.py)
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
                  decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, reach: float | None = None, backend: str = "cpu",
-                 gains: np.ndarray | None = None, fades: np.ndarray | None = None):
+                 gains: np.ndarray | None = None, fades: np.ndarray | None = None, known: bool = False):
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
@@ -56,7 +57,7 @@ class Trainer:
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
-        self.reach = reach or capture.extent
+        self.reach, self.known = reach or capture.extent, known
         self.shots = capture.training
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
@@ -97,7 +98,7 @@ class Trainer:
         if self.iteration < i:
             return done
         ahead = self.backend.begin_step() if guess else 0
-        rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis)
+        rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis, self.known)
         rates |= dict.fromkeys(self.fixed, 0.0)
         self._begun.append((i, len(self), self._begin(rates)))
         self.iteration += 1
@@ -253,7 +254,7 @@ class Trainer:
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
-                        "reach": self.reach}
+                        "reach": self.reach, "known": self.known}
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""
@@ -266,6 +267,7 @@ class Trainer:
             return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
 
         self.iteration, self.reach = about["iteration"], float(about.get("reach", self.extent))
+        self.known = bool(about.get("known", False))
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.evening.restore(part("evening"))

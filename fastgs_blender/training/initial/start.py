@@ -17,25 +17,28 @@ from .model import model_from_points, reach_of
 class Start:
     """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
     a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, 0 where they are not known, or
-    None where they are not known to differ; fades [V, 3] of these views, how their exposures change, or None where none does."""
+    None where they are not known to differ; fades [V, 3] of these views, how their exposures change, or None where none does; known: it
+    was made from a model that shows the scene."""
 
     model: GaussianModel
     sizes: np.ndarray | None
     reach: float
     gains: np.ndarray | None = None
     fades: np.ndarray | None = None
+    known: bool = False
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it but the model's kinds, for other processes."""
         perhaps = {"sizes": self.sizes, "gains": self.gains, "fades": self.fades}
-        return self.model.arrays | {"reach": np.array([self.reach])} | {name: a for name, a in perhaps.items() if a is not None}
+        numbers = {"reach": np.array([self.reach]), "known": np.array([self.known])}
+        return self.model.arrays | numbers | {name: a for name, a in perhaps.items() if a is not None}
 
     @classmethod
     def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
         """The inverse of arrays(), for a model of the same kinds as `empty`."""
         return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]),
-                   arrays.get("gains"), arrays.get("fades"))
+                   arrays.get("gains"), arrays.get("fades"), bool(arrays["known"][0]))
 
 
 def start(capture, store, settings, say=print, progress=lambda done, of: None) -> Start:
@@ -57,11 +60,11 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))
     if not len(behind):
-        return Start(first, None, reach_of(found, capture), fades=fades)
+        return Start(first, None, reach_of(found, capture), fades=fades, known=True)
     second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
     both = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
     sizes = np.concatenate([np.full(len(first), np.nan, np.float32), behind.size])
-    return Start(both, sizes, reach_of(found, capture), fades=fades)
+    return Start(both, sizes, reach_of(found, capture), fades=fades, known=True)
 
 
 def _steady(capture, store, settings, say):
