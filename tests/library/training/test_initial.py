@@ -17,10 +17,11 @@ from fastgs_blender.cameras.lens import Lens
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.initial.geometry import visible
 from fastgs_blender.training.initial.points import initial_points
-from fastgs_blender.training.initial.start import start
+from fastgs_blender.training.initial.start import Start, start
 from fastgs_blender.util import threads
 
 pytest.importorskip("pycolmap")
@@ -223,6 +224,25 @@ def test_training_begins_with_a_known_model_as_it_moves_in_the_colours_of_the_pi
                      shots=[replace(shot, frame=shot.frame - 2, t=2 * (shot.t - 0.5)) for shot in capture.shots if shot.frame >= 2])
     later = start(second, store, settings(max_gaussians=1600, backdrop=0.0), said.append).model
     assert np.median(fg.slice_model(later, 0.0).position[:, 0]) == pytest.approx(card_x(0.5), abs=0.1)
+
+
+def test_a_known_model_is_refined_and_not_lost(filmed, card):
+    """Its first steps hardly move it; steps by which places are found would lose them.  A resumed run knows it too."""
+    capture, store = filmed
+    chosen = settings(start_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial", warm_up=(), iterations=400)
+    begun = start(capture, store, chosen, lambda text: None)
+    assert begun.known and Start.of(begun.arrays, begun.model).known
+
+    def moved(known: bool) -> float:
+        trainer = Trainer(capture, store, chosen, begun.model, known=known)
+        for _ in range(12):
+            trainer.step()
+        again = Trainer(capture, store, chosen)
+        again.restore(*trainer.state())
+        assert again.known == known
+        return float(np.median(np.linalg.norm(again.model().position - begun.model.position, axis=1)))
+
+    assert 0 < moved(True) < 0.15 * moved(False)
 
 
 def test_a_damaged_model_of_the_capture_is_told_and_points_begin_instead(blank, tmp_path):

@@ -199,6 +199,15 @@ def test_rates_fall_and_divide_by_the_frequency():
         np.testing.assert_allclose(last[name], chosen.rate_decay * np.asarray(first[name]), err_msg=name)
 
 
+def test_a_model_is_refined_with_shorter_steps():
+    """Where training begins with a model its places and motions move less, its shapes a little less, and colours as ever."""
+    chosen = options.settings(known_rate=0.04)
+    usual, refined = (schedule.learning_rates(chosen, 100, 2.0, 2.0, fg.Fourier(2), known) for known in (False, True))
+    for names, factor in ((("position", "motion"), 0.04), (("scale", "rotation", "rotation_motion"), 0.2), (("opacity", "features"), 1.0)):
+        for name in names:
+            np.testing.assert_allclose(refined[name], factor * np.asarray(usual[name]), err_msg=name)
+
+
 def test_all_rates_fall_to_nothing_in_the_last_part_of_a_run():
     with_rest, without = options.settings(cool_down=0.2), options.settings(cool_down=0.0)
     for share, rest in ((0.0, 1.0), (0.8, 1.0), (0.9, 0.5), (0.98, 0.1)):
