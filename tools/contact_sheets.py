@@ -107,11 +107,12 @@ def about(camera, model, degrees: float) -> np.ndarray:
 
 
 def parts(model) -> list[Instance]:
-    """The model as two objects: what stands still, and what moves."""
+    """The model as two objects: the room, and the dancer with all that moves above her floor."""
+    x, y, z = fg.slice_model(model, WHEN, cull=False).position.T
     speed = values(model, "SPEED")
-    moves = speed > parting(speed)
+    dancer = (z > 0.06) & (np.hypot(x, y) < 1.3) & ((np.hypot(x, y) < 0.4) | (speed > parting(speed)))
     return [Instance(model.take(chosen), np.eye(4), WHEN, name=name, index=index)
-            for name, index, chosen in (("room", 1, ~moves), ("dancer", 2, moves))]
+            for name, index, chosen in (("room", 1, ~dancer), ("dancer", 2, dancer))]
 
 
 def main(folder: Path):

@@ -17,8 +17,8 @@ from pathlib import Path
 from blender_setup import ROOT, enable_addon, set_image_output
 
 EXAMPLE = ROOT / "examples" / "fireside.safetensors"
-POSTER_FRAME = 40
-FREEZE = 14, 30
+POSTER_FRAME = 26
+FREEZE = 6, 30
 """Bullet time: the frame of the scene on which the capture freezes, and for how many frames."""
 
 

@@ -21,7 +21,7 @@ from fastgs_blender.rendering.filters import Filter, parting, values  # noqa: E4
 from fastgs_blender.rendering.instances import Instance, ObjectSettings  # noqa: E402
 
 SIZE = 300, 190
-FRAME = 30
+FRAME = 6
 EYE, TARGET = np.array([1.1, -2.5, 1.5]), np.array([0.0, 0.15, 1.0])
 PAPER = (236, 239, 243)
 
@@ -42,8 +42,8 @@ def main():
         "a soft sphere": {"crops": [Crop(ball, shape="SPHERE", soft=0.6)]}, "moving part": moving,
     }
     pictures = {name: picture(model, [(FRAME, ObjectSettings(**look))]) for name, look in looks.items()}
-    echoes = [(FRAME, ObjectSettings(**still))] + [(FRAME - 4 * n, ObjectSettings(opacity=0.6**n, **moving)) for n in range(5)]
-    pictures["echoes of what moves"] = picture(model, echoes)
+    trail = [((FRAME - 4 * n) % model.clip.frame_count, ObjectSettings(opacity=0.6**n, **moving)) for n in range(5)]
+    pictures["echoes of what moves"] = picture(model, [(FRAME, ObjectSettings(**still)), *trail])
     grid(pictures.items(), 4).save(options.out, quality=85, method=6)
     print(options.out)
 

@@ -16,7 +16,7 @@ from sheet import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 400, 250
-FRAME = 30
+FRAME = 6
 EYE, TARGET = np.array([0.9, -2.75, 1.6]), np.array([0.15, 0.0, 0.85])
 PAPER = np.array([236, 239, 243]) / 255
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
@@ -78,12 +78,12 @@ def build():
     spot.rotation_euler = (Vector((0.5, -0.3, 0.5)) - spot.location).to_track_quat('-Z', 'Y').to_euler()
     for obj in (camera, spot):
         scene.collection.objects.link(obj)
-    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.62, depth=0.1, location=(0.8, -0.75, 0.05))
+    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.55, depth=0.1, location=(0.95, 0.35, 0.05))
     paint((0.75, 0.75, 0.72), 0.6)
     bpy.ops.mesh.primitive_torus_add(major_radius=0.62, minor_radius=0.035, major_segments=128, minor_segments=32,
                                      location=(0.02, 0.0, 1.18), rotation=(0.3, 0.15, 0.0))
-    paint((0.95, 0.6, 0.15), 0.15, metallic=1.0)
-    bpy.ops.mesh.primitive_monkey_add(size=0.5, location=(0.8, -0.75, 0.34), rotation=(-0.45, 0, 0.25))
+    paint((0.95, 0.75, 0.3), 0.3)
+    bpy.ops.mesh.primitive_monkey_add(size=0.55, location=(0.95, 0.35, 0.36), rotation=(-0.35, 0, 0.1))
     bpy.context.object.modifiers.new("Smooth", 'SUBSURF').render_levels = 2
     bpy.ops.object.shade_smooth()
     paint((0.12, 0.3, 0.75), 0.35)
@@ -92,13 +92,13 @@ def build():
     return scene
 
 
-def paint(colour, roughness, metallic=0.0):
+def paint(colour, roughness):
     material = bpy.data.materials.new("Paint")
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
     shader = material.node_tree.nodes["Principled BSDF"]
     shader.inputs["Base Color"].default_value = (*colour, 1)
-    shader.inputs["Roughness"].default_value, shader.inputs["Metallic"].default_value = roughness, metallic
+    shader.inputs["Roughness"].default_value = roughness
     bpy.context.object.data.materials.append(material)
 
 
