@@ -129,13 +129,13 @@ def first_steps():
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.fastgs.import_example()
     scene, obj = bpy.context.scene, bpy.context.view_layer.objects.active
-    camera = look(scene, 640, 420, eye=(1.4, -3.0, 2.2), target=(0.1, 0.1, 0.7), lens=30)
+    camera = look(scene, 640, 420, eye=(0.9, -2.7, 1.6), target=(0.0, 0.1, 1.0), lens=30)
     scene.render.film_transparent = False
     scene.camera.data.display_size = 0.2
     area = area_of()
     view = area.spaces.active.region_3d
-    view.view_rotation = Euler((1.08, 0, -0.3)).to_quaternion()
-    view.view_location, view.view_distance = (0.55, 0.1, 0.7), 3.8
+    view.view_rotation = Euler((1.36, 0, -0.2)).to_quaternion()
+    view.view_location, view.view_distance = (0.45, 0.1, 0.95), 3.0
     yield from sidebar(area)
     scene.frame_set(12)
     yield from settled("solid")
