@@ -6,7 +6,7 @@ the model as it was, and what held-out views lose by it.  The pictures are taken
 at: those of the capture in full size for the example, a wide forward view and two beside it for models whose cameras are not known.
 
 The loss of a model whose held-out views have R dB is 10 log10(1 + 10^((R - PSNR) / 10)): the error of compression has nothing to do with
-the model's own, so their squares add up.  R is what the file records of its held-out views (the example: 29.8 dB), and 32 dB for files
+the model's own, so their squares add up.  R is what the file records of its held-out views (the example: 32.8 dB), and 32 dB for files
 that record nothing, as Spacetime Gaussians report on Neural 3D Video: no truth is known of the .splatv files.  --capture measures the
 example's loss itself, on the held-out view of the capture that tools/train_example.py makes.
 """

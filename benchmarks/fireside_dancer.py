@@ -14,31 +14,6 @@ TURN = radians(-30)
 SKIN, DRESS, GOLD = "#e0ac88", "#b3202c", "#e6b84f"
 
 
-def cached(obj, points) -> None:
-    """Let a mesh take these points [frames][V, 3] frame by frame, as absolute shape keys."""
-    obj.shape_key_add(name="Basis")
-    for k, moment in enumerate(points):
-        obj.shape_key_add(name=f"Frame {k + 1}").data.foreach_set("co", np.asarray(moment, np.float32).ravel())
-    keys = obj.data.shape_keys
-    keys.use_relative = False
-    for block in keys.key_blocks:
-        block.interpolation = 'KEY_LINEAR'
-    for frame in (1, len(points)):
-        keys.eval_time = keys.key_blocks[frame].frame
-        keys.keyframe_insert("eval_time", frame=frame)
-    straight(keys)
-
-
-def straight(data) -> None:
-    """Straight lines between the keyframes of `data`, and beyond them."""
-    action = data.animation_data.action
-    curves = action.fcurves if hasattr(action, "fcurves") else action.layers[0].strips[0].channelbags[0].fcurves
-    for curve in curves:
-        curve.extrapolation = 'LINEAR'
-        for key in curve.keyframe_points:
-            key.interpolation = 'LINEAR'
-
-
 def wave(time, harmonic, shift=0.0):
     return np.sin(2 * pi * (harmonic * time + shift))
 
@@ -151,7 +126,7 @@ def skirt(found, time) -> None:
     flower = np.hypot(((s * 18) % 1 - 0.5) * 0.12, (t - 0.52) * 0.45)
     kit.paint(image, kit.edge(flower - 0.022, 0.006), "#f4e6cf")
     kit.paint(image, kit.edge(flower - 0.009, 0.004), GOLD)
-    cached(kit.new_object("Skirt", [(points[0], faces, np.stack([u, v], 1), 0)], [kit.material("Skirt", image)]), points)
+    kit.cached(kit.new_object("Skirt", [(points[0], faces, np.stack([u, v], 1), 0)], [kit.material("Skirt", image)]), points)
 
 
 def ribbon(found, time) -> None:
@@ -180,7 +155,7 @@ def ribbon(found, time) -> None:
         points.append((line[None] + width[:, None, None] * across[None]).reshape(-1, 3))
     share, _ = kit.canvas(256, 8)
     colour = kit.material("Ribbon", kit.gradient(share, ["#ffd34d", "#ff9e3d", "#ff6f61", "#ffd34d"]))
-    cached(kit.new_object("Ribbon", [(points[0], faces, np.stack([u, v], 1), 0)], [colour]), points)
+    kit.cached(kit.new_object("Ribbon", [(points[0], faces, np.stack([u, v], 1), 0)], [colour]), points)
 
 
 def flames(name, tongues, time, rng) -> None:
@@ -213,5 +188,5 @@ def flames(name, tongues, time, rng) -> None:
                            (clear.outputs[0], mix.inputs[2]), (mix.outputs[0], out.inputs["Surface"])):
         tree.links.new(source, target)
     made = kit.new_object(name, parts, [colour])
-    cached(made, [np.concatenate([moved[k] for moved in frames]) for k in range(len(time))])
+    kit.cached(made, [np.concatenate([moved[k] for moved in frames]) for k in range(len(time))])
     made.visible_shadow = False

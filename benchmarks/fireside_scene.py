@@ -252,7 +252,7 @@ def curtains(time) -> None:
         hung = start + across * u * (0.85 + 0.15 * down)
         points = [np.stack([folds - 0.09 * down**1.5 * (1 + np.sin(2 * pi * (moment + 0.7 * u))),
                             hung + 0.03 * down * np.sin(2 * pi * (moment + u)), 0.35 + 2.2 * v], 1) for moment in time]
-        dancer.cached(kit.new_object(name, [(points[0], faces, np.stack([u, v], 1), 0)], [kit.material(name, image)]), points)
+        kit.cached(kit.new_object(name, [(points[0], faces, np.stack([u, v], 1), 0)], [kit.material(name, image)]), points)
     rail = np.linspace((WIDE - 0.12, 1.3, 2.58), (WIDE - 0.12, -1.3, 2.58), 6)
     kit.new_object("Rail", [(*kit.tube(rail, 0.02, 12), 0)], [kit.material("Rail", "#b98b3e")])
 

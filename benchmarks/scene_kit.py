@@ -85,6 +85,31 @@ def animate(obj, path, values, index=-1):
         obj.keyframe_insert(path, index=index, frame=frame)
 
 
+def cached(obj, points) -> None:
+    """Let a mesh take these points [frames][V, 3] frame by frame, as absolute shape keys."""
+    obj.shape_key_add(name="Basis")
+    for k, moment in enumerate(points):
+        obj.shape_key_add(name=f"Frame {k + 1}").data.foreach_set("co", np.asarray(moment, np.float32).ravel())
+    keys = obj.data.shape_keys
+    keys.use_relative = False
+    for block in keys.key_blocks:
+        block.interpolation = 'KEY_LINEAR'
+    for frame in (1, len(points)):
+        keys.eval_time = keys.key_blocks[frame].frame
+        keys.keyframe_insert("eval_time", frame=frame)
+    straight(keys)
+
+
+def straight(data) -> None:
+    """Straight lines between the keyframes of `data`, and beyond them."""
+    action = data.animation_data.action
+    curves = action.fcurves if hasattr(action, "fcurves") else action.layers[0].strips[0].channelbags[0].fcurves
+    for curve in curves:
+        curve.extrapolation = 'LINEAR'
+        for key in curve.keyframe_points:
+            key.interpolation = 'LINEAR'
+
+
 # Colours: sRGB 0..1
 
 

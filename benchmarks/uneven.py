@@ -3,7 +3,7 @@
 
     .venv/bin/python benchmarks/uneven.py [--steps 1200] [--frames 16] [--folder DIR] [VARIANT ...]
 
-Films the model that comes with the extension with its own 13 cameras at 160 x 120 (one is held out): as it is, and with one camera's
+Films the model that comes with the extension with its own 12 cameras at 160 x 120 (one is held out): as it is, and with one camera's
 clock 0.4 frames ahead and exposures that differ by up to 30 % (gains 0.7 to 1.3 of the display values, the held-out camera's is 1).
 Trains on both with and without evening, and prints the held-out view's quality and what was found.
 """

@@ -3,7 +3,7 @@
 
     import fastgs_blender as fg
 
-    model = fg.load("examples/fireside.safetensors")            # files
+    model = fg.load("examples/fireside.safetensors")              # files
     camera = fg.load_cameras("examples/cameras.json")[4].camera   # cameras
     image = fg.render(model, camera, t=0.25)["rgb"]               # pictures
     capture = fg.open_capture("my-capture")                       # films of several cameras
