@@ -13,6 +13,7 @@ from numba import float32
 from ...cameras.camera import Camera
 from ...rendering.holdout import EDGE, NEAREST, SAMPLES, points
 from ...util.threads import ranges, run, thread_count
+from .. import asserts
 from .jit import kernel
 from .raster import NOTHING, PIXELS, TILE
 from .tile_lists import TileLists, list_tiles
@@ -42,6 +43,7 @@ class Occluder:
     @classmethod
     def of(cls, triangles: np.ndarray, camera: Camera) -> Occluder:
         """The Occluder of triangles [F, 3, 3] float32 before a camera."""
+        asserts.surface(triangles)
         x0, y0, width, height = camera.window
         window = x0, y0, x0 + width, y0 + height
         tile_x, tile_y = x0 // TILE, y0 // TILE

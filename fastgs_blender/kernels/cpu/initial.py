@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import asserts
 from .jit import kernel
 
 
 def project_points(xyz: np.ndarray, camera) -> tuple[np.ndarray, np.ndarray]:
     """TrainingBackend.project_points()."""
+    asserts.project_points(xyz)
     places, depths = np.empty((len(xyz), 2)), np.empty(len(xyz))
     lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
     projected(np.asarray(xyz, np.float64), np.asarray(camera.world_to_camera, np.float64), *lens, places, depths)
@@ -31,6 +33,7 @@ def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
 
 def neighbour_distance(xyz: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> np.ndarray:
     """TrainingBackend.neighbour_distance()."""
+    asserts.neighbour_distance(xyz, turns)
     best = np.full(len(xyz), np.inf)
     for turn in turns:
         among_leaves(np.ascontiguousarray(xyz @ turn), count, leaf, best)
@@ -81,6 +84,7 @@ def among_leaves(points, count, leaf, best):
 
 def sweep(image: np.ndarray, others, depths: np.ndarray, outside: float, reach: int) -> np.ndarray:
     """TrainingBackend.sweep()."""
+    asserts.sweep(image, others, depths)
     costs = np.empty((len(others), len(depths), *image.shape[:2]), np.float32)
     for cost, (other, turn, shift) in zip(costs, others):
         differences(image, other, turn, shift, depths, np.float32(outside), cost)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ...util.threads import ranges, run
+from .. import asserts
 from .jit import inline, kernel
 
 MOST = 64
@@ -110,6 +111,7 @@ def resample_rows(image, positions, first, last, out):
 
 def resample(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """TrainingBackend.resample()."""
+    asserts.resample(image, positions)
     out = np.zeros((*positions.shape[:2], image.shape[2]), np.float32)
     run(lambda first, last: resample_rows(image, positions, first, last, out), ranges(len(positions), 32))
     return out

@@ -9,6 +9,7 @@ import numpy as np
 from ...model.slicing import sigmoid
 from ...util import rotations
 from ...util.threads import ranges, run
+from .. import asserts
 from ..protocol import MotionNorm
 from . import adam as kernels
 from . import penalty
@@ -21,6 +22,7 @@ GATE, SHARPNESS, NEGLIGIBLE = 0.995, 100.0, 1e-4
 
 def motion_penalty(norm: MotionNorm, motion: np.ndarray, gradient: np.ndarray, scale: float, waits: np.ndarray) -> np.ndarray:
     """TrainingBackend.motion_penalty()."""
+    asserts.motion_penalty(norm, motion, gradient, waits)
     n = len(motion)
     if not n or not norm.weights.any():
         return np.zeros(1)
@@ -52,6 +54,7 @@ def _norms(norm: MotionNorm, values, gradient, scale, waits) -> float:
 
 def waits(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
     """TrainingBackend.waits()."""
+    asserts.waits(moved)
     out = np.zeros(len(moved), np.float32)
     out[rows] = step - moved[rows]
     return out
@@ -59,12 +62,14 @@ def waits(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
 
 def hold(features: np.ndarray, held: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
     """TrainingBackend.hold()."""
+    asserts.hold(features, held, gradient)
     rows = rows[np.isfinite(held[rows, 0])]
     gradient[rows] += np.float32(strength) * (features[rows] - held[rows])
 
 
 def shrink(parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
     """TrainingBackend.shrink()."""
+    asserts.shrink(parameters, gradients)
     n = max(len(parameters["opacity"]), 1)
     o = sigmoid(parameters["opacity"])
     gradients["opacity"] += (opacity_weight / n * o * (1 - o)).astype(np.float32)
@@ -73,6 +78,7 @@ def shrink(parameters: dict, gradients: dict, opacity_weight: float, scale_weigh
 
 def shake(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
     """TrainingBackend.shake()."""
+    asserts.shake(parameters)
     opacity = sigmoid(parameters["opacity"])
     gate = 1 / (1 + np.exp(-SHARPNESS * ((1 - opacity) - GATE)))
     rows = np.flatnonzero(gate > NEGLIGIBLE)
@@ -86,11 +92,11 @@ def shake(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
 
 def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarray, step: int) -> None:
     """TrainingBackend.adam()."""
+    asserts.adam(tensors, moved)
     table, pieces = kernels.corrections(*betas), []
     assert len(rows) == 0 or (rows.min() >= 0 and rows.max() < len(moved))
     for value, gradient, mean, square, count, rate, shared in tensors:
         n = len(value)
-        assert gradient.shape == mean.shape == square.shape == value.shape and len(count) == n and (shared or len(moved) == n)
         these = np.arange(n) if shared else rows
         arrays = [a.reshape(n, math.prod(value.shape[1:])) for a in (value, np.ascontiguousarray(gradient, np.float32), mean, square)]
         columns = np.broadcast_to(np.asarray(rate, np.float32).reshape(-1), arrays[0].shape[1]).copy()

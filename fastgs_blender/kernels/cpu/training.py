@@ -12,6 +12,7 @@ from ...model.gaussians import GaussianModel
 from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
 from ...util.threads import run
+from .. import asserts
 from ..parameters import DECODER, model_of
 from ..protocol import Comparison, Splatted
 from .decoder import decode_backward, decode_features
@@ -36,6 +37,7 @@ class View:
 def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
           band: float = 0.0) -> Splatted:
     """TrainingBackend.splat()."""
+    asserts.splat(parameters, template)
     instance = Instance(model_of(template, parameters), np.eye(4), t, AS_TRAINED).viewed(camera)
     layout = Layout([instance], depth)
     splats = project_instances([instance], camera, layout)
@@ -54,6 +56,7 @@ def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Ca
 def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,
             opaque_weight: float, share: float) -> Comparison:
     """TrainingBackend.compare()."""
+    asserts.compare(picture, target, weight, background)
     rgb, alpha, share = picture.rgb, picture.alpha, np.float32(share)
     if background is not None:
         rgb = rgb + (1 - alpha)[..., None] * background
@@ -73,6 +76,7 @@ def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, ba
 
 def backward(picture: Splatted, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
     """TrainingBackend.backward()."""
+    asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
     view: View = picture.state
     camera, appearance = view.instance.camera, view.instance.model.appearance
     gradients = {}

@@ -34,6 +34,11 @@ class Bands:
     parts: list[Array]
     instead: Callable[[], np.ndarray]
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """As NumPy would have it."""
+        return (sum(part.shape[0] for part in self.parts), *self.parts[0].shape[1:])
+
     def numpy(self) -> np.ndarray:
         """The whole of it."""
         found = [part.numpy() for part in self.parts]

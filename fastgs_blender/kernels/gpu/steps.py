@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from .. import asserts
 from ..cpu.adam import corrections
 from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
 from ..protocol import MotionNorm
@@ -22,6 +23,7 @@ AHEAD = 8
 
 def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
     """TrainingBackend.motion_penalty()."""
+    asserts.motion_penalty(norm, motion, gradient, waits)
     n, terms = motion.shape[:2]
     if not n or not norm.weights.any():
         return device.zeros((1,), np.float64)
@@ -53,6 +55,7 @@ def count(device: Device, seen: Array) -> Array:
 
 def waits(device: Device, seen: Array, moved: Array, step: int) -> Array:
     """TrainingBackend.waits()."""
+    asserts.waits(moved)
     out = device.empty(seen.shape)
     device.run("waits", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, out)
     return out
@@ -60,6 +63,7 @@ def waits(device: Device, seen: Array, moved: Array, step: int) -> Array:
 
 def hold(device: Device, features: Array, held: Array, gradient: Array, seen: Array, strength: float) -> None:
     """TrainingBackend.hold()."""
+    asserts.hold(features, held, gradient)
     for _, (some, *arrays) in pieces(seen, features, held, gradient):
         numbers, columns = math.prod(arrays[0].shape), features.shape[1]
         device.run("hold", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
@@ -67,6 +71,7 @@ def hold(device: Device, features: Array, held: Array, gradient: Array, seen: Ar
 
 def shrink(device: Device, parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
     """TrainingBackend.shrink()."""
+    asserts.shrink(parameters, gradients)
     n = len_(parameters["opacity"])
     weights = [opacity_weight / max(n, 1), scale_weight / (3 * max(n, 1) * extent), 0.0, 0.0]
     for _, arrays in pieces(parameters["opacity"], parameters["scale"], gradients["opacity"], gradients["scale"]):
@@ -75,6 +80,7 @@ def shrink(device: Device, parameters: dict, gradients: dict, opacity_weight: fl
 
 def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
     """TrainingBackend.shake()."""
+    asserts.shake(parameters)
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
     for first, arrays in pieces(*(parameters[name] for name in ("opacity", "rotation", "scale", "position"))):
         job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE]]
@@ -83,6 +89,7 @@ def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) 
 
 def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
     """TrainingBackend.adam()."""
+    asserts.adam(tensors, moved)
     table = _table(device, *betas)
     for value, gradient, mean, square, steps, rate, shared in tensors:
         columns = math.prod(value.shape[1:])

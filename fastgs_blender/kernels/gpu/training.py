@@ -15,6 +15,7 @@ from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
 from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
+from .. import asserts
 from ..parameters import DECODER
 from ..protocol import Comparison, Splatted
 from .blend import Band, How, blend_all
@@ -58,6 +59,7 @@ class Seen:
 def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool,
           band: float) -> Splatted:
     """TrainingBackend.splat()."""
+    asserts.splat(parameters, template)
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
     layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
     splats = project(device, [instance], camera, layout, [found])
@@ -116,6 +118,7 @@ def picture(device: Device, stored: np.ndarray) -> Array:
 def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
             share: float) -> Comparison:
     """TrainingBackend.compare()."""
+    asserts.compare(picture, target, weight, background)
     height, width = target.shape[:2]
     numbers = 3 * height * width
     behind = [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
@@ -172,6 +175,7 @@ def total(device: Device, values: Array) -> Array:
 def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array | None, depth: Array | None, into, statistics,
              seen: Array | None, detach_time: bool) -> dict[str, Array]:
     """TrainingBackend.backward()."""
+    asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
     view: Seen = picture.state
     quads, channels, found = view.splats.quads, 3, {}
     height, width = view.camera.window[3], view.camera.window[2]

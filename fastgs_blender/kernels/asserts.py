@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every backend asserts of its arguments, at the entry of the operations of protocol.py: shapes that belong together.
+
+A function here has the name of the operation that calls it first.  A failed assertion is a fault of this program and not of a file:
+what comes from outside has been checked before (util/errors.py).
+"""
+from __future__ import annotations
+
+from typing import Any
+
+from ..model.gaussians import GaussianModel
+from .parameters import DECODER
+
+
+def shapes(*checked: tuple[Any, str]) -> None:
+    """Assert that arrays have the shapes beside them, as in shapes((rgb, "h w 3"), (alpha, "h w")).
+
+    A letter stands for the same size in all of them; "..." for any further dimensions; an array may be None.
+    """
+    sizes: dict[str, int] = {}
+    for array, wanted in checked:
+        if array is None:
+            continue
+        names, found = wanted.split(), tuple(array.shape)
+        if names[-1] == "...":
+            names, found = names[:-1], found[:len(names) - 1]
+        fits = len(names) == len(found) and all(size == (int(name) if name.isdigit() else sizes.setdefault(name, size))
+                                                for name, size in zip(names, found, strict=True))
+        assert fits, f"an array {list(array.shape)} instead of [{', '.join(wanted.split())}], where {sizes}"
+
+
+def _decoder(arrays) -> list[tuple[Any, str]]:
+    """The decoder's matrices among arrays by name, each with its shape."""
+    return [(arrays.get(name), shape) for name, shape in zip(DECODER, ("6 12", "3 6"), strict=True)]
+
+
+def surface(triangles) -> None:
+    """PictureBackend.surface(), and the holdout of draw() and expose()."""
+    shapes((triangles, "f 3 3"))
+
+
+def splat(parameters, template: GaussianModel) -> None:
+    """TrainingBackend.splat()."""
+    assert template.arrays.keys() <= parameters.keys(), "parameters of another kind of model"
+    for name, array in template.arrays.items():
+        shapes((parameters["position"], "n 3"), (parameters[name], " ".join(["n", *map(str, array.shape[1:])])))
+    shapes(*_decoder(parameters))
+
+
+def compare(picture, target, weight, background) -> None:
+    """TrainingBackend.compare()."""
+    shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (target, "h w 3"), (weight, "h w"), (background, "3"))
+
+
+def backward(picture, rgb, alpha, depth, into, statistics, seen) -> None:
+    """TrainingBackend.backward()."""
+    sums = () if statistics is None else (statistics.gradient, statistics.absolute, statistics.seen, statistics.radius)
+    shapes((picture.alpha, "h w"), (rgb, "h w 3"), (alpha, "h w"), (depth, "h w"), (seen, "n"), *((array, "n") for array in sums),
+           *((array, "n ...") for name, array in (into or {}).items() if name not in DECODER), *_decoder(into or {}))
+
+
+def waits(moved) -> None:
+    """TrainingBackend.waits()."""
+    shapes((moved, "n"))
+
+
+def motion_penalty(norm, motion, gradient, waits) -> None:
+    """TrainingBackend.motion_penalty()."""
+    shapes((motion, "n k 3"), (gradient, "n k 3"), (waits, "n"), (norm.matrix, "r k"))
+    rows = motion.shape[1] if norm.matrix is None else len(norm.matrix)
+    shapes((norm.weights, str(3 * rows)))
+
+
+def hold(features, held, gradient) -> None:
+    """TrainingBackend.hold()."""
+    shapes((features, "n f"), (held, "n f"), (gradient, "n f"))
+
+
+def shrink(parameters, gradients) -> None:
+    """TrainingBackend.shrink()."""
+    shapes(*((arrays[name], wanted) for arrays in (parameters, gradients) for name, wanted in (("opacity", "n"), ("scale", "n 3"))))
+
+
+def shake(parameters) -> None:
+    """TrainingBackend.shake()."""
+    shapes(*((parameters[name], wanted) for name, wanted in
+             (("opacity", "n"), ("position", "n 3"), ("scale", "n 3"), ("rotation", "n 4"))))
+
+
+def adam(tensors, moved) -> None:
+    """TrainingBackend.adam()."""
+    for value, gradient, mean, square, count, _, shared in tensors:
+        same = " ".join(["n", *map(str, value.shape[1:])])
+        shapes((value, same), (gradient, same), (mean, same), (square, same), (count, "n"), (None if shared else moved, "n"))
+
+
+def neighbour_distance(xyz, turns) -> None:
+    """TrainingBackend.neighbour_distance()."""
+    shapes((xyz, "p 3"), *((turn, "3 3") for turn in turns))
+
+
+def project_points(xyz) -> None:
+    """TrainingBackend.project_points()."""
+    shapes((xyz, "p 3"))
+
+
+def sweep(image, others, depths) -> None:
+    """TrainingBackend.sweep()."""
+    shapes((image, "h w 3"), (depths, "d"))
+    for other, turn, shift in others:
+        shapes((other, "a b 3"), (turn, "3 3"), (shift, "3"))
+
+
+def resample(image, positions) -> None:
+    """TrainingBackend.resample()."""
+    shapes((image, "a b c"), (positions, "h w 2"))
