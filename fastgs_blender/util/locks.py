@@ -2,6 +2,7 @@
 """Lock files that running processes hold: others can tell whether the holder lives, and the lock ends with its process, however it ends."""
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import time
@@ -28,17 +29,28 @@ def hold(path, patience: float = 0.0) -> BinaryIO | None:
     Raises OSError where the file cannot be opened, and NoLocks where its file system has no locks.
     """
     until = time.monotonic() + patience
-    file = open(path, "a+b")  # noqa: SIM115 (it stays open)
-    try:
-        while not _lock(file):
-            if time.monotonic() >= until:
-                file.close()
-                return None
-            time.sleep(0.02)
-    except BaseException:
+    while True:
+        file = open(path, "a+b")  # noqa: SIM115 (it stays open)
+        try:
+            if _lock(file) and _is_at(file, path):
+                return file
+        except BaseException:
+            file.close()
+            raise
         file.close()
-        raise
-    return file
+        if time.monotonic() >= until:
+            return None
+        time.sleep(0.02)
+
+
+def let_go(file: BinaryIO, remove: bool = False) -> None:
+    """End a hold; with `remove` the file goes too, unless another process has taken it meanwhile."""
+    if remove and os.name != "nt":  # before another process can hold it: that one then finds that the file is no longer there
+        os.unlink(file.name)
+    file.close()
+    if remove and os.name == "nt":
+        with contextlib.suppress(OSError):  # an open file cannot be removed there
+            os.unlink(file.name)
 
 
 def inherited() -> BinaryIO | None:
@@ -70,6 +82,14 @@ def is_held(path) -> bool:
             return not _free(file)
         except OSError:
             return False
+
+
+def _is_at(file: BinaryIO, path) -> bool:
+    """Whether an open file is the one at a path: the process that held it may have removed it."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+    except FileNotFoundError:
+        return False
 
 
 def _lock(file) -> bool:

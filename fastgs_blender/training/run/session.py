@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -21,7 +19,6 @@ from ... import formats
 from ...evaluation import training_record
 from ...formats.base import generator
 from ...kernels.protocol import DeviceError
-from ...util import locks
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.reading import read_json
@@ -29,17 +26,14 @@ from ..core.settings import Settings
 from ..core.state import is_duration
 from . import checkpoint
 from . import plan as plans
-from .files import CHECKPOINT, LOCK, MODEL, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
+from .files import CHECKPOINT, MODEL, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
+from .folder import release, take
 from .plan import NOTHING, Plan, Source
 from .progress import Reporter, Silent
 
 PREVIEW_SHOTS = 4
 MEMORY = 768 << 20
 """Bytes of pictures kept in memory."""
-PATIENCE = 5.0
-"""Seconds to wait for another process that trains in the folder: it may be about to end."""
-_locks: dict[str, BinaryIO | None] = {}
-"""By folder: the locks that begin() has taken, for train()."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -54,13 +48,7 @@ def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, ove
     where another one does.
     """
     out = Path(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise FastGSError(f"{out}: the folder for the model cannot be made ({getattr(error, 'strerror', None) or error}).") from error
-    key = os.path.realpath(out)
-    if key not in _locks:
-        _locks[key] = _lock(out)
+    take(out)
     try:
         for folder in (out, *(out / SEGMENTS).glob("*")):
             checkpoint.remove_leftovers(folder)
@@ -87,10 +75,8 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
         raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
                           "motion, or --set segment_frames=0.")
     reporter: Silent = Silent()
-    key = os.path.realpath(out)
     if group.first:
-        if key not in _locks:
-            _locks[key] = _lock(out)
+        take(out)
         plans.write(out, plan)
         done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
         reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
@@ -265,27 +251,6 @@ def peak_memory() -> int | None:
     import sys
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-
-def _lock(out: Path) -> BinaryIO | None:
-    """The lock of a run's folder; None where the file system has no locks.  Raises FastGSError where another process has it."""
-    try:
-        lock = locks.hold(out / LOCK, PATIENCE)
-    except locks.NoLocks:
-        return None
-    except OSError as error:
-        raise FastGSError(f"{out}: nothing can be written there ({error.strerror}); choose another folder.") from error
-    if lock is None:
-        raise FastGSError(f"{out}: another process is training in this folder; wait until it has ended, stop it, or train into another "
-                          "folder.")
-    return lock
-
-
-def release(out) -> None:
-    """Let other processes train in the folder again."""
-    lock = _locks.pop(os.path.realpath(out), None)
-    if lock is not None:
-        lock.close()
 
 
 class StopFlag:

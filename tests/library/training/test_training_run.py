@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,14 @@ from held_runs import Barrier
 from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
+from fastgs_blender import cli
 
 torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
 from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, session  # noqa: E402
+from fastgs_blender.training.run import checkpoint, folder, session  # noqa: E402
 from fastgs_blender.util import locks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -214,7 +216,7 @@ def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier):
 
 def test_a_folder_in_training_is_locked(files, tmp_path, barrier, monkeypatch):
     """A second trainer is refused with a sentence, and touches nothing that the first has in the folder."""
-    monkeypatch.setattr(session, "PATIENCE", 0.0)
+    monkeypatch.setattr(folder, "PATIENCE", 0.0)
     out = tmp_path / "run"
     barrier.hold_at("checkpoint 3")
     process = begun(*arguments(files, out, "--quiet"))
@@ -241,6 +243,31 @@ def test_the_lock_of_a_run_is_free_after_it(tmp_path):
         session.begin(tmp_path, {}, lambda w: settings.settings(**w), False, False)
     with locks.hold(tmp_path / "training.lock") as mine:
         assert mine is not None
+
+
+@pytest.mark.parametrize("wrong", [["nowhere"], ["{files}", "--set", "colour=3"], ["{files}", "--layout", "none"]],
+                         ids=["capture", "option", "layout"])
+def test_a_run_that_cannot_begin_leaves_nothing(files, tmp_path, wrong):
+    """Neither folders nor a lock, and of a folder that was there what was in it."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").touch()
+    words = [str(tmp_path / word) if word == "nowhere" else word.format(files=files) for word in wrong]
+    for out in ("new/folder", "mine"):
+        assert cli.main(["train", *words, "--out", str(tmp_path / out)]) == 2
+        assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")) == ["mine", "mine/notes.txt"]
+
+
+def test_a_lock_whose_file_was_removed_is_taken_anew(tmp_path):
+    """Whoever waited for it while its holder removed it holds the new file, not the old one."""
+    path, found = tmp_path / "lock", []
+    first = locks.hold(path)
+    waiting = threading.Thread(target=lambda: found.append(locks.hold(path, 10.0)))
+    waiting.start()
+    locks.let_go(first, remove=True)
+    waiting.join()
+    assert found[0] is not None and locks.is_held(path)
+    locks.let_go(found[0])
+    assert path.exists() and not locks.is_held(path)
 
 
 def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):
