@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The README's commands in a fresh environment: this project as pip installs it, what it says it needs, and nothing else."""
+"""Every command of the README and of docs/ in a fresh environment: this project as pip installs it, what it says it needs, nothing else.
+
+They run as they are written, page by page in a folder of its own that holds the examples and a capture `my-capture`; training takes few
+steps.
+"""
 from __future__ import annotations
 
 import filecmp
@@ -16,14 +20,17 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from test_docs_commands import FEW, ROOT, lines
+from test_docs_commands import FEW, PAGES, ROOT, lines
 from toy_captures import write_capture
 
 RUN = """
-import json, sys
-import fastgs_blender
+import json, os, sys
 from fastgs_blender import cli
-sys.exit(next((code for line in json.load(sys.stdin) if (code := cli.main(line))), 0))
+for folder, commands in json.load(sys.stdin):
+    os.chdir(folder)
+    for words in commands:
+        if code := cli.main(words):
+            sys.exit(f"{folder}: fastgs {' '.join(words)} ended with {code}")
 """
 
 
@@ -71,17 +78,20 @@ def fresh(tmp_path_factory):
     return python, site
 
 
-def test_the_readmes_commands_run(fresh, tmp_path):
+def test_the_pages_commands_run(fresh, tmp_path):
     python, site = fresh
-    shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("*.py"))
-    write_capture(tmp_path / "my-capture")
-    commands = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in lines(ROOT / "README.md")]
-    assert {command[0] for command in commands} >= {"info", "render", "cameras", "convert", "train", "eval"}
-    commands = [[*command, *(FEW if command[0] == "train" else [])] for command in commands]
+    work, capture = [], write_capture(tmp_path / "my-capture")
+    for page in (page for page in PAGES if lines(page)):
+        folder = tmp_path / page.stem
+        shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.py"))
+        shutil.copytree(capture, folder / "my-capture")
+        commands = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in lines(page)]
+        work.append([str(folder), [[*words, *(FEW if words[0] == "train" and "--resume" not in words else [])] for words in commands]])
+    known = {words[0] for _, commands in work for words in commands}
+    assert known >= {"info", "check", "render", "cameras", "convert", "train", "eval", "bench"}
     clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    done = subprocess.run([python, "-c", RUN], input=json.dumps(commands), cwd=tmp_path, env=clean, capture_output=True, text=True,
-                          check=False)
-    assert done.returncode == 0, done.stderr
+    done = subprocess.run([python, "-c", RUN], input=json.dumps(work), cwd=tmp_path, env=clean, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert not {"torch", "bpy", "pytest"} & {path.name for path in site.iterdir()}
 
 
