@@ -13,6 +13,9 @@ from ..fastgs_blender.rendering.crops import Crop, cropped
 from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
 from . import model_space, objects
 
+WIDER = 1.001
+"""By this factor a new box is larger than what it surrounds, so that what lies on its sides is inside."""
+
 
 def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     """The boxes of an evaluated splat object, where they are at the depsgraph's time.
@@ -66,7 +69,10 @@ def _is_evaluated(obj, depsgraph) -> bool:
 
 def extent(obj) -> np.ndarray:
     """[4, 4] from -1 .. 1 along each axis to what an object reaches over in its own space: its bounds, or an empty's size."""
-    corners = np.array(obj.bound_box) if obj.type != 'EMPTY' else np.array([[-1.0] * 3, [1.0] * 3]) * obj.empty_display_size
+    return _around(np.array(obj.bound_box) if obj.type != 'EMPTY' else np.array([[-1.0] * 3, [1.0] * 3]) * obj.empty_display_size)
+
+
+def _around(corners: np.ndarray) -> np.ndarray:
     low, high = corners.min(0), corners.max(0)
     out = np.diag([*(high - low) / 2, 1.0])
     out[:3, 3] = (low + high) / 2
@@ -79,10 +85,12 @@ def add_shape(obj, shape: str) -> bpy.types.Object:
     box.empty_display_type = 'SPHERE' if shape == 'SPHERE' else 'CUBE'
     for collection in obj.users_collection:
         collection.objects.link(box)
-    around = extent(obj)
+    points = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", points)
+    around = _around(points.reshape(-1, 3).astype(np.float64))  # viewports draw, and bounds hold, the subject alone
     box.parent = obj
     box.location = around[:3, 3]
-    box.scale = [max(around[i, i], 1e-3) for i in range(3)]
+    box.scale = [max(WIDER * around[i, i], 1e-3) for i in range(3)]
     item = obj.fastgs.crops.add()
     item.object, item.shape = box, shape
     return box

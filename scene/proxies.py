@@ -2,7 +2,7 @@
 """Hides the points of proxies in viewports while the splats themselves are drawn there.
 
 It is one node of the Geometry Nodes groups that all proxies of a .blend share (splats/proxy_nodes.py): the points stay for final
-renders of other engines, and their bounding box stays to be selected and framed.
+renders of other engines, and the box around their subject stays to be selected and framed.
 """
 from __future__ import annotations
 

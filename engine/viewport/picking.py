@@ -30,11 +30,15 @@ def seen_at(context, x: int, y: int) -> tuple[str, float, fg.Camera] | None:
 
 
 def splats_at(shown: Snapshot, camera: fg.Camera, x: int, y: int) -> tuple[str, float] | None:
-    """(name, depth) of the nearest object whose splats cover a pixel, counted from the lower left corner; None where none do."""
+    """(name, depth) of the nearest object whose splats cover a pixel, counted from the lower left corner; None where none do.
+
+    A backdrop is not clicked: it is everywhere behind all else.
+    """
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         return None
     pixel, found = replace(camera, window=(x, camera.height - 1 - y, 1, 1)), []
     for item, instance in shown.pairs(read=False)[0]:
+        instance = replace(instance, settings=replace(instance.settings, backdrop="HIDDEN"))
         image = fg.render([instance], pixel, passes=["alpha", "median_depth"])
         if image["alpha"][0, 0] >= SEEN and np.isfinite(image["median_depth"][0, 0]):
             found.append((float(image["median_depth"][0, 0]), item.place[1] if len(item.place) > 1 else item.name))

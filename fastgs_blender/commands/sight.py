@@ -88,11 +88,12 @@ def _sight_of_file(path: Path) -> Sight:
 def _sight_of_model(path: Path) -> Sight:
     from .. import formats
     from ..cameras.viewpoints import camera_of
-    from ..model.framing import is_subject, without_backdrop
+    from ..model.framing import in_ball, is_subject, looked_at, without_backdrop
 
     source = formats.open_source(path)
     model = source.moment(0.0)[0]
     place = without_backdrop(model).position
+    place = place[in_ball(place, looked_at(model.surroundings.cameras))]
     centre = np.median(place[is_subject(place)], axis=0).astype(np.float64) if len(place) else np.zeros(3)
     views = [View(point.name or f"{i:05d}", camera_of(point)) for i, point in enumerate(model.surroundings.cameras)]
     views = views or [View("overview", overview(model, 1280, 720))]

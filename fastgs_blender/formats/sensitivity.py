@@ -15,6 +15,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..cameras.viewpoints import camera_of
 from ..model.appearance import Features
+from ..model.filmed_from import FORWARD, mean_direction
 from ..model.framing import is_subject, without_backdrop
 from ..model.gaussians import AXES, GaussianModel
 from ..model.pruning import scores
@@ -33,8 +34,6 @@ SIDEWAYS = 0.15
 """Largest distance of a shot from the camera's own position, divided by the distance of the scene."""
 WIDE = 0.54
 """Focal length divided by the width, for every second guessed camera: a wide lens shows Gaussians at the border."""
-FORWARD = 0.6
-"""If the mean of the unit directions to the Gaussians is longer than this, all are assumed to lie in front of the cameras."""
 RIG = ((0.0, 0.0, 0.0), (-0.12, 0.05, 0.0), (0.12, -0.05, 0.0), (0.05, 0.04, 0.02), (-0.06, -0.05, 0.0), (-0.3, 0.0, 0.05),
        (0.1, 0.03, 0.0), (0.3, -0.03, 0.05), (0.0, 0.0, 0.2), (0.0, 0.05, -0.1))
 """Guessed positions of cameras that look forward: right, down and forward of the origin, divided by the distance of the scene."""
@@ -111,8 +110,7 @@ def guessed_cameras(model: GaussianModel) -> list[Camera]:
     part = _seen(model)
     position = part.position[is_subject(part.position)].astype(np.float64)
     down = np.array(DOWN[model.axes])
-    away = np.linalg.norm(position, axis=1, keepdims=True)
-    mean = (position / np.maximum(away, 1e-12)).mean(0)
+    mean = mean_direction(position)
     if np.linalg.norm(mean) >= FORWARD:
         depth = float(np.median(position @ mean) / np.linalg.norm(mean))
         frame = looking(np.zeros(3), mean, down)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates from where a model was filmed, for files that do not say it.
 
-Training learns how far away things are less well than where they are in the pictures: long Gaussians point at the cameras.  So from
-about where these stood, long Gaussians are seen end-on.  The estimate is the place from which the mean squared cosine between
-their longest axes and the directions to them is largest.  Axes that point anywhere give 1/3 from everywhere, parallel ones the same from
-both sides.
+Reconstructions of what was filmed from one side have their origin among the cameras: where all Gaussians lie to one side of it, that is
+the place.  Else the shapes of the Gaussians tell it.  Training learns how far away things are less well than where they are in the
+pictures: long Gaussians point at the cameras.  So from about where these stood, long Gaussians are seen end-on.  The estimate is the
+place from which the mean squared cosine between their longest axes and the directions to them is largest.  Axes that point anywhere give
+1/3 from everywhere, parallel ones the same from both sides.
 """
 from __future__ import annotations
 
@@ -17,6 +18,8 @@ from .framing import is_subject, without_backdrop
 from .gaussians import GaussianModel
 from .slicing import slice_model
 
+FORWARD = 0.6
+"""If the mean of the unit directions from the origin to the Gaussians is longer than this, all of them lie to one side of it."""
 LONG = 2.0
 """A Gaussian is long whose longest axis is so many times the second."""
 FEWEST, MOST = 500, 4000
@@ -50,14 +53,20 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
     now = slice_model(inside, t)
     sizes = np.sort(now.scale, axis=1)
     subject = is_subject(now.position)
+    if not subject.any():
+        return None
+    middle = np.median(now.position[subject], axis=0)
+    size = np.median(np.linalg.norm(now.position[subject] - middle, axis=1))
+    ahead = mean_direction(now.position[subject])
+    one_sided = np.linalg.norm(ahead) > max(FORWARD, abs(ahead @ np.asarray(up, np.float64)) / HEIGHT)
+    if one_sided and OUTSIDE * size < np.linalg.norm(middle) < DISTANCES[-1] * size:
+        return np.zeros(3), middle
     long = np.flatnonzero(subject & (sizes[:, 2] > LONG * sizes[:, 1]))
     if len(long) < FEWEST:
         return None
     long = rng.choice(long, min(len(long), MOST), replace=False)
     places = now.position[long]
     axes = to_matrices(now.rotation[long])[np.arange(len(long)), :, now.scale[long].argmax(1)]
-    middle = np.median(now.position[subject], axis=0)
-    size = np.median(np.linalg.norm(now.position[subject] - middle, axis=1))
 
     places = places - middle
     across, squares = (places * axes).sum(1)[:, None], (places**2).sum(1)[:, None]
@@ -77,6 +86,12 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
     eye = sides[end_on(sides).argmax()]
     clear = better > max(np.median(found) + CLEAR, worse + ONE_SIDED)
     return (middle + eye, middle) if clear and np.linalg.norm(eye) > OUTSIDE * size else None
+
+
+def mean_direction(position: np.ndarray) -> np.ndarray:
+    """The mean [3] of the unit directions from the origin to positions [M, 3]; it is short where these lie all around."""
+    position = position.astype(np.float64)
+    return (position / np.maximum(np.linalg.norm(position, axis=1, keepdims=True), 1e-12)).mean(0)
 
 
 def _best(values: Callable[[np.ndarray], np.ndarray], place: np.ndarray, step: float) -> np.ndarray:

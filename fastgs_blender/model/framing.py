@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Separates a model's subject from its surroundings: the backdrop, and stray Gaussians far outside."""
+"""Separates a model's subject from its surroundings: the backdrop, stray Gaussians far outside, and the room around it."""
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from ..util.rotations import to_matrices
 from .gaussians import GaussianModel
+from .surroundings import Viewpoint
 
 SPREAD = 3.5
 """The subject reaches up to so many median distances from its middle."""
+HARDLY = 0.02
+"""A ball that holds a smaller share of all positions lies beside what was filmed: cameras that look nearly the same way do not tell how
+far away that is."""
 FEW = 20
 """Of fewer positions none can be told to be a stray."""
 
@@ -30,3 +37,30 @@ def is_subject(position: np.ndarray) -> np.ndarray:
     middle = np.median(position, axis=0)
     away = np.linalg.norm(position - middle, axis=1)
     return away <= SPREAD * np.median(away)
+
+
+def looked_at(cameras: Sequence[Viewpoint]) -> tuple[np.ndarray, float] | None:
+    """Centre [3] and radius of the ball that cameras of a capture look at; None where they do not say what they look at.
+
+    It lies where they look, and is the largest that half of them have whole in their pictures: people frame their subject, and what
+    reaches out of the pictures on all sides is the room around it.
+    """
+    cameras = [camera for camera in cameras if camera.distance > 0]
+    if not cameras:
+        return None
+    eyes, turns = np.array([camera.position for camera in cameras]), to_matrices(np.array([camera.rotation for camera in cameras]))
+    centre = np.median(eyes + turns[:, :, 2] * np.array([[camera.distance] for camera in cameras]), axis=0)
+    edges = np.array([((c.fx, 0, c.cx), (-c.fx, 0, c.width - c.cx), (0, c.fy, c.cy), (0, -c.fy, c.height - c.cy)) for c in cameras])
+    edges /= np.linalg.norm(edges, axis=2, keepdims=True)  # [E, 4, 3]: normals, inwards, of the planes through a picture's edges
+    inside = np.einsum("nek,njk,nj->ne", edges, turns, centre - eyes).min(1)
+    radius = float(np.median(inside))
+    return (centre, radius) if radius > 0 else None
+
+
+def in_ball(position: np.ndarray, ball: tuple[np.ndarray, float] | None) -> np.ndarray:
+    """Which positions [M, 3] lie in looked_at()'s ball: [M] bool; all where there is none, or hardly any of them does."""
+    if ball is not None:
+        inside = np.linalg.norm(position - ball[0], axis=1) <= ball[1]
+        if inside.sum() > len(position) * HARDLY:
+            return inside
+    return np.ones(len(position), bool)

@@ -7,7 +7,8 @@ import numpy as np
 from mathutils import Vector
 
 from ...fastgs_blender.model.framing import is_subject
-from .. import objects
+from .. import model_space, objects
+from ..splats.proxy_nodes import GAUSSIAN
 
 USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
 
@@ -46,17 +47,30 @@ def middle_and_radius(chosen: list[bpy.types.Object]) -> tuple[Vector, float]:
 
 
 def _most_of(splats) -> tuple[Vector, float]:
-    """Middle and radius of most of the splats; a few strays and a far background do not count."""
+    """Middle and radius of most of the splats; a few strays, a far background and the room around them do not count."""
     clouds = []
     for obj in splats:
         points = np.empty(3 * len(obj.data.vertices), np.float32)
         obj.data.vertices.foreach_get("co", points)
         matrix = np.array(obj.matrix_world)
-        clouds.append(points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+        clouds.append(points.reshape(-1, 3)[_in_box(obj.data)] @ matrix[:3, :3].T + matrix[:3, 3])
     points = np.concatenate(clouds)
     near = points[is_subject(points)]
     low, high = near.min(0), near.max(0)
     return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def _in_box(mesh) -> np.ndarray:
+    """Which vertices of a proxy lie in the box around its subject, which four of them are corners of: [V] bool."""
+    place, which = mesh.attributes.get(model_space.PLACE), mesh.attributes.get(GAUSSIAN)
+    if place is None or which is None:
+        return np.ones(len(mesh.vertices), bool)
+    points, index = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.int32)
+    place.data.foreach_get("vector", points)
+    which.data.foreach_get("value", index)
+    points = points.reshape(-1, 3)
+    corners = points[index < 0]
+    return ((points >= corners.min(0)) & (points <= corners.max(0))).all(1) if len(corners) else np.ones(len(points), bool)
 
 
 def far_enough(scene, size: float) -> float:

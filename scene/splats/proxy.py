@@ -4,7 +4,7 @@
 Points alone are drawn by no other engine, so one Geometry Nodes group (shared by all splat objects of a .blend, proxy_nodes.py) puts
 a small octahedron on each while Blender evaluates the scene; moving.py then gives it the place and the form that its Gaussian has at
 the time.  What is stored stays the points.  Where viewports draw the splats themselves (scene/proxies.py), all that is left of the
-points there is the edges of their bounding box.
+points there is the edges of the box around their subject.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .proxy_points import LIMIT, Points, choose, linear_colour
 __all__ = ["EVERY", "LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
 
 CORNERS = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], bool)
-"""Of the points' box, those that are vertices too: they hold its extent, and with them few or flat points have a place in space."""
+"""Of the subject's box, those that are vertices too: they hold its extent, and with them few or flat points have a place in space."""
 FLAT = 1e-3
 POINTS = "fastgs_points"
 """Custom property of a proxy's mesh: how many vertices it was made with."""
@@ -51,7 +51,7 @@ def limit_of(mesh: bpy.types.Mesh) -> int:
 def fill(mesh: bpy.types.Mesh, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> None:
     """Replace the mesh's points by those of the model; materials and everything else that hangs on the mesh stay."""
     points = _every(model) if limit == EVERY else prepare(model, limit)
-    place = np.concatenate([points.position, _corners(points.box)]).astype(np.float64)
+    place = np.concatenate([points.position, _corners(points.subject)]).astype(np.float64)
     mesh.clear_geometry()
     for name in (COLOUR, RADIUS, GAUSSIAN, SHADE, *point_edits.ATTRIBUTES):
         if mesh.attributes.get(name) is not None:

@@ -28,7 +28,7 @@ LARGER = "fastgs_larger"
 """Custom property of the mesh: how much larger than their Gaussians points are, because few stand for many."""
 LEVELS = 3
 """Of each channel in the palette."""
-VERSION = 3
+VERSION = 4
 VERSION_KEY = "fastgs_version"
 
 
@@ -87,7 +87,8 @@ def _build(tree):
             ("ball", 'GeometryNodeMeshUVSphere'), ("position", 'GeometryNodeInputPosition'), ("store", 'GeometryNodeStoreNamedAttribute'),
             ("smooth", 'GeometryNodeSetShadeSmooth'), ("balls", 'GeometryNodeJoinGeometry'), ("shade", 'GeometryNodeInputNamedAttribute'),
             ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'), ("join", 'GeometryNodeJoinGeometry'),
-            ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
+            ("which", 'GeometryNodeInputNamedAttribute'), ("corner", 'FunctionNodeCompare'),
+            ("corners", 'GeometryNodeSeparateGeometry'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
             ("all", 'GeometryNodeInputNamedAttribute'), ("carried", 'GeometryNodeSeparateGeometry'), ("kept", 'GeometryNodeJoinGeometry'),
             ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
             ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
@@ -102,6 +103,9 @@ def _build(tree):
     node["shade"].inputs["Name"].default_value = SHADE
     node["all"].data_type, node["carried"].domain = 'FLOAT', 'POINT'
     node["all"].inputs["Name"].default_value = OPACITY
+    node["which"].data_type, node["corners"].domain = 'INT', 'POINT'
+    node["which"].inputs["Name"].default_value = GAUSSIAN
+    node["corner"].data_type, node["corner"].operation = 'INT', 'LESS_THAN'
     node["drawn"].data_type, node["drawn"].operation = 'FLOAT', 'GREATER_THAN'
     find_socket(node["drawn"].inputs, "B", 'VALUE').default_value = 1e10 * NONE
     node["store"].data_type, node["store"].domain = 'FLOAT_VECTOR', 'POINT'
@@ -121,7 +125,8 @@ def _build(tree):
             ("store", "Geometry", "smooth", "Geometry"),
             ("balls", 0, "instance", "Instance"), ("shade", "Attribute", "instance", "Instance Index"),
             ("radius", "Attribute", "instance", "Scale"), ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
-            ("points", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("kept", 0, "switch", "True"),
+            ("which", "Attribute", "corner", "A", 'INT'), ("points", 0, "corners", 0), ("corner", "Result", "corners", "Selection"),
+            ("corners", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("kept", 0, "switch", "True"),
             # hidden points that carry something stay as vertices without a face, which no viewport draws
             ("points", 0, "carried", 0), ("all", "Exists", "carried", "Selection"), ("carried", 0, "kept", 0), ("edges", 0, "kept", 0),
             ("hide", 0, "both", 0), ("viewport", 0, "both", 1), ("both", 0, "switch", "Switch"), ("switch", 0, "out", 0),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.framing import inside_backdrop, is_subject, without_backdrop
+from ...fastgs_blender.model.framing import in_ball, inside_backdrop, is_subject, looked_at, without_backdrop
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
@@ -53,6 +53,7 @@ class Points:
     larger    how much larger than the Gaussians the balls are, because few stand for many
     t         the model time at which most is to be seen
     box       [2, 3]  lower and upper corner of what is seen in the whole clip, strays left out
+    subject   [2, 3]  the same of the subject alone, where the file knows what its capture's cameras looked at
     """
 
     index: np.ndarray
@@ -62,6 +63,7 @@ class Points:
     larger: float
     t: float
     box: np.ndarray
+    subject: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +97,13 @@ def _choose(source: Source, limit: int) -> Points:
     times = sorted({round(x) / frames for x in np.linspace(0, frames - 1, MOMENTS)})
     moments = [_sample(source, t, PROBES) for t in times]
     box = _robust_box([s.position for s, _ in moments])
+    ball = looked_at(source.moment(times[0], hold=True)[0].surroundings.cameras)
+    subject = box if box is None else _robust_box([s.position[in_ball(s.position, ball)] for s, _ in moments])
+    subject = np.zeros((2, 3)) if subject is None else np.array(subject)
     if limit < 1 or box is None:
-        box = np.zeros((2, 3)) if box is None else np.array(box)
-        return Points(np.zeros(0, np.int32), *(np.zeros((0, 3), np.float32) for _ in range(2)), np.zeros(0, np.float32), 1.0, times[0], box)
+        none = np.zeros((0, 3), np.float32)
+        return Points(np.zeros(0, np.int32), none, none, np.zeros(0, np.float32), 1.0, times[0],
+                      np.zeros((2, 3)) if box is None else np.array(box), subject)
     best = int(np.argmax([s.opacity[_inside(s.position, box)].sum() * share for s, share in moments]))
     moment = times[best]
     model, at = source.moment(moment, hold=True)
@@ -127,6 +133,7 @@ def _choose(source: Source, limit: int) -> Points:
         larger=larger,
         t=moment,
         box=np.array(box),
+        subject=subject,
     )
 
 

@@ -118,6 +118,29 @@ def test_a_backdrop_is_no_part_of_the_proxy(module, make_model, model_file):
     assert max(obj.dimensions) < 4
 
 
+def test_the_room_around_a_subject_is_shown_and_not_framed(module, fg, make_model, model_file):
+    """Cameras look at a subject of 1 in a room of 4: other engines show both, Home, Numpad-period and camera moves go by the subject."""
+    around, views = module("fastgs_blender.model.surroundings"), module("fastgs_blender.cameras.viewpoints")
+    look_at = module("fastgs_blender.captures.generated").look_at
+    rng = np.random.default_rng(0)
+    position = np.concatenate([rng.uniform(-0.5, 0.5, (200, 3)), 4 * np.sign(rng.normal(size=(400, 3)))])
+    eyes = [3 * np.array([np.cos(a), np.sin(a), 0]) for a in np.arange(8)]
+    cameras = [views.viewpoint_of(fg.Camera(48, 40, 40, 40, 24, 20, look_at(eye, np.zeros(3))), "", 3.0) for eye in eyes]
+    model = replace(make_model(600, position=position), surroundings=around.Surroundings(cameras=tuple(cameras)))
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    obj = bpy.context.object
+    assert max(obj.dimensions) > 7 and np.abs(points(obj)[0]).max() > 3
+    middle, radius = module("scene.cameras.subjects").middle_and_radius([obj])
+    assert middle.length < 0.2 and 0.7 < radius < 1.3
+    proxies = module("scene.proxies")
+    proxies.hide(True)
+    try:
+        bpy.context.view_layer.update()
+        assert 0.8 < max(obj.dimensions) < 1.2, "the bounds that viewports know while splats are drawn"
+    finally:
+        proxies.hide(False)
+
+
 def test_the_most_telling_moment_is_shown(choose, fg, make_model):
     """Everything appears in the clip's last fifth only."""
     n = 400

@@ -11,7 +11,7 @@ from fastgs_blender.util.rotations import from_matrices
 
 N = 4000
 UP = np.array([0.0, 0.0, 1.0])
-EYE, MIDDLE = np.array([1.0, -12.0, 2.0]), np.array([4.0, 3.0, 1.0])
+EYE, MIDDLE = np.array([-2.0, -14.0, 1.5]), np.array([1.0, 1.0, 0.5])
 
 
 def needles(rng, places, axes, length=0.3):
@@ -51,6 +51,17 @@ def test_strays_and_the_backdrop_do_not_matter(rng, cloud):
     model = needles(rng, cloud, towards_cameras(rng, cloud))
     model.position[::10] = 400 * rng.normal(size=(N // 10, 3))
     assert np.linalg.norm(filmed_from(model, 0.5, UP)[0] - EYE) < 5
+
+
+@pytest.mark.parametrize(("middle", "found"), [((6.0, 9.0, -2.0), True), ((0.5, 1.0, 9.0), False), ((2.0, 3.0, 0.0), False),
+                                                ((30.0, 9.0, 0.0), False)], ids=["beside", "above", "around", "far"])
+def test_the_origin_is_among_the_cameras_of_what_lies_beside_it(rng, cloud, middle, found):
+    """Not of a model that stands upon it, is around it, or was put far away; whatever shapes the Gaussians have."""
+    model = needles(rng, cloud - MIDDLE + middle, rng.normal(size=(N, 3)))
+    place = filmed_from(model, 0.5, UP)
+    assert (place is not None) == found
+    if found:
+        assert np.array_equal(place[0], np.zeros(3)) and np.linalg.norm(place[1] - middle) < 0.3
 
 
 @pytest.mark.parametrize("kind", ["anywhere", "parallel", "upright", "round", "few", "amid"])

@@ -16,7 +16,7 @@ from fastgs_blender.captures.generated import look_at
 from fastgs_blender.cli import main
 from fastgs_blender.formats.annotate import annotate
 from fastgs_blender.formats.scenes import placed
-from fastgs_blender.model.framing import is_subject, without_backdrop
+from fastgs_blender.model.framing import in_ball, is_subject, looked_at, without_backdrop
 from fastgs_blender.model.surroundings import MOST_CAMERAS, Backdrop, Surroundings, Viewpoint, together
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
@@ -63,6 +63,30 @@ def test_a_backdrop_is_no_part_of_the_subject(model):
     assert without_backdrop(plain) is plain
     strays = np.concatenate([np.random.default_rng(0).normal(size=(300, 3)), np.full((20, 3), 40.0)])
     assert np.array_equal(is_subject(strays), np.arange(320) < 300)
+
+
+def ring(distance: float, middle=(1.0, 2.0, 3.0), **lens) -> list[Viewpoint]:
+    """Twelve cameras around a place, which they look at."""
+    lens = {**dict(width=48, height=40, fx=40, fy=40, cx=24, cy=20), **lens}
+    angles = np.arange(12) * np.pi / 6
+    eyes = np.array(middle) + distance * np.stack([np.cos(angles), np.sin(angles), np.zeros(12)], 1)
+    return [viewpoint_of(fg.Camera(**lens, world_to_camera=look_at(eye, np.array(middle))), "", distance) for eye in eyes]
+
+
+def test_what_cameras_have_whole_in_their_pictures_is_the_subject():
+    centre, radius = looked_at(ring(5.0))
+    assert np.allclose(centre, (1, 2, 3), atol=1e-6) and radius == pytest.approx(5 * np.sin(np.arctan(0.5)), rel=1e-6)
+    _, narrow = looked_at(ring(5.0, fx=80, fy=80))
+    assert narrow == pytest.approx(5 * np.sin(np.arctan(0.25)), rel=1e-6)
+    _, aside = looked_at(ring(5.0, cx=12))  # less of the left is seen
+    assert aside == pytest.approx(5 * np.sin(np.arctan(0.3)), rel=1e-6)
+    assert looked_at([]) is None and looked_at([replace(view, distance=0.0) for view in ring(5.0)]) is None
+
+    places = np.array([(1, 2, 3), (2.5, 2, 3), (1, 2, 9), (8, 2, 3)], np.float32)
+    assert np.array_equal(in_ball(places, (centre, radius)), [True, True, False, False])
+    assert in_ball(places, None).all()
+    beside = in_ball(places + 100, (centre, radius))
+    assert beside.all(), "a ball beside everything tells nothing"
 
 
 def test_only_known_ways_to_show_it(model):
