@@ -28,15 +28,14 @@ class Moving:
         for shot in shots:
             self._shots.setdefault(shot.view, []).append(shot)
 
-    def share(self, shot) -> np.ndarray | None:
-        """[h, w] float32 of a shot's pixels: 0 stands still, 1 moves; None where it is not known."""
-        still = self._still_picture(shot.view)
+    def share(self, shot, pixels) -> np.ndarray | None:
+        """[h, w] float32 of a shot's pixels, as its camera filmed them: 0 stands still, 1 moves; None where it is not known."""
+        still = self._still_picture(shot.view) if pixels.mask is None else None
         if still is None:
             return None
-        rgb = self._store.pixels(shot).rgb  # as it was filmed: a camera's own pictures are equally exposed
-        h, w = rgb.shape[:2]
+        h, w = pixels.rgb.shape[:2]
         r = _reduction(h, w)
-        change = np.abs(smaller(rgb, r) - still).max(-1)
+        change = np.abs(smaller(pixels.rgb, r) - still).max(-1)
         share = np.clip((change - LOW) / (HIGH - LOW), 0, 1)
         rows, columns = (np.minimum(np.arange(n) // r, m - 1) for n, m in zip((h, w), share.shape))
         return share[np.ix_(rows, columns)]

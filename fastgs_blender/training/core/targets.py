@@ -50,9 +50,12 @@ def cover_of(use: str, pixels) -> np.ndarray | None:
     return pixels.mask if use == "cut" else None if use == "off" else pixels.alpha
 
 
-def target(capture, store, shot, settings, reduction: int, *key: int, moving=None) -> Target:
-    """The target of a shot; key seeds the random background, where the settings ask for one; moving: what moves (Moving), or None."""
-    pixels = store.pixels(shot)
+def target(capture, pixels, shot, settings, reduction: int, *key: int, moving: np.ndarray | None = None) -> Target:
+    """The target of a shot with these pixels (captures.pixels.store.Pixels).
+
+    key     seeds the random background, where the settings ask for one
+    moving  [h, w] how much each pixel moves (Moving.share), or None: not known
+    """
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
     use = use_of_mask(settings, capture, shot, mask)
     background = weight = None
@@ -70,8 +73,8 @@ def target(capture, store, shot, settings, reduction: int, *key: int, moving=Non
         weight = 1 + (settings.foreground_weight - 1) * mask
     elif use == "only":
         weight = mask
-    elif use == "off" and moving is not None and (share := moving.share(shot)) is not None:
-        weight = 1 + (settings.moving_weight - 1) * smaller(share, reduction)
+    elif use == "off" and moving is not None:
+        weight = 1 + (settings.moving_weight - 1) * smaller(moving, reduction)
     if pixels.valid is not None:
         inside = smaller(pixels.valid.astype(np.float32), reduction)
         weight = inside if weight is None else weight * inside

@@ -20,7 +20,7 @@ from ...util.errors import FastGSError
 from . import schedule
 from .density import STRATEGIES
 from .distributed import Group
-from .evening import APART, Evened, Evening
+from .evening import APART, Evening
 from .hold import HELD, backdrop_of, held_features, hold
 from .losses import motion_factor, motion_norm
 from .model import empty_model, lasting, with_arrays
@@ -171,11 +171,14 @@ class Trainer:
     def _targets(self, i: int) -> list[tuple]:
         """This process' (shot, Target, its colours, its weight or None) of a step, the arrays on the backend; one step's are kept."""
         if self._ahead[0] != i:
-            s, group, array, store = self.settings, self.group, self.backend.array, Evened(self.store, self.evening)
+            s, group, array = self.settings, self.group, self.backend.array
             chosen, reduction, found = self.views.at(i, s.batch * group.size), schedule.reduction(s, i), []
             for place in range(group.rank * s.batch, (group.rank + 1) * s.batch):
                 shot = self.shots[chosen[place]]
-                goal = replace(target(self.capture, store, shot, s, reduction, i, place, moving=self.moving), t=self.evening.moment(shot))
+                filmed = self.store.pixels(shot)
+                moving = self.moving.share(shot, filmed) if self.moving else None
+                goal = target(self.capture, self.evening.pixels(shot, filmed), shot, s, reduction, i, place, moving=moving)
+                goal = replace(goal, t=self.evening.moment(shot))
                 found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), None if goal.weight is None else array(goal.weight)))
             self._ahead = i, found
         return self._ahead[1]

@@ -153,9 +153,9 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
     """A mask file says where the subject is, the picture's own alpha what there is at all."""
     rgb, subject, alpha = rng.uniform(size=(4, 6, 3)).astype(np.float32), np.eye(4, 6, dtype=np.float32), np.tri(4, 6, dtype=np.float32)
     pixels = Pixels(rgb, subject * alpha, alpha=alpha) if has_alpha else Pixels(rgb, subject)
-    capture, store = SimpleNamespace(mask_means="foreground"), SimpleNamespace(pixels=lambda shot: pixels)
+    capture = SimpleNamespace(mask_means="foreground")
     shot = SimpleNamespace(mask="file", camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
-    found = targets.target(capture, store, shot, options.settings(foreground_weight=3.0, background="white"), 1)
+    found = targets.target(capture, pixels, shot, options.settings(foreground_weight=3.0, background="white"), 1)
     np.testing.assert_allclose(found.weight, 1 + 2 * pixels.mask)
     np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
     assert found.opaque == (not has_alpha) and (found.background == 1).all()
@@ -176,14 +176,16 @@ def test_what_moves_weighs_more(why, rng):
                                      camera=fg.Camera(32, 24, 20.0, 20.0, 16.0, 12.0, pose)))
     store = SimpleNamespace(pixels=lambda shot: Pixels(films[shot.number].astype(np.float32)))
     chosen = options.settings(moving_weight=3.0)
-    found = targets.target(SimpleNamespace(mask_means="foreground"), store, shots[1], chosen, 1, moving=Moving(store, shots)).weight
+    pixels = store.pixels(shots[1])
+    share = Moving(store, shots).share(shots[1], pixels)
+    found = targets.target(SimpleNamespace(mask_means="foreground"), pixels, shots[1], chosen, 1, moving=share).weight
     if why:
         assert found is None
         return
     expected = np.ones((24, 32))
     expected[8:12, 3:6] = 3.0
     np.testing.assert_array_equal(found, expected)
-    half = targets.target(SimpleNamespace(mask_means="foreground"), store, shots[1], chosen, 2, moving=Moving(store, shots)).weight
+    half = targets.target(SimpleNamespace(mask_means="foreground"), pixels, shots[1], chosen, 2, moving=share).weight
     assert half.shape == (12, 16) and half.mean() == pytest.approx(expected.mean())
 
 

@@ -148,6 +148,20 @@ def uneven():
     return [train(trainer(made, iterations=400, **options)) for options in ({"clocks": "on"}, {"exposures": "off", "clocks": "off"})]
 
 
+def test_each_picture_is_read_once_for_its_step():
+    """The pixels as they were filmed tell what moves; the same ones are evened."""
+    capture, store, points = uneven_capture(6, 5, {}, {"cam01": 1.25}, terms=2)
+    read = []
+    counted = SimpleNamespace(pixels=lambda shot: read.append(shot) or store.pixels(shot))
+    who = trainer((capture, counted, points), iterations=100, exposures="on", moving_weight=3.0)
+    for shot in who.shots:
+        assert who.moving.share(shot, store.pixels(shot)).max() == 1  # each camera's median picture is known now
+    read.clear()
+    for _ in range(10):
+        who.step()
+    assert len(read) == 11, "one of each step, and that of the next one"
+
+
 def test_evening_makes_the_held_out_view_better(uneven):
     with_it, without = uneven
     shots = with_it.capture.held_out
