@@ -23,9 +23,10 @@ from .trajectories import PROBES, WIDTH, MovingSurface, choose_paths, fit_paths,
 
 THICKNESS = 0.02
 """Standard deviation across the surface, as a share of the smaller one within it."""
-CLOSED = Raster(near=0.01, blur=0.05, antialiased=True)
-"""How Gaussians that close the surface by themselves are drawn.  The usual blur of 0.3 square pixels would make outlines half a pixel
-thicker on each side, which hides what lies behind them, from Depth and Vector too."""
+CLOSED = Raster(near=0.01, blur=0.01, antialiased=True)
+"""How Gaussians that close the surface by themselves are drawn.  Many lie one behind the other at an outline and are opaque together far
+from their centres, so that the usual blur of 0.3 square pixels would make it half a pixel thicker on each side.  That hides what lies
+behind, from Depth and Vector too.  With 0.05 the cover of an outline's pixels is too large by 0.36, with 0.01 by 0.22."""
 SPECKLED = Raster(near=0.01)
 """How they are drawn where they do not, because a speckled texture has them narrow everywhere: the usual blur closes the gaps from afar."""
 FULL = 0.75

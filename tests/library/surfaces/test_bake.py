@@ -204,6 +204,19 @@ def test_the_surface_is_closed_and_ends_where_it_ends(stretched):
         assert np.allclose(image["rgb"][inside] / image["alpha"][inside][:, None], (0.2, 0.5, 0.9), atol=1e-3)
 
 
+def test_outlines_are_not_thick():
+    """A sphere covers the pixels of its disc, and not a fifth of a pixel more around; from afar it is opaque too."""
+    points, triangles = sphere(64)
+    model, _ = fg.bake(points[None], triangles, count=20_000)
+    above = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 5], [0, 0, 0, 1]])
+    for scale in (40.0, 10.0):
+        camera = fg.Camera(96, 96, scale, scale, 48, 48, above, orthographic=True)
+        alpha = fg.render(model, camera)["alpha"]
+        x, y = np.meshgrid(*2 * [np.arange(96) + 0.5 - 48])
+        assert alpha[np.hypot(x, y) < scale - 2].min() > 0.95
+        assert abs(alpha.sum() - np.pi * scale**2) < 0.2 * 2 * np.pi * scale
+
+
 def two_colours(triangle, weights, corners, wave=0.0):
     """Dark left of a slanted line, or of a wave, on the unit square, light right of it."""
     x, y, _ = np.einsum("nk,nkd->dn", weights, corners[triangle])
