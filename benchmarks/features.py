@@ -18,14 +18,21 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
+T = 0.4
+"""The time that is shown."""
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 from raster_cpu import scene  # noqa: E402
 
 import fastgs_blender as fg  # noqa: E402
+from fastgs_blender.cameras.panorama import Panorama  # noqa: E402
 from fastgs_blender.cameras.viewpoints import viewpoint_of  # noqa: E402
 from fastgs_blender.model.surroundings import Surroundings  # noqa: E402
+from fastgs_blender.rendering.crops import Crop  # noqa: E402
 from fastgs_blender.rendering.exposure import Aperture, Exposure  # noqa: E402
+from fastgs_blender.rendering.filters import Filter  # noqa: E402
+from fastgs_blender.rendering.instances import Instance, ObjectSettings  # noqa: E402
+from fastgs_blender.rendering.masks import pack_mask  # noqa: E402
 from fastgs_blender.rendering.passes import PASSES, PassSettings  # noqa: E402
 from fastgs_blender.rendering.shadow import Light, Shadow  # noqa: E402
 
@@ -52,14 +59,34 @@ def features(model, camera) -> dict[str, tuple[dict, float | None]]:
     found["sorting by pixel"] = {"settings": PassSettings(sorting="pixel")}, None
     sharper = viewpoint_of(replace(camera, fx=4 * camera.fx, fy=4 * camera.fy))
     found["far view, antialiased"] = {"model": replace(model, surroundings=Surroundings(cameras=(sharper,)))}, None
+    found |= {name: ({"model": instances}, None) for name, instances in objects(model).items()}
+    found["equirectangular panorama"] = {"camera": Panorama(camera.width, camera.height, camera.world_to_camera)}, None
     return found
+
+
+def objects(model) -> dict[str, list[Instance]]:
+    """By name: the model as objects show it.  None of these hides anything, so that the picture itself costs what it did."""
+    def shown(t: float = T, **settings) -> Instance:
+        return Instance(model, np.eye(4), t, ObjectSettings(**settings))
+
+    hidden = np.zeros(len(model), bool)
+    hidden[0] = True
+    everywhere = np.diag([1e-6, 1e-6, 1e-6, 1])
+    return {
+        "a look": [shown(exposure=0.1, gamma=1.1, saturation=0.9, hue=0.1, tint=(1, 0.9, 0.9), splat_scale=0.99)],
+        "a crop with a soft edge": [shown(crops=[Crop(everywhere, shape="SPHERE", soft=0.1)])],
+        "a filter by speed": [shown(filters=[Filter("SPEED", 1e9)])],
+        "a mask of the brush": [shown(mask=pack_mask(hidden))],
+        "four objects": [shown(), *(Instance(model, np.diag([s, s, s, 1]), T) for s in (1.1, 1.2, 1.3))],
+        "three echoes": [shown(), *(shown(T - 0.02 * k, opacity=0.5**k) for k in (1, 2, 3))],
+    }
 
 
 def cost(model, camera, options: dict, runs: int) -> float:
     """Processor time of a frame with these options by that of a plain one: the median of the ratios of neighbouring runs."""
     def spent(**given):
         begin = time.process_time()
-        fg.render(**{"model": model, "camera": camera, "t": 0.4} | given)
+        fg.render(**{"model": model, "camera": camera, "t": T} | given)
         return time.process_time() - begin
 
     spent(**options)
@@ -75,7 +102,7 @@ def main():
     width, height = (int(side) for side in args.size.split("x"))
     model, camera = scene(args.gaussians, width, height)
     model = replace(model, clip=fg.Clip(60))
-    fg.render(model, camera, 0.4)
+    fg.render(model, camera, T)
     print(f"{args.gaussians:,} Gaussians, {width} x {height}: cost in plain frames")
     for name, (options, bound) in features(model, camera).items():
         ratio = cost(model, camera, options, args.runs)
