@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..fastgs_blender.jobs import environment as pythons
 from ..fastgs_blender.util.errors import FastGSError
@@ -44,6 +45,10 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
     bl_idname = "fastgs.make_training_python"
     bl_label = "Make an Environment"
 
+    torch: BoolProperty(
+        name="PyTorch", default=False, description="Also PyTorch, for scripts and for training in several processes; nothing in Blender "
+        "needs it. Its small build for processors, where the package index offers one")
+
     @classmethod
     def poll(cls, context):
         reason = offline_reason() or ("An environment is being made" if installation.is_making() else "")
@@ -59,11 +64,13 @@ class FASTGS_OT_make_training_python(bpy.types.Operator):
         col.label(text="numba, PyAV, pycolmap and what they need", icon='IMPORT')
         col.label(text=f"will be downloaded from the Python Package Index: {pythons.SIZE}.")
         col.label(text=f"They go into {installation.made_environment()}")
+        col.prop(self, "torch", text=f"PyTorch, too: {pythons.TORCH_SIZE}")
 
     def execute(self, context):
         preferences = settings.preferences()
         folder = installation.made_environment()
-        installation.maker = pythons.Maker(folder, folder.with_name("environment.log"), preferences.package_index if preferences else "")
+        index = preferences.package_index if preferences else ""
+        installation.maker = pythons.Maker(folder, folder.with_name("environment.log"), index, self.torch)
         if bpy.app.background:
             while installation.maker.poll():
                 installation.maker.wait(1.0)

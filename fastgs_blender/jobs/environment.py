@@ -17,6 +17,9 @@ NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm
 USEFUL = {"av": "films", "pycolmap": "cameras without poses and starting points from pictures", "OpenEXR": "EXR pictures"}
 """Modules, called as their packages are, and what they are for."""
 SIZE = "about half a gigabyte"
+TORCH, TORCH_SIZE = "torch>=2.4", "about a gigabyte more"
+TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
+"""Has PyTorch's builds for processors, which are a tenth of those with CUDA; pip prefers them to others of the same version."""
 TIMEOUT = 300
 
 _ASK = """
@@ -109,16 +112,19 @@ def python_in(place: str) -> str | None:
 class Maker:
     """A process that makes an environment for training: first the environment, then what is installed into it.
 
-    folder  where; log: file for what it says; index: of another package index than pip's usual one
+    folder  where; log: file for what it says
+    index   of another package index than pip's usual one, which is then asked for everything
+    torch   whether PyTorch is installed, too: its build for processors, where an index offers that
     """
 
-    def __init__(self, folder, log, index: str = ""):
+    def __init__(self, folder, log, index: str = "", torch: bool = False):
         self.folder, self.log = Path(folder), Path(log)
         source = ["--index-url", index] if index else []
         python = self.folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-        packages = [*NEEDED.values(), *USEFUL]
-        self._steps = [[sys.executable, "-m", "venv", "--clear", str(self.folder)],
-                       [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *source, *packages]]
+        install = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *source]
+        self._steps = [[sys.executable, "-m", "venv", "--clear", str(self.folder)], [*install, *NEEDED.values(), *USEFUL]]
+        if torch:
+            self._steps.append([*install, *([] if index else ["--extra-index-url", TORCH_INDEX]), TORCH])
         self._process: subprocess.Popen | None = None
         self.failed = False
 

@@ -360,7 +360,8 @@ def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch
     app = SimpleNamespace(online_access=True, online_access_override=False, background=False)
     monkeypatch.setattr(operators, "bpy", SimpleNamespace(app=app))
     said, asked = [], []
-    layout = SimpleNamespace(column=lambda **_: SimpleNamespace(label=lambda text, **_: said.append(text)))
+    layout = SimpleNamespace(column=lambda **_: SimpleNamespace(
+        label=lambda text, **_: said.append(text), prop=lambda owner, name, text: said.append(text)))
     dialog = SimpleNamespace(window_manager=SimpleNamespace(invoke_props_dialog=lambda operator, **_: asked.append(operator)))
     operator, this = operators.FASTGS_OT_make_training_python, SimpleNamespace(layout=layout)
     assert operators.offline_reason() == ""
@@ -368,7 +369,7 @@ def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch
     operator.draw(this, dialog)
     text = " ".join(said)
     assert asked == [this] and store.maker is None and not store.made_environment().exists()
-    assert "pycolmap" in text and "gigabyte" in text and str(store.made_environment()) in text
+    assert "pycolmap" in text and "gigabyte" in text and "PyTorch" in text and str(store.made_environment()) in text
     app.online_access = False
     assert "Allow Online Access" in operators.offline_reason()
     app.online_access_override = True

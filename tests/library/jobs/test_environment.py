@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The commands that make an environment for training."""
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from fastgs_blender.jobs import environment
+
+
+@pytest.mark.parametrize(("index", "torch"), [("", False), ("", True), ("https://mirror/simple", True)])
+def test_an_environment_gets_torch_where_it_is_wanted_and_the_small_one_where_it_is_offered(tmp_path, monkeypatch, index, torch):
+    ran = []
+    monkeypatch.setattr(environment.subprocess, "Popen", lambda command, **_: ran.append(command) or SimpleNamespace(
+        poll=lambda: 0, returncode=0))
+    maker = environment.Maker(tmp_path / "made", tmp_path / "log", index, torch)
+    while maker.poll():
+        pass
+    made, plain, *rest = ran
+    assert not maker.failed and made[1:3] == ["-m", "venv"]
+    assert {"numba", "pycolmap"} <= set(plain) and not [part for part in plain if part.startswith("torch")]
+    assert len(rest) == torch and all((index in command) == bool(index) for command in ran[1:])
+    for command in rest:  # a user's own index is the only one that is asked
+        assert command[-1].startswith("torch>=") and (environment.TORCH_INDEX in command) == (not index)
