@@ -73,6 +73,9 @@ def test_depth_of_field(scene, make_model, model_file, splat_object, add_camera,
     dof = camera.data.dof
     dof.use_dof, dof.focus_object, dof.aperture_fstop = True, target, 0.1
     near = render()["ViewLayer.Combined"][..., 3]
+    scene.fastgs.lens_samples = 4
+    assert np.abs(render()["ViewLayer.Combined"][..., 3] - near).max() > 0.01, "so few points of the lens leave single copies"
+    scene.fastgs.property_unset("lens_samples")
     target.location = 0, 6.0, 0
     far = render()["ViewLayer.Combined"][..., 3]
     places = {}

@@ -189,6 +189,11 @@ def test_shadows_fall_where_the_light_sends_them(scene, fg, model_file, splat_ob
     assert (x, y) == pytest.approx((-2, 0), abs=0.1) and hard.max() > 0.8
     soft, x, y = lamp('SUN', (0, 0, 5), (0, np.pi / 4, 0), angle=0.5)
     assert (x, y) == pytest.approx((-2, 0), abs=0.25) and soft.max() < hard.max() - 0.1
+    scene.fastgs.shadow_samples = 1
+    assert (1 - render()["ViewLayer.Splat Shadow"]).max() > soft.max() + 0.1, "one point of the sun makes a hard shadow"
+    scene.fastgs.shadow_samples, scene.fastgs.shadow_bias = 16, 6.0
+    assert render()["ViewLayer.Splat Shadow"].min() > 0.99, "splats so near to a surface cast none on it"
+    scene.fastgs.property_unset("shadow_bias")
     _, x, y = lamp('SPOT', (0, 1, 4), shadow_soft_size=0.0)
     assert (x, y) == pytest.approx((0, -1), abs=0.1)
     wide, x, y = lamp('AREA', (0, 0, 4), shape='RECTANGLE', size=3.0, size_y=0.1)
