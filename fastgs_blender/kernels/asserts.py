@@ -47,9 +47,15 @@ def splat(parameters, template: GaussianModel) -> None:
     shapes(*_decoder(parameters))
 
 
-def compare(picture, target, weight, background) -> None:
+def compare(picture, target, weight, background, least) -> None:
     """TrainingBackend.compare()."""
-    shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (target, "h w 3"), (weight, "h w"), (background, "3"))
+    shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (target, "h w 3"), (weight, "h w"), (background, "3"), (least, "h w 3"))
+
+
+def agreement(picture, target, weight, least, background, gain, bias, sides) -> None:
+    """TrainingBackend.agreement()."""
+    compare(picture, target, weight, background, least)
+    shapes((gain, "3"), (bias, "3"), (target, "h w 3"), *((side.rgb, "h w 3") for side in sides or ()))
 
 
 def backward(picture, rgb, alpha, depth, into, statistics, seen) -> None:

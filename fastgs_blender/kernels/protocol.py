@@ -160,7 +160,7 @@ class TrainingBackend(PictureBackend, Protocol):
         """
 
     def compare(self, picture: Splatted, target: Array, weight: Array | None, background: np.ndarray | None, dssim: float,
-                opaque_weight: float, share: float) -> Comparison:
+                opaque_weight: float, share: float, least: Array | None = None) -> Comparison:
         """The loss of a picture over its background against a target, and its gradient.
 
             loss = (1 - dssim) mean(weight |x - target|) + dssim mean(weight (1 - SSIM)) + opaque_weight mean(1 - alpha)
@@ -170,6 +170,22 @@ class TrainingBackend(PictureBackend, Protocol):
                     towards the target, so that a pixel without weight does not disturb its neighbours' SSIM
         background  [3] on the host, or None for black
         share       factor on the gradient: 1 / the number of views of the step
+        least       [h, w, 3] bool, where the target is only a lower bound, so that what is brighter is right, or None: nowhere
+        """
+
+    def agreement(self, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background: np.ndarray | None,
+                  gain: np.ndarray, bias: np.ndarray, sides: tuple[Splatted, Splatted] | None, apart: float, solid: float,
+                  outlier: float) -> Array:
+        """Sums over pixels by which a camera's exposure and clock are estimated (training/core/evening.py), float64 [19].
+
+        With p the picture over its background, r = target - p, q = gain target + bias, J = (sides[0] - sides[1]) / apart, and
+        w = min(weight, 1) / (1 + (r / outlier)^2), 0 where alpha is at most `solid` or the target only a lower bound: the sums of w, w p,
+        w q, w p^2 and w p q for red, then green and blue; then, over all three, of w J^2, w J r, w r^2 and w, zeros without sides.
+
+        target      [h, w, 3]
+        weight      [h, w], or None: 1
+        least       [h, w, 3] bool, or None: nowhere
+        background  [3] on the host, or None for black;  gain [3], bias [3]
         """
 
     def backward(self, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,

@@ -72,6 +72,7 @@ class CPU:
         return training.splat(parameters, template, camera, t, depth, band)
 
     compare = staticmethod(training.compare)
+    agreement = staticmethod(training.agreement)
     backward = staticmethod(training.backward)
 
     def rows(self, seen):

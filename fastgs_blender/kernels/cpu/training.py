@@ -54,12 +54,12 @@ def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Ca
 
 
 def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,
-            opaque_weight: float, share: float) -> Comparison:
+            opaque_weight: float, share: float, least: np.ndarray | None = None) -> Comparison:
     """TrainingBackend.compare()."""
-    asserts.compare(picture, target, weight, background)
-    rgb, alpha, share = picture.rgb, picture.alpha, np.float32(share)
-    if background is not None:
-        rgb = rgb + (1 - alpha)[..., None] * background
+    asserts.compare(picture, target, weight, background, least)
+    rgb, alpha, share = _over(picture, background), picture.alpha, np.float32(share)
+    if least is not None:
+        target = np.where(least, np.maximum(target, rgb), target)
     loss, grad_rgb, l1, ssim = photometric(rgb, target, weight, float(dssim))
     if share != 1:
         grad_rgb = grad_rgb * share
@@ -72,6 +72,32 @@ def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, ba
         grad_alpha = -through if grad_alpha is None else grad_alpha - through
     error = float(np.square(rgb - target).mean())
     return Comparison(np.array([loss, l1, ssim, error]), grad_rgb, grad_alpha)
+
+
+def _over(picture: Splatted, background: np.ndarray | None) -> np.ndarray:
+    """The picture [h, w, 3] over its background."""
+    return picture.rgb if background is None else picture.rgb + (1 - picture.alpha)[..., None] * background
+
+
+def agreement(picture: Splatted, target: np.ndarray, weight, least, background, gain, bias, sides, apart, solid, outlier) -> np.ndarray:
+    """TrainingBackend.agreement()."""
+    asserts.agreement(picture, target, weight, least, background, gain, bias, sides)
+    rgb, clock = _over(picture, background), np.zeros(4)
+    rest = target - rgb
+    counts = np.where(picture.alpha > solid, np.float32(1), np.float32(0))
+    if weight is not None:
+        counts = counts * np.minimum(weight, 1)
+    share = counts[..., None] / (1 + (rest / outlier) ** 2)
+    if least is not None:
+        share = np.where(least, np.float32(0), share)
+    q = target * gain.astype(np.float32) + bias.astype(np.float32)
+    colour = [values.sum((0, 1), dtype=np.float64) for values in (share, share * rgb, share * q, share * rgb * rgb, share * rgb * q)]
+    if sides is not None:
+        late, early = (_over(side, background) for side in sides)
+        change = (late - early) / np.float32(apart)
+        product = share * change
+        clock[:] = [values.sum(dtype=np.float64) for values in (product * change, product * rest, share * rest * rest, share)]
+    return np.concatenate([np.stack(colour, -1).ravel(), clock])
 
 
 def backward(picture: Splatted, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):

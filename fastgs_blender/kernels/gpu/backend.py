@@ -123,8 +123,11 @@ class GPU(CPU):
     def splat(self, parameters, template, camera, t, depth=False, band=0.0):
         return training.splat(self.device, parameters, template, camera, t, depth, band)
 
-    def compare(self, picture, target, weight, background, dssim, opaque_weight, share):
-        return training.compare(self.device, picture, target, weight, background, dssim, opaque_weight, share)
+    def compare(self, picture, target, weight, background, dssim, opaque_weight, share, least=None):
+        return training.compare(self.device, picture, target, weight, background, dssim, opaque_weight, share, least)
+
+    def agreement(self, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier):
+        return training.agreement(self.device, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier)
 
     def backward(self, picture, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
         return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)

@@ -94,8 +94,8 @@ def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: t
     entry = 16 * (splats.quads + 2) if how.trace else 4  # bytes: the backward pass has a row of sums for each
     own, piece, guess = order, splats.pieces[0], how.trace and device.guessing
     if len(splats.pieces) > 1:
-        piece, own = gathered(device, order, splats, grid)
-        order, guess = counted(device, piece.rows), False
+        piece, own = gathered(device, order, splats, grid, guess)
+        order = counted(device, piece.rows)
     lists = list_tiles(device, order, piece, grid, min(ENTRIES, device.binding // entry), guess,
                        None if how.tiles is None else (how.tiles, rows[0] * columns))
     shape, numbers = (last - first, width), 3 if how.trace else 1 + len(how.places)

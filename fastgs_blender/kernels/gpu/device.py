@@ -94,8 +94,8 @@ class Device:
 
     adapter   wgpu's GPUAdapter; opened with all the room that it has
     broken    whether it has failed
-    guessing  whether tile lists of training take their lengths for what these have been (lists.py), and
-    rooms     lists.Room by the number of tiles
+    guessing  whether a training step has begun, which guesses numbers instead of reading them
+    guesses   guesses.Guess by what it is of
     when_full functions that are called where its memory is full, and let go what can be made again
 
     Several threads may use it: each piece of work is recorded whole.
@@ -104,7 +104,7 @@ class Device:
     adapter: Any
     broken: bool = False
     guessing: bool = False
-    rooms: dict = field(default_factory=dict)
+    guesses: dict = field(default_factory=dict)
     when_full: list[Callable[[], None]] = field(default_factory=list)
     _pipelines: dict = field(default_factory=dict)
     _spare: dict[int, list] = field(default_factory=dict)
@@ -143,7 +143,7 @@ class Device:
 
     @cached_property
     def spilled(self) -> Array:
-        """[1]: 1 where a guessed list was too short; what a training step leaves behind then stays as it was (wgsl/tiles_pad.wgsl)."""
+        """[1]: 1 where a guess was too small; what a training step leaves behind then stays as it was (guesses.py)."""
         return self.zeros((1,), np.uint32)
 
     @cached_property

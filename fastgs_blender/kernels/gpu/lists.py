@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .device import Array, Buffer, Device, TooLarge
+from .guesses import room_for
 from .shaders import TILE
 
 BLOCK = 2048
@@ -14,10 +15,6 @@ BLOCK = 2048
 DIGIT = 4
 ENTRIES = 1 << 25
 """Entries of tile lists held at once; a picture with more is drawn in bands."""
-HEADROOM = 1.25
-"""Room of guessed tile lists, as a multiple of the longest that they have had."""
-LEAST = 4096
-"""Entries of the least room."""
 TILES = 1 << 18
 """Tiles drawn at once, so that a workgroup's counts stay below 2^32."""
 
@@ -63,25 +60,11 @@ class TileLists:
     entries: int
 
 
-@dataclass(eq=False)
-class Room:
-    """How many entries the tile lists of pictures of one size may have in training, and, on the device, how many they have had: [1]."""
-
-    entries: int
-    longest: Array
-
-
-def room_for(entries: int) -> int:
-    """Room for lists that have had so many entries."""
-    return max(int(HEADROOM * entries), LEAST)
-
-
 def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False,
                only: tuple[Array, int] | None = None) -> TileLists:
     """The lists of a grid of tiles for splats (splats.Piece) in their order; raises TooLarge where they have over `most` entries.
 
-    guess  take their length for what it has been for pictures of this size (device.rooms) and read nothing back; where they are longer,
-           device.spilled becomes 1
+    guess  whether their length may be guessed (guesses.py); else it is read back
     only   numbers of tiles, and which of them is that of the grid's first tile: a tile whose number is 0 gets an empty list
     """
     count, tiles = splats.rows, grid[2] * grid[3]
@@ -93,22 +76,15 @@ def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int,
     chosen = {"ALL": only is None}
     device.run("tiles_count", count, [list(grid), [count, 0, first, 0]], order, splats.depths, splats.a, splats.b, wanted, runs, **chosen)
     scan(device, runs, count + 1)
-    room = device.rooms.get(tiles) if guess else None
-    if room is not None and room.entries <= most:
-        entries = room.entries
-    else:
-        room, entries = None, int(device.read(runs, np.uint32, 1, count)[0])
-        if entries > most:
-            raise TooLarge(f"{entries} tile entries are more than it holds at once")
-        if guess:
-            device.rooms[tiles] = Room(room_for(entries), device.zeros((1,), np.uint32))
+    entries, guessed = room_for(device, ("entries", grid), most, guess, lambda: int(device.read(runs, np.uint32, 1, count)[0]),
+                                "tile entries")
     lists = device.zeros((tiles + 1 + entries,), np.uint32)
     keys, owner, values = (device.buffer(entries) for _ in range(3))
     if entries:
         job = [list(grid), [count, entries, first, 0]]
         device.run("tiles_emit", count, job, order, runs, splats.a, splats.b, wanted, keys, owner, values, **chosen)
-        if room is not None:
-            device.run("tiles_pad", entries, [[entries, tiles, count, 0]], runs, keys, values, room.longest, device.spilled)
+        if guessed is not None:
+            device.run("tiles_pad", entries, [[entries, tiles, count, 0]], runs, keys, values, guessed.longest, device.spilled)
         keys, values = sort(device, keys, values, entries, tiles.bit_length())
         device.run("tiles_ranges", entries + 1, [[entries, tiles, 0, 0]], keys, values, owner, lists)
     return TileLists(grid, lists, values, runs, entries)

@@ -166,15 +166,21 @@ def _gradients(backend: CPU, look, camera: Camera, n: int = N) -> dict[str, np.n
     seen, rng = backend.zeros((n,)), np.random.default_rng(3)
     stored = rng.integers(0, 256, (camera.height, camera.width, 3), np.uint8)
     weight = backend.array(rng.uniform(0.5, 1, stored.shape[:2]).astype(np.float32))
+    least = backend.array(rng.uniform(size=stored.shape) < 0.2)
     backend.begin_step()
     picture = backend.splat(parameters, model, camera, TIME, True)
     goal = backend.picture(stored.astype(np.float32) / 255, stored)
-    loss = backend.compare(picture, goal, weight, np.array([0.2, 0.3, 0.4], np.float32), 0.2, 0.01, 1.0)
+    loss = backend.compare(picture, goal, weight, np.array([0.2, 0.3, 0.4], np.float32), 0.2, 0.01, 1.0, least)
+    sides = [backend.splat(parameters, model, camera, TIME + apart) for apart in (0.05, -0.05)]
+    three = np.array([0.2, 0.3, 0.4], np.float32)
+    agreement = backend.agreement(picture, goal, weight, least, three, 1 + three, three, sides, 0.1, 0.5, 0.1)
     depth = backend.array(np.full(stored.shape[:2], 1e-4, np.float32))
     found = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, seen=seen)
     found = backend.backward(picture, loss.rgb, loss.alpha, into=found)
-    values = backend.end_step(loss.values)()
-    return {"loss": values[0], "drawn": np.array(backend.numpy(seen))} | {
+    values = backend.end_step(loss.values, agreement)()
+    if values is None:
+        raise Failure("it finds more splats in a picture that it has drawn before")
+    return {"loss": values[0], "agreement": values[1], "drawn": np.array(backend.numpy(seen))} | {
         name: np.array(backend.numpy(array)) for name, array in (found | vars(statistics)).items()}
 
 

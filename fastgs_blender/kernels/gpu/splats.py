@@ -18,6 +18,7 @@ from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
 from ...rendering.quantities import Shown
 from .device import Buffer, Device
+from .guesses import room_for
 from .lists import scan, sort
 from .scene import Pack, View
 
@@ -153,18 +154,23 @@ def counted(device: Device, number: int) -> Buffer:
     return rows
 
 
-def gathered(device: Device, order: Buffer, splats: Splats, grid: tuple[int, int, int, int]) -> tuple[Piece, Buffer]:
-    """The splats that touch a grid of tiles, in their order, and the row of each; reads a number back, and raises TooLarge."""
+def gathered(device: Device, order: Buffer, splats: Splats, grid: tuple[int, int, int, int], guess: bool) -> tuple[Piece, Buffer]:
+    """The splats that touch a grid of tiles, in their order, and the row of each; raises TooLarge.
+
+    guess  whether their number may be guessed (guesses.py): rows that are left over are not drawn; else it is read back
+    """
     places = device.buffer(splats.rows + 1)
     device.clear(places)
     for piece in splats.pieces:
         job = [list(grid), [splats.rows, piece.first, piece.rows, 0]]
         device.run("touch", splats.rows, job, order, piece.depths, piece.a, piece.b, places)
     scan(device, places, splats.rows + 1)
-    number = int(device.read(places, np.uint32, 1, splats.rows)[0])
-    found, rows = Piece.empty(device, 0, number, splats.quads), device.buffer(number)
+    room, guessed = room_for(device, ("splats", grid), min(device.binding // (16 * splats.quads), splats.rows), guess,
+                             lambda: int(device.read(places, np.uint32, 1, splats.rows)[0]), "splats")
+    found, rows = Piece.empty(device, 0, room, splats.quads), device.buffer(room)
     for piece in splats.pieces:
         for (values, numbers), (copies, _) in zip(piece.arrays, found.arrays, strict=True):
             device.run("gather", splats.rows, [[splats.rows, piece.first, piece.rows, numbers]], order, places, values, copies)
-    device.run("gather_rows", splats.rows, [[splats.rows, 0, 0, 0]], order, places, rows)
+    longest = device.buffer(1) if guessed is None else guessed.longest
+    device.run("gather_rows", splats.rows, [[splats.rows, room, 0, 0]], order, places, rows, found.depths, longest, device.spilled)
     return found, rows

@@ -13,7 +13,6 @@ from ..cpu.adam import corrections
 from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
 from ..protocol import MotionNorm
 from .device import Array, Device
-from .lists import room_for
 from .rows import ROWS, pieces, rows_of
 from .training import total
 
@@ -113,13 +112,13 @@ def begin(device: Device) -> int:
 def end(device: Device, arrays) -> Callable[[], list[np.ndarray] | None]:
     """TrainingBackend.end_step()."""
     device.guessing = False
-    rooms, count = list(device.rooms.values()), len(arrays)
-    arrive = device.read_later([*arrays, *(room.longest for room in rooms), device.spilled])
+    guesses, count = list(device.guesses.values()), len(arrays)
+    arrive = device.read_later([*arrays, *(guess.longest for guess in guesses), device.spilled])
 
     def values():
         *found, spilled = arrive()
-        for room, longest in zip(rooms, found[count:]):
-            room.entries = max(room.entries, room_for(int(longest[0])))
+        for guess, longest in zip(guesses, found[count:]):
+            guess.largest = max(guess.largest, int(longest[0]))
         if not spilled[0]:
             return found[:count]
         device.clear(device.spilled.buffer)  # the steps that have been begun meanwhile came before this, and did nothing

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A view in training on a GPU: its picture, its loss, and the backward pass to the model's parameters.
 
-A step reads nothing back to the CPU: the length of the tile lists is guessed from earlier steps (lists.py).
+A step reads nothing back to the CPU: how long lists become is guessed from earlier steps (guesses.py).  In whatever bands a picture is
+drawn, gradients have the same bytes, so it does not matter which bands earlier steps have led to.
 """
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
 """SSIM's Gaussian window, as kernels/cpu/loss.py has it."""
 REACH = len(WINDOW) // 2
 PIXELS = 128
-"""Pixels of a workgroup of colour_backward.wgsl."""
+"""Pixels of a workgroup of colour_backward.wgsl and agreement.wgsl."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,19 +116,47 @@ def picture(device: Device, stored: np.ndarray) -> Array:
     return out
 
 
-def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
-            share: float) -> Comparison:
-    """TrainingBackend.compare()."""
-    asserts.compare(picture, target, weight, background)
-    height, width = target.shape[:2]
-    numbers = 3 * height * width
-    behind = [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
-    whole, cover, done = device.empty(target.shape), device.empty((height, width)), 0
+def _behind(background: np.ndarray | None) -> list[float]:
+    """A background as shaders take it: its colour, and whether there is one."""
+    return [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
+
+
+def _over(device: Device, picture: Splatted, background: np.ndarray | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """The picture [h, w, 3], its shape, over its background, and its alpha [h, w]."""
+    whole, cover, done = device.empty(shape), device.empty(shape[:2]), 0
     for rgb, alpha in zip(picture.rgb.parts, picture.alpha.parts):
         count = math.prod(alpha.shape)
         strides = [3 if rgb.columns is None else rgb.columns[2], alpha.columns[2]]
-        device.run("loss_over", count, [[count, done, *strides], behind], rgb, alpha, whole, cover)
+        device.run("loss_over", count, [[count, done, *strides], _behind(background)], rgb, alpha, whole, cover)
         done += count
+    return whole, cover
+
+
+def agreement(device: Device, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background, gain, bias, sides,
+              apart: float, solid: float, outlier: float) -> Array:
+    """TrainingBackend.agreement()."""
+    asserts.agreement(picture, target, weight, least, background, gain, bias, sides)
+    whole, cover = _over(device, picture, background, target.shape)
+    late, early = (whole, whole) if sides is None else (_over(device, side, background, target.shape)[0] for side in sides)
+    pixels, nothing = math.prod(target.shape[:2]), device.buffer(1)
+    sums = device.empty((-(-pixels // PIXELS), 19))
+    job = [[pixels, weight is not None, least is not None, sides is not None], [solid, outlier, apart, 0.0], [*map(float, gain)],
+           [*map(float, bias)]]
+    device.run("agreement", sums.shape[0], job, whole, cover, target, nothing if weight is None else weight,
+               nothing if least is None else least, late, early, sums, groups=True)
+    return Array(total(device, sums).buffer, (19,), np.dtype(np.float64))
+
+
+def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
+            share: float, least: Array | None) -> Comparison:
+    """TrainingBackend.compare()."""
+    asserts.compare(picture, target, weight, background, least)
+    height, width = target.shape[:2]
+    numbers = 3 * height * width
+    behind, (whole, cover) = _behind(background), _over(device, picture, background, target.shape)
+    if least is not None:
+        bound, target = target, device.empty(target.shape)
+        device.run("loss_least", numbers, [[numbers, 0, 0, 0]], whole, bound, least, target)
     values, by_rgb, by_alpha = device.empty((4,), np.float64), device.empty(target.shape), device.empty((height, width))
     weights = device.buffer(1) if weight is None else weight
     scales = [(1 - dssim) / numbers, -dssim / numbers, float(share), float(opaque_weight)]
@@ -188,7 +217,7 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
             by_alpha, channels = device.zeros((height, width)), 9
             if alpha is not None:
                 device.copy(alpha.buffer, by_alpha.buffer, height * width)
-            slopes = [_decoder_backward(device, view, band, rgb, by_alpha, w1, w2) for band in view.bands]
+            slopes = _decoder_backward(device, view, rgb, by_alpha, w1, w2)
     deep = 0 if depth is None or view.layout.depth is None else view.layout.depth + 1
     sums, done = [device.zeros((pack.count, 4 * (quads + 2))) for pack in view.packs], 0
     for band, its_slopes in zip(view.bands, slopes, strict=True):
@@ -213,16 +242,19 @@ def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array 
     return _to_parameters(device, view, sums, found, into, detach_time)
 
 
-def _decoder_backward(device: Device, view: Seen, band: Band, rgb: Array, by_alpha: Array, w1: Array, w2: Array) -> Array:
-    """Gradients of a band's features [h, w, 9]; that of alpha and of the decoder's matrices are added to by_alpha, w1 and w2."""
-    slopes, groups = device.empty((*band.flat.shape[:2], 9)), -(-math.prod(band.flat.shape[:2]) // PIXELS)
-    sums = device.empty((groups, 90))
-    device.run("colour_backward", groups, _decoder_of(band, view.layout, view.camera), band.channels, band.flat, view.matrices, rgb,
-               slopes, by_alpha, sums, groups=True)
+def _decoder_backward(device: Device, view: Seen, rgb: Array, by_alpha: Array, w1: Array, w2: Array) -> list[Array]:
+    """Gradients of the features [h, w, 9] of each band; that of alpha and of the decoder's matrices are added to by_alpha, w1 and w2."""
+    blocks, found = -(-view.camera.window[2] // PIXELS), []
+    sums = device.empty((view.camera.window[3] * blocks, 90))
+    for band in view.bands:
+        slopes = device.empty((*band.flat.shape[:2], 9))
+        device.run("colour_backward", slopes.shape[0] * blocks, _decoder_of(band, view.layout, view.camera), band.channels, band.flat,
+                   view.matrices, rgb, slopes, by_alpha, sums, groups=True)
+        found.append(slopes)
     both = total(device, sums)
     device.run("add", 72, [[72, 0, 0, 0]], both, w1)
     device.run("add", 18, [[18, 72, 0, 0]], both, w2)
-    return slopes
+    return found
 
 
 def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:

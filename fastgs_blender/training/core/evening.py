@@ -29,7 +29,9 @@ SETTLED = 0.5
 CLOCKS_FIRST = 0.1
 """Share of a run after which clocks are estimated: the model must have motion."""
 EVERY = 2
-"""Steps between two estimates.  A clock needs two more renders, and a GPU must copy its pictures to the CPU."""
+"""Steps between two estimates.  A clock needs two more renders."""
+AWAITED = 16
+"""Steps of which a checkpoint may hold what their pictures said, for later: more than a backend is ahead."""
 FARTHER = 1.7
 """Over-relaxation of a clock's correction: the model has already followed the camera's wrong clock a part of the way."""
 APART = 0.25
@@ -106,10 +108,6 @@ class Evening:
         for name, array in arrays.items():
             setattr(self, name, np.array(array))
 
-    def nothing(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of 0, in the shapes that seen() returns."""
-        return np.zeros_like(self.colour), np.zeros_like(self.clock)
-
     # what it does to pictures
 
     @property
@@ -167,32 +165,25 @@ class Evening:
         """Whether the estimation continues; with auto it ends at SETTLED if cameras have not differed noticeably until then."""
         return setting == "on" or (setting == "auto" and (differ or iteration < SETTLED * iterations))
 
-    def seen(self, shot, goal, rgb: np.ndarray, alpha: np.ndarray, change: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """The sums of one picture, to be summed over a step's views: colour [V, 3, 5] and clock [V, 4].
+    def compared(self, backend, shot, picture, target, weight, least, background, sides):
+        """The sums over a shot's pixels that said() takes, as an array of the backend (TrainingBackend.agreement).
 
-        goal    the Target, in the model's colours;  rgb [h, w, 3], alpha [h, w]: the model's picture over the goal's background
-        change  [h, w, 3] of the model's picture in a frame, or None
+        picture   the model's;  target, weight, least: of the Target, in the model's colours, on the backend
+        sides     the model's pictures APART frames later and earlier, or None
         """
-        colour, clock = np.zeros_like(self.colour), np.zeros_like(self.clock)
         k = self.views.index(shot.view)
-        rest = goal.rgb - rgb
-        counts = np.where(alpha > SOLID, np.float32(1), np.float32(0))
-        if goal.weight is not None:
-            counts = counts * np.minimum(goal.weight, 1)
-        weight = counts[..., None] / (1 + (rest / OUTLIER) ** 2)
-        if goal.least is not None:
-            weight = np.where(goal.least, np.float32(0), weight)
-        if self.exposures != "off":
-            gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
-            q = goal.rgb * gain.astype(np.float32) + bias.astype(np.float32)
-            for i, value in enumerate((weight, weight * rgb, weight * q, weight * rgb * rgb, weight * rgb * q)):
-                colour[k, :, i] = value.sum((0, 1), dtype=np.float64)
-        if change is not None:
-            late = self.late[k] if self.clocks_differ else 0.0
-            product = weight * change
-            square, missing = float((product * change).sum(dtype=np.float64)), float((product * rest).sum(dtype=np.float64))
-            error, count = float((weight * rest * rest).sum(dtype=np.float64)), float(weight.sum(dtype=np.float64))
-            clock[k] = square, missing + square * late, error, count
+        gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
+        return backend.agreement(picture, target, weight, least, background, gain, bias, sides, 2 * APART, SOLID, OUTLIER)
+
+    def said(self, found) -> tuple[np.ndarray, np.ndarray]:
+        """What a step's pictures say, colour [V, 3, 5] and clock [V, 4]; found: (shot, its sums [19]) of each."""
+        colour, clock = np.zeros_like(self.colour), np.zeros_like(self.clock)
+        for shot, sums in found:
+            k = self.views.index(shot.view)
+            if self.exposures != "off":
+                colour[k] += sums[:15].reshape(3, 5)
+            square, missing, error, count = sums[15:]
+            clock[k] += square, missing + square * (self.late[k] if self.clocks_differ else 0.0), error, count
         return colour, clock
 
     def learn(self, colour: np.ndarray, clock: np.ndarray) -> None:
@@ -265,4 +256,4 @@ ARRAYS = ("gains", "biases", "late", "told", "fades", "colour", "clock")
 def shapes(views: int) -> dict[str, tuple[int, ...]]:
     """Shapes of Evening.state() by name; all are float64."""
     return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "fades": (views, 3),
-            "colour": (views, 3, 5), "clock": (views, 4)}
+            "colour": (views, 3, 5), "clock": (views, 4), "awaited_colour": (AWAITED, views, 3, 5), "awaited_clock": (AWAITED, views, 4)}

@@ -12,7 +12,7 @@ from .hold import HELD
 
 DECODER = ("w1", "w2")
 STATISTICS = ("gradient", "absolute", "seen", "radius")
-NEWER = ("told", "fades")
+NEWER = ("told", "fades", "awaited_colour", "awaited_clock")
 """Arrays of the evening that checkpoints of earlier versions lack."""
 LARGEST_COUNT = 2**31 - 2
 """Steps that fit in the optimiser's int32 counters."""

@@ -29,10 +29,6 @@ class Target:
     opaque: bool
     least: np.ndarray | None = None
 
-    def met(self, rgb: np.ndarray) -> np.ndarray:
-        """What a picture [h, w, 3] is compared with: where only a lower bound is known, one that is brighter is right."""
-        return self.rgb if self.least is None else np.where(self.least, np.maximum(self.rgb, rgb), self.rgb)
-
 
 def use_of_mask(settings, capture, shot, mask) -> str:
     """How a shot's mask is used: cut, weight, only, or off where it has none."""

@@ -18,6 +18,7 @@ from ...rendering.api import render
 from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from . import schedule
+from .awaited import Awaited
 from .density import STRATEGIES
 from .distributed import Group
 from .evening import APART, Evening
@@ -65,8 +66,8 @@ class Trainer:
         self.moving = Moving(store, self.shots) if settings.moving_weight != 1 else None
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
-        self.evening = Evening.begun(tuple(dict.fromkeys(shot.view for shot in self.shots)), capture.clip.frame_count, settings,
-                                     gains, fades)
+        views = tuple(dict.fromkeys(shot.view for shot in self.shots))
+        self.awaited = Awaited(Evening.begun(views, capture.clip.frame_count, settings, gains, fades))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
@@ -81,6 +82,11 @@ class Trainer:
     def __len__(self) -> int:
         return len(self.optimiser)
 
+    @property
+    def evening(self) -> Evening:
+        """The cameras' exposures and clocks, as they are known now."""
+        return self.awaited.evening
+
     def step(self) -> dict:
         """One step, to its end; returns its values for the log."""
         goal, found = self.iteration + 1, []
@@ -92,15 +98,14 @@ class Trainer:
         """Begin the next step, and finish those that began some steps ago, or all where this one needs that; returns the values for the
         log of those that are finished.  Where one of them has to be taken again, `iteration` goes back to it."""
         s, i = self.settings, self.iteration
-        bounded = any(goal.least is not None for _, goal, *_ in self._targets(i))
-        guess = self.group.size == 1 and not bounded and not self.evening.looks(i, s.iterations)
-        done = [] if guess else self.settle()  # what others are sent, or is looked at here, has to be right at once
+        guess = self.group.size == 1
+        done = [] if guess else self.settle()  # what others are sent has to be right at once
         if self.iteration < i:
             return done
-        ahead = self.backend.begin_step() if guess else 0
+        self.awaited.lead = ahead = self.backend.begin_step() if guess else 0
         rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis, self.known)
         rates |= dict.fromkeys(self.fixed, 0.0)
-        self._begun.append((i, len(self), self._begin(rates)))
+        self._begun.append((i, len(self), (self.evening, self.awaited.learnt), self._begin(rates)))
         self.iteration += 1
         acts = self.strategy.acts(self.iteration)
         done += self.settle(0 if acts else ahead)
@@ -114,11 +119,12 @@ class Trainer:
         """Finish the steps that have begun, but for the last `keep`; otherwise as advance()."""
         done = []
         while len(self._begun) > keep:
-            i, count, ending = self._begun.popleft()
+            i, count, before, ending = self._begun.popleft()
             found = ending()
             if found is None:
                 self.optimiser.steps -= 1 + len(self._begun)
-                self.iteration = i
+                self.iteration, self._ahead = i, (-1, [])
+                self.awaited.evening, self.awaited.learnt = before
                 self._begun.clear()
             else:
                 done.append(self._values(i, count, *found))
@@ -141,35 +147,36 @@ class Trainer:
         s, i, group, backend, n = self.settings, self.iteration, self.group, self.backend, len(self)
         statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
         seen, gradients, views = backend.zeros((n,)), None, []
-        learnt = self.evening.nothing() if self.evening.looks(i, s.iterations) else None
-        for shot, goal, rgb, weight in self._targets(i):
+        look, sums = self.evening.looks(i, s.iterations), []
+        for shot, goal, *arrays in self._targets(i):
+            rgb, weight, least = arrays
             picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
-            if goal.least is not None:
-                rgb = backend.array(goal.met(self._shown(picture, goal)[0]))
-            difference = backend.compare(picture, rgb, weight, goal.background, s.dissimilarity,
-                                         s.opaque_weight / s.loss_scale if goal.opaque else 0.0, s.loss_scale / (s.batch * group.size))
-            views.append((shot, goal, picture, difference))
-        for shot, goal, picture, difference in views:
+            opaque_weight = s.opaque_weight / s.loss_scale if goal.opaque else 0.0
+            difference = backend.compare(picture, rgb, weight, goal.background, s.dissimilarity, opaque_weight,
+                                         s.loss_scale / (s.batch * group.size), least)
+            views.append((shot, goal, arrays, picture, difference))
+        for shot, goal, arrays, picture, difference in views:
             gradients = backend.backward(picture, difference.rgb, difference.alpha, into=gradients, statistics=statistics, seen=seen,
                                          detach_time=not s.free_centre)
-            if learnt is not None:
-                self._compare(shot, goal, picture, learnt)
+            if look:
+                sides = self._sides(goal) if self.evening.times(i, s.iterations) else None
+                sums.append((shot, self.evening.compared(backend, shot, picture, *arrays, goal.background, sides)))
         values = [difference.values for *_, difference in views]
         if group.size > 1:
             gradients, seen, values = self._join(gradients, seen, values, statistics)
-        if learnt is not None:
-            group.total(list(learnt))
-            self.evening.learn(*learnt)
         rows = backend.rows(seen)
         penalty = self._penalise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
-        ending = backend.end_step(backend.count(rows), penalty, *values)
+        ending = backend.end_step(backend.count(rows), penalty, *values, *(array for _, array in sums))
+        ending = self.awaited.listening(i, ending, [shot for shot, _ in sums], group.total)
+        self.awaited.learn(i)
         if i + 1 < s.iterations:
             self._targets(i + 1)  # while the device works
         return ending
 
     def _targets(self, i: int) -> list[tuple]:
-        """This process' (shot, Target, its colours, its weight or None) of a step, the arrays on the backend; one step's are kept."""
+        """This process' (shot, Target, and of it rgb, weight and least, or None) of a step, the arrays on the backend; one step's are
+        kept."""
         if self._ahead[0] != i:
             s, group, array = self.settings, self.group, self.backend.array
             chosen, reduction, found = self.views.at(i, s.batch * group.size), schedule.reduction(s, i), []
@@ -179,26 +186,15 @@ class Trainer:
                 moving = self.moving.share(shot, filmed) if self.moving else None
                 goal = target(self.capture, self.evening.pixels(shot, filmed), shot, s, reduction, i, place, moving=moving)
                 goal = replace(goal, t=self.evening.moment(shot))
-                found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), None if goal.weight is None else array(goal.weight)))
+                rest = (None if values is None else array(values) for values in (goal.weight, goal.least))
+                found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), *rest))
             self._ahead = i, found
         return self._ahead[1]
 
-    def _compare(self, shot, goal, picture, learnt) -> None:
-        """Add to `learnt` what a view's picture says of its camera's exposure and clock."""
-        shown = self._shown(picture, goal)
-        change = None
-        if self.evening.times(self.iteration, self.settings.iterations):
-            apart = APART * self.evening.frame
-            late, early = (self._shown(self.backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t + side), goal)[0]
-                           for side in (apart, -apart))
-            change = (late - early) / np.float32(2 * APART)
-        for total, part in zip(learnt, self.evening.seen(shot, goal, *shown, change)):
-            total += part
-
-    def _shown(self, picture, goal) -> tuple[np.ndarray, np.ndarray]:
-        """A picture over the goal's background [h, w, 3], and its alpha [h, w], as NumPy arrays."""
-        rgb, alpha = self.backend.numpy(picture.rgb), self.backend.numpy(picture.alpha)
-        return (rgb if goal.background is None else rgb + (1 - alpha)[..., None] * goal.background), alpha
+    def _sides(self, goal):
+        """The model's pictures a little later and earlier than a target."""
+        apart = APART * self.evening.frame
+        return [self.backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t + side) for side in (apart, -apart)]
 
     def _join(self, gradients, seen, values, statistics):
         """Sum over all processes: gradients by name, seen [N], values [4], and the statistics; returns the first three."""
@@ -253,7 +249,7 @@ class Trainer:
         """All state on which the rest of the run depends: arrays, and JSON values."""
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
-        arrays |= {f"evening.{name}": array for name, array in self.evening.state().items()}
+        arrays |= {f"evening.{name}": array for name, array in self.awaited.state(self.iteration).items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
@@ -273,7 +269,7 @@ class Trainer:
         self.known = bool(about.get("known", False))
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
-        self.evening.restore(part("evening"))
+        self.awaited.restore(part("evening"), self.iteration)
         self._ahead = -1, []
         self._begun.clear()
 

@@ -15,6 +15,7 @@ from fastgs_blender.evaluation import halves
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
+from fastgs_blender.kernels.protocol import Splatted
 from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.targets import Target
@@ -24,6 +25,7 @@ from fastgs_blender.training.initial.fading import fades_of
 from fastgs_blender.training.initial.model import model_from_points
 from fastgs_blender.training.initial.start import start
 from fastgs_blender.training.run import checkpoint
+from fastgs_blender.util.backends import load_backend
 
 FEW = dict(points=80, max_gaussians=160, densify_every=10, warm_up=(), start_opacity=0.1, start_size=1.0, preview_every=0)
 VIEWS = ("a", "b", "c")
@@ -49,6 +51,14 @@ def goal(rgb):
     return SimpleNamespace(rgb=np.float32(rgb), weight=None, least=None)
 
 
+def said(found, view, target, rgb, change=None):
+    """What a picture of a view says, where the model shows `rgb`, and `change` more a frame later."""
+    alpha = np.ones(rgb.shape[:2], np.float32)
+    picture, *sides = (Splatted(image, alpha, None, None) for image in (rgb, *(() if change is None else (change / 2, -change / 2))))
+    sums = found.compared(load_backend("cpu"), shot(view), picture, target.rgb, target.weight, target.least, None, sides or None)
+    return found.said([(shot(view), sums)])
+
+
 def evening(**choices):
     return Evening.begun(VIEWS, 10, settings(**choices))
 
@@ -62,7 +72,7 @@ def test_gains_and_offsets_are_found_and_taken_out():
     for _ in range(30):
         for view in VIEWS:
             pixels = found.pixels(shot(view), filmed[view])
-            found.learn(*found.seen(shot(view), goal(pixels.rgb), model, np.ones(model.shape[:2], np.float32), None))
+            found.learn(*said(found, view, goal(pixels.rgb), model))
     assert found.colours_differ and not found.clocks_differ
     for k, view in enumerate(VIEWS):
         np.testing.assert_allclose(found.gains[k], gains[view], atol=0.05)
@@ -84,7 +94,7 @@ def test_gains_that_points_told_hold_against_a_model_that_believes_other_ones():
         for _ in range(20):
             for view, gain, drawn in (("a", 1.0, 1.0), ("b", 1.3, 1.1), ("c", 0.8, 1.0)):
                 pixels = who.pixels(shot(view), Pixels(model * np.float32(gain)))
-                who.learn(*who.seen(shot(view), goal(pixels.rgb), model * np.float32(drawn), np.ones(model.shape[:2], np.float32), None))
+                who.learn(*said(who, view, goal(pixels.rgb), model * np.float32(drawn)))
     assert found.gains[1] == pytest.approx(1.3, abs=0.04) and alone.gains[1].max() < 1.22
     assert found.gains[2] == pytest.approx(0.8, abs=0.04), "what is not told is found"
 
@@ -94,7 +104,7 @@ def test_even_cameras_stay_as_they_are():
     model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), evening()
     for view in VIEWS:
         noisy = model + np.float32(rng.normal(0, 0.02, model.shape))
-        found.learn(*found.seen(shot(view), goal(noisy), model, np.ones(model.shape[:2], np.float32), None))
+        found.learn(*said(found, view, goal(noisy), model))
     pixels = Pixels(model)
     assert not found.colours_differ and found.pixels(shot("b"), pixels) is pixels and found.facts() == {}
     assert found.moment(shot("b")) == 0.25
@@ -109,14 +119,16 @@ def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
     seen = found.pixels(shot("b"), Pixels(rgb))
     assert seen.least.sum() == 1 and seen.least[0, 0, 1] and found.pixels(shot("a"), Pixels(rgb)).least is None
     target = Target(None, 0.0, seen.rgb, None, None, None, True, seen.least)
-    for drawn, wanted in ((0.9, 0.9), (0.3, 0.8)):
-        met = target.met(np.full_like(rgb, drawn))
-        assert met[0, 0] == pytest.approx([0.4, wanted, 0.4]) and met[1:] == pytest.approx(0.4)
+    ones = np.ones((4, 4), np.float32)
+    for drawn, wanted in ((0.9, 0), (0.3, -1)):
+        picture = Splatted(np.full_like(rgb, drawn), ones, None, None)
+        slope = load_backend("cpu").compare(picture, target.rgb, None, None, 0.0, 0.0, 1.0, target.least).rgb
+        assert np.sign(slope[0, 0, 1]) == wanted and (np.sign(slope[1:]) == np.sign(drawn - 0.4)).all()
     wild = np.full_like(rgb, 0.4)
     sums = []
     for colour in (0.8, 0.9):
         wild[0, 0, 1] = colour
-        sums.append(found.seen(shot("b"), target, wild, np.ones((4, 4), np.float32), wild)[0])
+        sums.append(said(found, "b", target, wild, wild)[0])
     assert np.array_equal(*sums)
 
 
@@ -128,7 +140,7 @@ def test_a_clock_is_found_along_the_models_change():
         for view in VIEWS:
             drawn = model + change * np.float32(found.late[VIEWS.index(view)] if found.clocks_differ else 0)
             target = goal(model + change * np.float32(late[view]) + np.float32(rng.normal(0, 0.01, model.shape)))
-            found.learn(*found.seen(shot(view), target, drawn, np.ones(model.shape[:2], np.float32), change))
+            found.learn(*said(found, view, target, drawn, change))
     assert found.late == pytest.approx([0, 0.4, 0], abs=0.02) and found.uncertainty().max() < 0.02
     assert found.moment(shot("b")) == pytest.approx(0.25 + 0.04, abs=0.002)
     assert found.facts()["clocks"]["b"] == pytest.approx(0.4, abs=0.02)
@@ -137,7 +149,7 @@ def test_a_clock_is_found_along_the_models_change():
 def test_where_nothing_moves_no_clock_is_found():
     found = evening()
     rgb = np.full((8, 8, 3), 0.5, np.float32)
-    found.learn(*found.seen(shot("b"), goal(rgb), rgb, np.ones((8, 8), np.float32), np.zeros_like(rgb)))
+    found.learn(*said(found, "b", goal(rgb), rgb, np.zeros_like(rgb)))
     assert not found.late.any() and np.isinf(found.uncertainty()).all() and ALIKE_PIXELS > 1
 
 

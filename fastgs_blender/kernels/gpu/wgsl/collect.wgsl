@@ -1,4 +1,5 @@
-// Sum the gradients of each splat over its entries in the tile lists, in the order of its tiles, and add them to the sums of earlier bands.
+// Add the gradients of each splat's entries in the tile lists to its sums, in the order of its tiles.  Bands go on where the one above
+// them ended, so the sums have the same bytes however the picture is divided.
 
 //include common
 
@@ -20,14 +21,17 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if row >= length.z { // what lies before the first is far beyond the last, too
         return;
     }
+    let at = row * WIDTH;
     var total = array<vec4f, {QUADS} + 2>();
+    for (var i = 0u; i < WIDTH; i++) {
+        total[i] = sums[at + i];
+    }
     for (var e = runs[k]; e < runs[k + 1u]; e++) {
         for (var i = 0u; i < WIDTH; i++) {
             total[i] += rows[e * WIDTH + i];
         }
     }
-    let at = row * WIDTH;
     for (var i = 0u; i < WIDTH; i++) {
-        sums[at + i] += total[i];
+        sums[at + i] = total[i];
     }
 }

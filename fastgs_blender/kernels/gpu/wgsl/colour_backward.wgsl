@@ -1,5 +1,6 @@
 // Backward pass of colour.wgsl for a model's decoder (kernels/cpu/decode_backward.py): gradients of the features, of their weight (added to
-// `by_alpha`), and, summed over each workgroup's pixels, of the decoder's matrices: 72 numbers of w1, then 18 of w2.
+// `by_alpha`), and, summed over each workgroup's pixels, of the decoder's matrices: 72 numbers of w1, then 18 of w2.  A workgroup's pixels
+// lie in one row, so the sums are the same in whatever bands the picture is drawn.
 
 //include common
 //include decoder
@@ -25,10 +26,12 @@ var<workgroup> by_base: array<f32, 384>;
 @compute @workgroup_size(128)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let block = place(group, groups);
-    let pixel = block * PIXELS + lane;
+    let blocks = (view.size.y + PIXELS - 1u) / PIXELS; // of a row
+    let column = block % blocks * PIXELS + lane;
+    let pixel = block / blocks * view.size.y + column;
     let own = view.size.w + pixel; // in the whole picture
     var share = 0.0;
-    if pixel < view.size.x {
+    if column < view.size.y && pixel < view.size.x {
         share = weights[pixel * view.plan.z + view.plan.y];
         for (var c = 0u; c < 9u; c++) {
             slopes[9u * pixel + c] = 0.0;
@@ -85,7 +88,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         by_base[c * PIXELS + lane] = base[c];
     }
     workgroupBarrier();
-    if lane < 90u && block * PIXELS < view.size.x {
+    if lane < 90u && block / blocks * view.size.y < view.size.x {
         var total = 0.0;
         for (var i = 0u; i < PIXELS; i++) {
             if lane < 72u {
@@ -94,6 +97,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                 total += by_base[(lane - 72u) / 6u * PIXELS + i] * hidden[(lane - 72u) % 6u * PIXELS + i];
             }
         }
-        sums[block * 90u + lane] = total;
+        sums[(view.size.w / view.size.y * blocks + block) * 90u + lane] = total;
     }
 }

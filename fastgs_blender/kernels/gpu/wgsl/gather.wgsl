@@ -1,4 +1,5 @@
-// Copy rows of a piece of the splats, in the order of depth, to those that have a place, one after the other.
+// Copy rows of a piece of the splats, in the order of depth, to those that have a place, one after the other, as far as
+// there is room.
 
 //include common
 
@@ -15,7 +16,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         return;
     }
     let row = order[k] - job.y;
-    if row >= job.z {
+    if row >= job.z || (places[k] + 1u) * job.w > arrayLength(&copies) {
         return;
     }
     for (var c = 0u; c < job.w; c++) {

@@ -1,5 +1,4 @@
-// Fill the unused end of the tile lists, whose length was guessed, with entries of a tile after the last one, and record the length that
-// was needed.  Where the lists are too short, set `spilled`: the stages that update parameters or statistics then change nothing.
+// Fill the unused end of the tile lists, whose length was guessed, with entries of a tile after the last one, and check the guess.
 
 //include common
 
@@ -10,15 +9,14 @@
 @group(0) @binding(4) var<storage, read_write> longest: array<u32>;
 @group(0) @binding(5) var<storage, read_write> spilled: array<u32>;
 
+//include guessed
+
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let e = place(group, groups) * 256u + lane;
     let entries = runs[job.z];
     if e == 0u {
-        longest[0] = max(longest[0], entries);
-        if entries > job.x {
-            spilled[0] = 1u;
-        }
+        check(entries, job.x);
     }
     if e < job.x && e >= entries {
         tiles[e] = job.y;

@@ -34,12 +34,16 @@ def calls(backend, make_model, rng):
         return {name: backend.array(arrays[name].copy()) for name in names or arrays}
 
     picture = backend.splat(parameters(), model, CAMERA, 0.4)
+    least = backend.array(np.ones((*pixels, 3), bool))
     rows = backend.rows(backend.array(np.ones(N, np.float32)))
     image, other = rng.random((6, 8, 3), np.float32), rng.random((5, 7, 3), np.float32)
     return {
         "splat": {"parameters": parameters(), "template": model, "camera": CAMERA, "t": 0.4},
         "compare": {"picture": picture, "target": some(*pixels, 3), "weight": some(*pixels), "background": np.ones(3, np.float32),
-                    "dssim": 0.2, "opaque_weight": 0.1, "share": 1.0},
+                    "dssim": 0.2, "opaque_weight": 0.1, "share": 1.0, "least": least},
+        "agreement": {"picture": picture, "target": some(*pixels, 3), "weight": some(*pixels), "least": least,
+                      "background": np.ones(3, np.float32), "gain": np.ones(3), "bias": np.zeros(3), "sides": [picture, picture],
+                      "apart": 0.1, "solid": 0.9, "outlier": 0.1},
         "backward": {"picture": picture, "rgb": some(*pixels, 3), "alpha": some(*pixels), "depth": some(*pixels), "seen": some(N),
                      "into": parameters(), "statistics": SimpleNamespace(gradient=some(N), absolute=some(N), seen=some(N), radius=some(N))},
         "waits": {"rows": rows, "moved": backend.zeros((N,), np.int64), "step": 1},

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from random_cameras import random_pose
 from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 from toy_captures import toy_capture
+from two_passes import HEIGHT, WIDTH, two_passes
 
 import fastgs_blender as fg
+from fastgs_blender.kernels.gpu import guesses
 from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device
-from fastgs_blender.kernels.gpu.rows import Split
 from fastgs_blender.kernels.protocol import DeviceError, MotionNorm, TrainingBackend
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
@@ -22,31 +23,12 @@ from fastgs_blender.training.initial.model import model_from_points
 from fastgs_blender.util import backends
 from fastgs_blender.util.backends import load_backend
 
-HEIGHT, WIDTH = 40, 48
 STEPS = int(os.environ.get("FASTGS_GPU_STEPS", "40"))
 
 
 def relative(found: np.ndarray, wanted: np.ndarray) -> float:
     """The relative L2 error of an array."""
     return float(np.linalg.norm(found.astype(np.float64) - wanted) / max(np.linalg.norm(wanted), 1e-12)) if wanted.size else 0.0
-
-
-def two_passes(backend, model, camera, t, goal, weight, background, by_depth, detach, band=0.0) -> dict[str, np.ndarray]:
-    """Everything that splat(), compare() and backward() give, the gradients added up over two views."""
-    parameters = dict(model.arrays)
-    if isinstance(model.appearance, fg.Features):
-        parameters |= {"w1": model.appearance.w1, "w2": model.appearance.w2}
-    parameters = {name: backend.array(array.copy()) for name, array in parameters.items()}
-    statistics = SimpleNamespace(**{name: backend.zeros((len(model),)) for name in ("gradient", "absolute", "seen", "radius")})
-    seen = backend.zeros((len(model),))
-    picture = backend.splat(parameters, model, camera, t, by_depth is not None, band)
-    loss = backend.compare(picture, backend.array(goal), None if weight is None else backend.array(weight), background, 0.2, 0.01, 0.5)
-    depth = None if by_depth is None else backend.array(by_depth)
-    gradients = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, seen=seen, detach_time=detach)
-    gradients = backend.backward(picture, loss.rgb, loss.alpha, into=gradients, detach_time=detach)
-    found = {**gradients, **vars(statistics), "drawn": seen, "picture": picture.rgb, "cover": picture.alpha, "by rgb": loss.rgb,
-             "by alpha": loss.alpha, "values": loss.values}
-    return {name: np.array(backend.numpy(array)) for name, array in found.items()}
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -62,7 +44,8 @@ def test_gradients_are_the_cpus(gpu, seed):
     given = (rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32),
              None if seed % 2 else rng.uniform(0, 2, (HEIGHT, WIDTH)).astype(np.float32),
              None if seed % 3 else rng.uniform(0, 1, 3).astype(np.float32),
-             None if seed % 4 > 1 else 1e-4 * rng.normal(size=(HEIGHT, WIDTH)).astype(np.float32), seed % 5 == 0, 0.02 * (seed == 6))
+             None if seed % 4 > 1 else 1e-4 * rng.normal(size=(HEIGHT, WIDTH)).astype(np.float32), seed % 5 == 0, 0.02 * (seed == 6),
+             rng.uniform(size=(HEIGHT, WIDTH, 3)) < 0.3 if seed % 8 == 5 else None)
     wanted, found = (two_passes(backend, model, camera, t, *given) for backend in (load_backend("cpu"), gpu))
     assert np.count_nonzero(wanted["drawn"]) > 4
     for name, array in wanted.items():
@@ -223,7 +206,7 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
     for number in range(8):
         reads.clear()
         mine, other = ours.step(), theirs.step()
-        assert not reads or mine["reduction"] not in sizes or ours.strategy.acts(number + 1) or ours.evening.looks(number, 8)
+        assert not reads or mine["reduction"] not in sizes or ours.strategy.acts(number + 1)
         sizes.add(mine["reduction"])
         if number < 4:  # until density control may choose others
             assert mine["seen"] == other["seen"]
@@ -234,10 +217,11 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
     resumed = Trainer(capture, store, chosen, backend=name)
     resumed.restore(*middle)
     begin, begun, finished = resumed._begin, [], []
+    monkeypatch.setattr(guesses, "LEAST", 16)
     monkeypatch.setattr(resumed, "_begin", lambda rates: begun.append(resumed.iteration) or begin(rates))
     while resumed.iteration < 8:
-        for room in gpu.device.rooms.values():
-            room.entries = room.entries if resumed.iteration in begun else 20
+        for guess in gpu.device.guesses.values():
+            guess.largest = guess.largest if resumed.iteration in begun else 20
         finished += [values["iteration"] for values in resumed.advance()]
     assert begun == [5, 6, 7, 5, 6, 7] and finished == [6, 7, 8], "what did not fit was taken again"
     mine, other = ours.state()[0], resumed.state()[0]
@@ -246,12 +230,16 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
 
 
 def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkeypatch):
-    """The same values and the same model as from steps that are waited for one by one."""
-    capture, store, points = toy_capture(frames=2, views=2)
-    chosen = settings.settings(iterations=14, preview_every=0, exposures="off", clocks="off", density="mcmc", densify_from=0.9)
+    """The same values and the same model as from steps that are waited for one by one, and from a run that is continued; cameras'
+    exposures and clocks are estimated meanwhile."""
+    capture, store, points = toy_capture(frames=2, views=3)
+    chosen = settings.settings(iterations=14, preview_every=0, exposures="on", clocks="on", density="mcmc", densify_from=0.9)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    model = replace(model, opacity=np.full(len(model), 4.0), scale=model.scale + 1)  # solid, so that exposures are compared
     slow, fast = (Trainer(capture, store, chosen, model, backend=f"gpu:{adapter.name}") for _ in range(2))
-    wanted = [slow.step() for _ in range(12)]
+    wanted = [slow.step() for _ in range(7)]
+    middle = slow.state()
+    wanted += [slow.step() for _ in range(5)]
     monkeypatch.setattr(Device, "read", lambda *given: pytest.fail("the GPU is waited for"))
     found = []
     for number in range(12):
@@ -259,8 +247,13 @@ def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkey
         assert len(found) == max(number + 1 - 8, 0)
     assert found + fast.settle() == wanted and fast.settle() == []
     monkeypatch.undo()
+    resumed = Trainer(capture, store, chosen, backend=f"gpu:{adapter.name}")
+    resumed.restore(*middle)
+    assert [resumed.step() for _ in range(5)] == wanted[7:]
+    assert middle[0]["evening.awaited_colour"].any() and slow.evening.colour.any(), "exposures were compared"
     for name, array in slow.state()[0].items():
-        assert np.array_equal(array, fast.state()[0][name], equal_nan=True), name
+        for other in (fast, resumed):
+            assert np.array_equal(array, other.state()[0][name], equal_nan=True), name
 
 
 def test_pictures_are_uploaded_as_bytes(gpu, rng, monkeypatch):
@@ -271,77 +264,3 @@ def test_pictures_are_uploaded_as_bytes(gpu, rng, monkeypatch):
     assert written == [-(-stored.size // 4) * 4], "four numbers to a word"
     np.testing.assert_allclose(found, stored / 255, rtol=1e-6)
     assert load_backend("cpu").picture(written, stored) is written
-
-
-def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
-    """With bindings of 128 KiB, features and coefficients of motion lie in several buffers: the same pictures, gradients, statistics,
-    penalties and steps."""
-    n, names = 1500, ("motion", "features", "scale")
-    model = random_model(rng, n, "paper", "line", "radial", "sh2", size=0.05)
-    camera, given = fg.Camera(WIDTH, HEIGHT, 50, 55, 22, 21, random_pose(rng, 3.0)), (None, None, None, False)
-    goal, seen = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32), (rng.uniform(size=n) < 0.5).astype(np.float32)
-    held = np.where(np.arange(n)[:, None] % 3 == 0, np.nan, model.features).astype(np.float32)
-    weights = rng.uniform(0, 2, 3 * model.basis.terms)
-    results, before = [], fresh.backend.device.binding
-    for binding in (before, 1 << 17):
-        backend = fresh.backend
-        backend.device.binding = binding
-        found = two_passes(backend, model, camera, 0.4, goal, *given)
-        arrays = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
-        slopes = {name: backend.array(array * 0.1) for name, array in model.arrays.items()}
-        split = [name for name in arrays if isinstance(arrays[name], Split)]
-        rows, moved = backend.rows(backend.array(seen)), backend.zeros((n,), np.int64)
-        for reading in ("mean", "group"):
-            norm = MotionNorm(None, weights, 2.0, 1e-2, reading)
-            found[f"penalty {reading}"] = backend.numpy(
-                backend.motion_penalty(norm, arrays["motion"], slopes["motion"], 0.3, backend.waits(rows, moved, 3)))
-        backend.hold(arrays["features"], backend.array(held), slopes["features"], rows, 0.2)
-        backend.shrink(arrays, slopes, 0.1, 0.2, 2.0)
-        backend.shake(arrays, 100.0, (1, 2))
-        tensors = [(arrays[name], slopes[name], backend.zeros(arrays[name].shape), backend.zeros(arrays[name].shape),
-                    backend.zeros((n,), np.int32), 1e-2, False) for name in names]
-        for step in (1, 2):
-            backend.adam(rows, tensors, (0.9, 0.999), moved, step)
-        found |= {f"{name} {i}": np.array(backend.numpy(each)) for name, tensor in zip(names, tensors) for i, each in enumerate(tensor[:5])}
-        results.append((found, split))
-    backend.device.binding = before
-    assert results[0][1] == [] and {"features", "motion"} <= set(results[1][1])
-    for name, wanted in results[0][0].items():
-        if name == "penalty group" or name.startswith("motion"):  # sums over pieces are rounded in another order
-            np.testing.assert_allclose(results[1][0][name], wanted, rtol=1e-5, atol=1e-9, err_msg=name)
-        else:
-            assert np.array_equal(results[1][0][name], wanted), name
-
-
-@pytest.mark.parametrize("look", ["sh1", "sigmoid"])
-def test_pictures_that_are_too_large_for_a_buffer_are_compared_in_strips(fresh, rng, monkeypatch, look):
-    """With bindings of 160 KiB a picture of 48 x 120 is drawn in bands and compared in strips: the same gradients."""
-    model = random_model(rng, 60, "cubic", "line", "radial", look, size=0.2)
-    camera = fg.Camera(48, 120, 55, 50, 22, 61, random_pose(rng, 3.0))
-    goal, weight = (rng.uniform(0, 1, (120, 48, *rest)).astype(np.float32) for rest in ((3,), ()))
-    found, stages, run, before = [], [], Device.run, fresh.backend.device.binding
-    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
-    for binding in (before, 160 << 10):
-        stages.clear()
-        fresh.backend.device.binding = binding
-        found.append(two_passes(fresh.backend, model, camera, 0.4, goal, weight, None, None, False))
-    assert stages.count("loss_similarity") == 4 and stages.count("raster") > 1
-    for name, wanted in found[0].items():
-        np.testing.assert_allclose(found[1][name], wanted, rtol=2e-4, atol=2e-6 * np.abs(wanted).max(initial=0), err_msg=name)
-        assert name != "by rgb" or np.array_equal(found[1][name], wanted), "no pixel's own gradient changes"
-
-
-def test_splats_of_several_buffers_change_no_byte(fresh, rng, monkeypatch):
-    """With bindings of 64 KiB the splats of 4500 Gaussians lie in two; those that the view shows are gathered in one."""
-    model = random_model(rng, 4500, "line", "line", "radial", "rgb", size=0.005)
-    camera, goal = fg.Camera(24, 16, 150, 150, 12, 8, random_pose(rng, 3.0)), rng.uniform(0, 1, (16, 24, 3)).astype(np.float32)
-    found, stages, run, before = [], [], Device.run, fresh.backend.device.binding
-    monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
-    for binding in (before, 1 << 16):
-        stages.clear()
-        fresh.backend.device.binding = binding
-        found.append(two_passes(fresh.backend, model, camera, 0.4, goal, None, None, None, False))
-    assert stages.count("touch") == 2 and stages.count("raster") == 1, "one band, of two buffers"
-    assert 50 < np.count_nonzero(found[0]["drawn"]) < 4000
-    for name, wanted in found[0].items():
-        assert np.array_equal(found[1][name], wanted), name
