@@ -47,7 +47,8 @@ class TrainingOptions:
     max_gaussians: IntProperty(
         name="Most Gaussians", description="Largest number of Gaussians; 0: as in the preset", default=0, min=0)
     order: IntProperty(
-        name="Order", description="Order L of the motion; 0: the usual one for the clip's length", default=0, min=0, max=64)
+        name="Order", description="Order L of the motion; 0: the usual one for the clip's length, or what follows a bake", default=0,
+        min=0, max=64)
     motion_weight: FloatProperty(
         name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=Settings.motion_weight, min=0.0,
         soft_max=10.0, precision=3)

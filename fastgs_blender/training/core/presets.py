@@ -29,5 +29,7 @@ LENGTHS: dict[str, dict[str, Any]] = {
     "standard": {},
     "final": {"iterations": 30_000, "max_gaussians": 150_000, "points": 60_000},
 }
+KNOWN: dict[str, dict[str, Any]] = {"draft": {"iterations": 1200, "warm_up": ()}}
+"""What a preset changes besides, where training begins with a model: places need not be found in small pictures."""
 PRESETS: dict[str, dict[str, Any]] = {**LENGTHS, "paper": PAPER, "stg": STG}
 """What each preset changes."""

@@ -40,7 +40,8 @@ class Settings:
 
     The model
       motion          basis of the positions; paper: the printed form, period 1 (eq. 3-4)
-      order           Fourier frequencies, cosines, degree or keyframes; 0: the usual one, lower for short clips
+      order           Fourier frequencies, cosines, degree or keyframes; 0: the usual one, lower for short clips, or, where training
+                      begins with a model, the one that follows it; a run's plan says which, and rotation_degree with it
       rotation_degree degree of the quaternion's polynomial (eq. 7: 1)
       temporal        opacity over time: radial (eq. 6), or always the same
       appearance      features with decoder (STG, FAST-GS), or plain colours, or spherical harmonics by degree

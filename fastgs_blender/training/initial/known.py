@@ -14,12 +14,13 @@ from ...captures.capture import Points
 from ...formats.turning import with_axes
 from ...model.fitting import Fit
 from ...model.gaussians import GaussianModel
+from ...model.motion import Polynomial
 from ...model.slicing import Slice, slice_model
 from ...model.temporal import Radial
 from ...rendering.api import render
 from ...util.errors import FastGSError
 from ...util.rotations import to_matrices
-from ..core.model import empty_model
+from ..core.model import empty_model, motion_basis
 from ..core.schedule import POINTS, generator
 from .dense import picture, spread
 from .geometry import project, sample, visible
@@ -36,6 +37,10 @@ GROWN = 3.0
 """A Gaussian grows at most by this factor, to fill the places of those that are not taken."""
 OPAQUE = 0.95
 """Largest opacity: nearer to 1 it would hardly learn any more."""
+LOOKED_AT, MOST_TERMS, MOST_TURN = 1000, 24, 3
+"""Gaussians that tell how many coefficients motion gets; at most so many coefficients of places, and the highest degree of rotations."""
+FOLLOWED, AIMED = 0.5, 3.0
+"""Pixels, and degrees, by which 95 % of all moments of the Gaussians that move may be off."""
 
 
 def known_model(capture, settings, say) -> GaussianModel | None:
@@ -55,6 +60,52 @@ def known_model(capture, settings, say) -> GaussianModel | None:
     if settings.start == "model":
         raise FastGSError("no model to start from is named; give one with --init-model FILE.")
     return None
+
+
+def begins_with_model(capture, settings) -> bool:
+    """Whether training begins with a model: the settings' one, or one that the capture brings and that can be read."""
+    return known_model(capture, settings, lambda text: None) is not None
+
+
+def following(capture, settings):
+    """The settings with as many coefficients of motion, and of rotation, as follow the model that training begins with.
+
+    Where motion has to be found in pictures of some frames, few coefficients keep it from swinging between these.  A bake tells places at
+    every moment, and what its Gaussians cannot follow are blurred outlines.  Settings that name an order stay as they are, and so do those
+    of polynomials, which swing, and of the printed form.  Raises FastGSError where the settings' model cannot be read.
+    """
+    if settings.order or settings.motion in ("static", "paper", "polynomial") or capture.clip.frame_count < 3:
+        return settings
+    model = known_model(capture, settings, lambda text: None)
+    if model is None or not len(model):
+        return settings
+    model = model.take(np.unique(np.linspace(0, len(model) - 1, LOOKED_AT).astype(int)))
+    t = _moments(capture)
+    slices = [slice_model(model, _time(capture, moment), cull=False) for moment in t]
+    places, turns = np.stack([now.position for now in slices]), _turns(slices)
+    away = float(np.median(np.linalg.norm(capture.centres() - capture.focus, axis=1)))
+    pixel = max(away, 1e-3 * capture.extent) / float(np.median([shot.camera.fx for shot in capture.training]))
+    moves = np.ptp(places, axis=0).max(-1) > pixel
+    if not moves.any():
+        return settings
+    usual = motion_basis(settings.motion, 0, capture.clip).terms
+    orders = {order: motion_basis(settings.motion, order, capture.clip) for order in range(1, MOST_TERMS + 1)}
+    most = max(min(capture.clip.frame_count - 1, MOST_TERMS), usual)
+    missed = {order: _off(np.linalg.norm(Fit.of(basis, t)(places[:, moves])[1] - places[:, moves], axis=-1) / pixel)
+              for order, basis in orders.items() if usual <= basis.terms <= most}
+    askew = {degree: _off(_angles(Fit.of(Polynomial(degree), t)(turns[:, moves])[1], turns[:, moves]))
+             for degree in range(settings.rotation_degree, MOST_TURN + 1) if settings.rotation_degree}
+    return replace(settings, order=_least(missed, FOLLOWED) or 0, rotation_degree=_least(askew, AIMED) or settings.rotation_degree)
+
+
+def _off(errors: np.ndarray) -> float:
+    return float(np.quantile(errors, 0.95))
+
+
+def _least(errors: dict[int, float], tolerance: float) -> int | None:
+    """The least key whose error is within the tolerance, or hardly more than the smallest one."""
+    enough = max(tolerance, 1.2 * min(errors.values(), default=0.0))
+    return next((key for key, error in errors.items() if error <= enough), None)
 
 
 def points_of(model: GaussianModel, capture) -> Points:
@@ -133,18 +184,15 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> Gaussia
 
     Where a Gaussian turns in a way that the basis of rotations cannot follow, its thin side grows by what the turn moves its wide one.
     """
-    frames = capture.clip.frame_count
-    t = np.linspace(0, (frames - 1) / frames, min(2 * frames - 1, 96)) if frames > 1 else np.zeros(1)
+    t = _moments(capture)
     slices = [slice_model(model, _time(capture, moment), cull=False) for moment in t]
     empty = empty_model(settings, capture.clip, capture.axes)
     n = len(model)
     arrays = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
     places, _ = Fit.of(empty.basis, t)(np.stack([now.position for now in slices]))
-    turns = np.stack([now.rotation for now in slices])
-    turns *= np.where(np.cumsum(np.r_[np.zeros((1, n)), (turns[1:] * turns[:-1]).sum(-1) < 0], axis=0) % 2, -1.0, 1.0)[..., None]
+    turns = _turns(slices)
     quaternions, followed = Fit.of(empty.rotation_basis, t)(turns)
-    cosine = np.abs((followed * turns).sum(-1)) / np.maximum(np.linalg.norm(followed, axis=-1), 1e-12)
-    sine = np.sqrt(np.mean(1 - np.clip(2 * np.clip(cosine, 0, 1) ** 2 - 1, 0, 1) ** 2, axis=0))
+    sine = np.sqrt(np.mean(np.sin(np.radians(np.minimum(_angles(followed, turns), 90))) ** 2, axis=0))
     scale = slices[0].scale
     scale = np.maximum(scale, sine[:, None] * np.median(scale, axis=1, keepdims=True))
     arrays["scale"][:] = np.log(np.maximum(scale, 1e-6 * capture.extent))
@@ -166,6 +214,25 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> Gaussia
         life = np.where(always, settings.static_life, np.maximum(spread_of, settings.start_life / 2))
         arrays["temporal"][:, 0] = -2 * np.log(life)
     return replace(empty, **arrays)
+
+
+def _moments(capture) -> np.ndarray:
+    """Times [S] of the clip at which motion is looked at: its frames and the middles between them."""
+    frames = capture.clip.frame_count
+    return np.linspace(0, (frames - 1) / frames, min(2 * frames - 1, 96)) if frames > 1 else np.zeros(1)
+
+
+def _turns(slices) -> np.ndarray:
+    """Unit quaternions [S, N, 4] of slices, each of the sign that is nearer to the one before."""
+    turns = np.stack([now.rotation for now in slices])
+    flips = np.r_[np.zeros((1, turns.shape[1])), (turns[1:] * turns[:-1]).sum(-1) < 0]
+    return turns * np.where(np.cumsum(flips, axis=0) % 2, -1.0, 1.0)[..., None]
+
+
+def _angles(quaternions: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Degrees between rotations, quaternions [..., 4] of any length and unit ones."""
+    cosine = np.abs((quaternions * turns).sum(-1)) / np.maximum(np.linalg.norm(quaternions, axis=-1), 1e-12)
+    return 2 * np.degrees(np.arccos(np.clip(cosine, 0, 1)))
 
 
 def _time(capture, t: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,7 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     from ..core.settings import settings
     from ..initial.calibrate import with_poses
     from . import session
-    from .plan import plan_from_dict
+    from .plan import plan_from_dict, read_plan, suited
 
     def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
@@ -84,6 +85,8 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             for remark in capture.notes if group.first else ():
                 note(remark)
             check(capture)
+            if read_plan(out) is None or plan.fresh:
+                plan = replace(plan, settings=suited(plan.settings, capture, wanted))
             backend, about = choose_device(device)  # last: the first time a GPU is tested, which takes a moment
             if about:
                 note(about)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from ...captures import open_capture
 from ...captures.capture import Capture
 from ...util.errors import FastGSError
 from ...util.reading import read_json
+from ..core.presets import KNOWN
 from ..core.settings import Settings, from_dict
 from . import checkpoint
 from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
@@ -121,6 +122,23 @@ def begin(out: str | Path, wanted: dict, source: Source, make: Callable[[dict], 
     if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
         raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the beginning.")
     return Plan(make(wanted), source, fresh=not resume)
+
+
+def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) -> Settings:
+    """The settings for a new run on this capture: where it brings a model to begin with, steps and motion as that needs.
+
+    named  the settings that were asked for by name, which stay
+    """
+    from ..initial.known import begins_with_model, following
+    from .segments import part, spans
+
+    if not begins_with_model(capture, settings):
+        return settings
+    chosen = replace(settings, **{name: value for name, value in KNOWN.get(settings.preset, {}).items() if name not in named})
+    cuts = spans(capture.clip.frame_count, chosen.segment_frames, chosen.segment_overlap)
+    each = [following(part(capture, cut), chosen) for cut in cuts]  # segments are joined, so all have the same motion
+    freedom = {name: max(getattr(one, name) for one in each) for name in ("order", "rotation_degree") if name not in named}
+    return replace(chosen, **freedom)
 
 
 def _continued(out: Path, old: Source, new: Source) -> Source:
