@@ -77,7 +77,7 @@ def cameras(path: Path) -> list[fg.Camera]:
     if beside.is_file():
         views = fg.load_cameras(beside)
         return [view.camera for view in views[::max(1, len(views) // 4)]]
-    return [enlarged(camera) for camera, _ in sensitivity.shots(fg.load(path), GUESSED, UNSEEN)]
+    return [enlarged(shot.camera) for shot in sensitivity.shots(fg.load(path), GUESSED, UNSEEN)]
 
 
 def enlarged(camera: fg.Camera) -> fg.Camera:

@@ -19,27 +19,29 @@ from ..model.gaussians import GaussianModel
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
 from .curve import hilbert_order
-from .quantising import Prepared, Steps, canonical, prepared
-from .refit import as_read, in_parts, refitted
-from .sensitivity import mean_square, pictures, removal, sensitivity, shots
+from .quantising import Prepared, Steps, canonical
+from .refit import as_read, in_parts
+from .sensitivity import mean_square, pictures, sensitivity, shots
+from .thinning import thinned, worthy
 
 NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
 HELD_OUT = "held_out_psnr"
 """Key of the provenance: dB of the views of its capture that the model was not trained on."""
-LEVELS = {"fine": 0.07, "small": 0.2}
+LEVELS = {"fine": 0.075, "small": 0.23}
 """Losses in dB by name: they are to stay below 0.1 and 0.3 dB in views that they were not judged by."""
 LEAST, MOST = 0.001, 10.0
 """dB that may be lost."""
 LOWEST, HIGHEST = 15.0, 50.0
 """Range in dB in which the PSNR of a provenance is believed."""
-SHOTS, JUDGED = 64, 12
+SHOTS, JUDGED = 64, 24
 """Numbers of pictures: of those that sensitivities are measured on, and of others that the loss is measured on."""
-COST = 60.0
-"""Bits that leaving a Gaussian out is assumed to save.  The true number is higher, but errors of left-out neighbours add up."""
-HARM = COST * 2 * np.log(2) / 12
-"""A parameter has a rounding error that is uniform over a step of 2^level / sqrt(sensitivity).  One more bit for it lowers the pictures'
-squared error by 4^level 2 ln 2 / 12.  A Gaussian is left out where this adds less error than its bits would remove elsewhere."""
+SHOWN = 676
+"""Pixels of the longer side of the pictures that the loss is measured on and that a model is refitted to: about what a viewport or a
+print on a page shows.  Judged at 400 pixels, one model lost half as much again at 676, and another a fifth less."""
+OUTLIER = 3.0
+"""The worst picture's error counts as at most this many times the mean of the others: a camera may have come to lie inside of a Gaussian.
+Such a picture lost 25 times as much as others, and would decide alone how finely a model is kept."""
 SENSING = 0.5
 """Share of the time of allotted() that measuring sensitivities takes."""
 TRIALS = 9
@@ -49,19 +51,14 @@ NEAR, ROUGHLY = 0.95, 0.6
 """The search ends where the error is at least this share of the allowed error: in the final search, and in the one before refitting."""
 QUICK = 0.1
 """dB up to which a model is not refitted."""
-REFITS = 200
-"""Pictures that a model is refitted to."""
-REFITTING = 0.7
-"""Share of the time of allotted() that refitting takes."""
-SPARED = 1.5
-"""With refitting, Gaussians are left out up to this many times the usual error."""
+REFITTING = 0.85
+"""Share of the time of allotted() that leaving out and refitting take."""
 COARSER = 0.2
-"""With refitting, the level rises by this much."""
+"""With refitting, the level begins this much higher."""
 THIN = 0.1
 """Pixels.  Thinner Gaussians look the same as this, because the rasteriser's blur is wider."""
 LASTING = 0.002
 """Exponent of temporal opacity within the clip below which a Gaussian lasts for ever."""
-
 
 
 @dataclass(frozen=True)
@@ -99,41 +96,43 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
 
     One number, the level, decides the step sizes and which Gaussians are left out: log2 of the error that each parameter may add.  It is
     searched on pictures that were not used to measure sensitivities.  For a loss above QUICK more Gaussians are left out, and the others
-    are refitted (refit.py).  Raises FastGSError where no level is good enough.  progress is called with 0..1; exceptions that it raises
+    are refitted (thinning.py).  Raises FastGSError where no level is good enough.  progress is called with 0..1; exceptions that it raises
     pass through.
     """
     if not len(model):
         return []
     original, refit = model, loss.decibels > QUICK
-    series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS)
+    series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS, SHOWN)
     truth, allowed = pictures(model, judged), loss.error(model)
-    model = plain(canonical(model.take(hilbert_order(model.position))), [camera for camera, _ in series])
-    first, last = (1 - REFITTING, REFITTING) if refit else (1.0, 0.0)
+    model = plain(canonical(model.take(hilbert_order(model.position))), [shot.camera for shot in series])
+    first = 1 - REFITTING if refit else 1.0
     found = sensitivity(model, series, lambda share: progress(first * SENSING * share))
-    harm = removal(model, found)
-
-    def chosen(level: float, spared: float) -> Prepared:
-        """The Gaussians that are worth their bits at a level.  spared: factor on the error up to which a Gaussian is left out."""
-        keep = harm > spared * HARM * 4.0**level
-        return prepared(model.take(keep), found.take(keep))
 
     def tried(ready: Prepared, level: float) -> tuple[list, float]:
         """The parts at a level, and the mean squared error of their pictures."""
         parts = in_parts(ready, level, segment)
-        return parts, mean_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
+        return parts, usual_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
 
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
-    level, parts = search(lambda level: tried(chosen(level, 1.0), level), 0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed,
-                          ROUGHLY if refit else NEAR, lambda share: progress(first * (SENSING + (1 - SENSING) * share)))
+    level, parts = search(lambda level: tried(worthy(model, found, level), level),
+                          0.5 * float(np.log2(12 * allowed / numbers)) - 1, allowed, ROUGHLY if refit else NEAR,
+                          lambda share: progress(first * (SENSING + (1 - SENSING) * share)))
     if parts is None:
         raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
-    ready = chosen(level + COARSER, SPARED) if refit else None
-    if ready is None or not len(ready.model):
+    if not refit:
         return parts
-    again = refitted(ready, level + COARSER, segment, original, shots(original, REFITS, SHOTS + JUDGED),
-                     lambda share: progress(first + 0.8 * last * share))
-    return search(lambda level: tried(again, level), level + COARSER, allowed, NEAR,
-                  lambda share: progress(first + last * (0.8 + 0.2 * share)))[1] or parts
+    again, level = thinned(model, found, level + COARSER, segment, original, SHOTS + JUDGED, SHOWN,
+                           lambda ready, level: tried(ready, level)[1] / allowed,
+                           lambda share: progress(first + 0.9 * REFITTING * share))
+    return search(lambda level: tried(again, level), level, allowed, NEAR,
+                  lambda share: progress(first + REFITTING * (0.9 + 0.1 * share)))[1] or parts
+
+
+def usual_square(first: list[np.ndarray], second: list[np.ndarray]) -> float:
+    """Mean squared difference of two series of pictures; OUTLIER bounds that of the worst picture."""
+    squares = np.sort([mean_square([one], [other]) for one, other in zip(first, second, strict=True)])
+    squares[-1] = min(squares[-1], OUTLIER * squares[:-1].mean())
+    return float(squares.mean())
 
 
 def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, progress: Callable[[float], None]

@@ -17,13 +17,13 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
-from .quantising import Prepared, Steps, quantised, restored, scales, step_sizes
-from .sensitivity import BACKGROUND, OPAQUE, Shot, differentiable, parameters_of, pictures
+from .quantising import SAMPLES, Prepared, Steps, quantised, restored, scales, step_sizes
+from .sensitivity import OPAQUE, Shot, differentiable, parameters_of, pictures
 
 RATE = 0.03
 """Adam's learning rate at the first pictures, in quantisation steps; it falls to END times that along half a cosine."""
 END = 0.05
-EVERY = 10
+EVERY = 20
 """Pictures between two roundings."""
 BETAS = 0.9, 0.99
 MOVED = ("position", "motion", "scale", "rotation", "opacity", "features")
@@ -40,18 +40,18 @@ def refitted(ready: Prepared, level: float, segment: int, original: GaussianMode
     progress  called with 0..1; exceptions that it raises pass through
     """
     backend, start, n = differentiable(), ready.model, len(ready.model)
-    units = _units(in_parts(ready, level, segment), start, segment)
+    units = _units(in_parts(ready, level, segment), ready, segment)
     moved, means, squares = ({name: backend.zeros(unit.shape) for name, unit in units.items()} for _ in range(3))
     counts = {name: backend.zeros((n,), np.int32) for name in units}
     rows, when = backend.rows(backend.array(np.ones(n, np.float32))), backend.zeros((n,), np.int64)
     model, rounding = start, {}
-    for k, (camera, t) in enumerate(series):
+    for k, shot in enumerate(series):
         if k % EVERY == 0:
             known = as_read(in_parts(replace(ready, model=model), level, segment), model)
             rounding = {name: known[name] - array for name, array in model.arrays.items()}
         shown = replace(model, **{name: array + rounding[name] for name, array in model.arrays.items()})
         shown = replace(shown, opacity=np.minimum(shown.opacity, OPAQUE))
-        gradients = _gradients(backend, shown, original, camera, t)
+        gradients = _gradients(backend, shown, original, shot)
         rate = RATE * (END + (1 - END) * 0.5 * (1 + np.cos(np.pi * k / len(series))))
         tensors = [(moved[name], backend.array(gradients[name].reshape(unit.shape) * unit), means[name], squares[name], counts[name], rate,
                     False) for name, unit in units.items()]
@@ -72,26 +72,43 @@ def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], kinds: GaussianMod
     return {name: np.concatenate([each[name] for each in arrays]).astype(np.float32) for name in kinds.arrays} if arrays else kinds.arrays
 
 
-def _units(parts: list[tuple[dict[str, np.ndarray], Steps]], model: GaussianModel, segment: int) -> dict[str, np.ndarray]:
-    """The quantisation step of each parameter of the arrays in MOVED, float32 in their shapes; of opacities, the step of the logit."""
+def _units(parts: list[tuple[dict[str, np.ndarray], Steps]], ready: Prepared, segment: int) -> dict[str, np.ndarray]:
+    """The quantisation step of each parameter of the arrays in MOVED, float32 in their shapes; of opacities, the step of the logit.
+
+    A coefficient of motion is written after what the others can do as well has been taken from its function, and within a short lifetime
+    next to nothing is left of it: its step is huge.  Moved alone, it moves by all of its function, so its unit is what moves the Gaussian
+    by one step of its position.
+    """
+    model = ready.model
     units = {name: np.empty_like(model.arrays[name]) for name in MOVED if model.arrays[name].size}
     for i, (codes, steps) in enumerate(parts):
         sizes = step_sizes(codes, steps, scales(codes, steps))
+        part = slice(i * segment, (i + 1) * segment)
+        if "motion" in units:
+            sizes["motion"] = np.minimum(sizes["motion"], (sizes["position"] / _reach(ready.part(part)))[..., None])
         for name, unit in units.items():
-            unit[i * segment:(i + 1) * segment] = sizes[name]
+            unit[part] = sizes[name]
     opacity = np.clip(sigmoid(model.opacity), STEEPEST, 1 - STEEPEST)
     units["opacity"] /= opacity * (1 - opacity)
     return units
 
 
-def _gradients(backend, model: GaussianModel, original: GaussianModel, camera, t: float) -> dict[str, np.ndarray]:
+def _reach(ready: Prepared) -> np.ndarray:
+    """The root mean square of each function of motion over each Gaussian's lifetime, [N, K], never 0."""
+    t = ready.low[:, None] + (ready.high - ready.low)[:, None] * np.linspace(0, 1, SAMPLES)
+    basis = ready.model.basis
+    weights = basis.weights(t - ready.model.mu_tau[:, None].astype(np.float64) if basis.centred else t)
+    return np.maximum(np.sqrt(np.mean(weights**2, axis=1)), 1e-9)
+
+
+def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Shot) -> dict[str, np.ndarray]:
     """Gradients of the mean squared difference between a shot's two pictures by the model's arrays."""
-    truth = pictures(original, [(camera, t)])[0]
-    picture = backend.splat(parameters_of(model, backend), model, camera, float(t))
+    truth = pictures(original, [shot])[0]
+    picture = backend.splat(parameters_of(model, backend), model, shot.camera, float(shot.t))
     rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
-    seen = rgb + BACKGROUND * (1 - alpha)[..., None]
+    seen = rgb + shot.background * (1 - alpha)[..., None]
     slope = ((seen - truth) * ((seen >= 0) & (seen <= 1)) * (2 / rgb.size)).astype(np.float32)
-    found = backend.backward(picture, backend.array(slope), backend.array(-BACKGROUND * slope.sum(2)))
+    found = backend.backward(picture, backend.array(slope), backend.array(-shot.background * slope.sum(2)))
     return {name: backend.numpy(found[name]) for name in MOVED}
 
 

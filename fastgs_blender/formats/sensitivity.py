@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ..util.backends import load_backend
 from ..util.errors import FastGSError
 
 WIDTH = 400
-"""Pixels of the pictures' longer side."""
+"""Pixels of the longer side of the pictures that sensitivities are measured on."""
 GOLDEN = 0.6180339887498949
 """Its multiples, modulo 1, are spread evenly over 0..1."""
 PLASTIC = 0.7548776662466927
@@ -38,13 +39,20 @@ RIG = ((0.0, 0.0, 0.0), (-0.12, 0.05, 0.0), (0.12, -0.05, 0.0), (0.05, 0.04, 0.0
        (0.1, 0.03, 0.0), (0.3, -0.03, 0.05), (0.0, 0.0, 0.2), (0.0, 0.05, -0.1))
 """Guessed positions of cameras that look forward: right, down and forward of the origin, divided by the distance of the scene."""
 DOWN = dict(zip(AXES, ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)), strict=True))
-BACKGROUND = 0.5
-"""The grey background of the pictures, so that dark Gaussians over an empty background count."""
+BACKGROUNDS = 0.0, 0.5, 0.0, 1.0
+"""Of the pictures: over black, as renders are looked at most, what is missing of a bright surface shows; over white, of a dark one."""
 OPAQUE = 4.5
 """Logit of the largest opacity at which sensitivities are measured: beyond it alpha is clamped, and gradients are 0."""
 UNSEEN = 0.03
 """Weight of a Gaussian's promise (Sensitivity.promise) beside its measured error."""
-Shot = tuple[Camera, float]
+
+
+class Shot(NamedTuple):
+    """A picture of a model: its camera, its time and the grey of its background."""
+
+    camera: Camera
+    t: float
+    background: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +72,16 @@ class Sensitivity:
         return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
 
 
-def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
+def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None) -> list[Shot]:
     """`count` cameras and times at which a model's pictures are measured; another `first` gives other ones.
+
+    width  pixels of the pictures' longer side, instead of WIDTH
 
     The cameras are those of its capture, else guessed_cameras().  Each is moved sideways by a different amount, because Gaussians that are
     hidden from one place may be visible from a place beside it.
     """
-    known = [(smaller(camera_of(view)), view.distance) for view in model.surroundings.cameras]
-    eyes = known or [(camera, 0.0) for camera in guessed_cameras(model)]
+    known = [(camera_of(view), view.distance) for view in model.surroundings.cameras]
+    eyes = [(resized(camera, width or WIDTH), away) for camera, away in known or [(eye, 0.0) for eye in guessed_cameras(model)]]
     part = _seen(model)
     middle, found = np.median(part.position if len(part) else np.zeros((1, 3)), axis=0), []
     for k in range(first, first + count):
@@ -82,7 +92,7 @@ def shots(model: GaussianModel, count: int, first: int = 0) -> list[Shot]:
         aim = pose[:3, 3] + distance * pose[:3, 2]
         place = pose[:3, 3] + pose[:3, :3] @ [across, up, 0.0]
         moved = replace(camera, world_to_camera=np.vstack([looking(place, aim - place, pose[:3, 1]), [0, 0, 0, 1]]))
-        found.append((moved, (0.5 + k * GOLDEN) % 1))
+        found.append(Shot(moved, (0.5 + k * GOLDEN) % 1, BACKGROUNDS[k % len(BACKGROUNDS)]))
     return found
 
 
@@ -92,12 +102,12 @@ def _seen(model: GaussianModel) -> GaussianModel:
     return part if len(part) else model
 
 
-def smaller(camera: Camera) -> Camera:
-    """The camera with pictures of at most WIDTH pixels."""
-    factor = min(1.0, WIDTH / max(camera.width, camera.height))
-    width, height = (max(1, round(side * factor)) for side in (camera.width, camera.height))
+def resized(camera: Camera, width: int) -> Camera:
+    """The camera with pictures whose longer side has `width` pixels."""
+    factor = width / max(camera.width, camera.height)
+    across, down = (max(1, round(side * factor)) for side in (camera.width, camera.height))
     lens = (value * factor for value in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Camera(width, height, *lens, camera.world_to_camera)
+    return Camera(across, down, *lens, camera.world_to_camera)
 
 
 def guessed_cameras(model: GaussianModel) -> list[Camera]:
@@ -151,28 +161,28 @@ def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[fl
     parameters = parameters_of(model, backend)
     parameters["opacity"] = backend.array(np.minimum(model.opacity, OPAQUE))
     n, rows = len(model), {}
-    for k, (camera, t) in enumerate(series):
+    for k, (camera, t, background) in enumerate(series):
         picture = backend.splat(parameters, model, camera, float(t))
         rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
-        seen = rgb + BACKGROUND * (1 - alpha)[..., None]
+        seen = rgb + background * (1 - alpha)[..., None]
         signs = np.random.default_rng([k, 12]).integers(0, 2, rgb.shape).astype(np.float32) * 2 - 1
         signs *= (seen >= 0) & (seen <= 1)
-        gradients = backend.backward(picture, backend.array(signs), backend.array(-BACKGROUND * signs.sum(2)))
+        gradients = backend.backward(picture, backend.array(signs), backend.array(-background * signs.sum(2)))
         for name in ("position", "scale", "rotation", "opacity", "features", "mu_tau", "temporal"):
             found = backend.numpy(gradients[name]).reshape(n, -1).astype(np.float64) ** 2 / (rgb.size * len(series))
             found = found.sum(1, keepdims=True) if name in ("position", "scale", "rotation") else found
             rows[name] = rows[name] + found if name in rows else found
         progress((k + 1) / len(series))
-    eyes = np.unique([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera, _ in series], axis=0)
+    eyes = np.unique([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera, *_ in series], axis=0)
     return Sensitivity(rows, scores(model, list(eyes)) * sigmoid(model.opacity))
 
 
 def pictures(model: GaussianModel, series: list[Shot]) -> list[np.ndarray]:
-    """Renders of the shots over grey, [h, w, 3] each, clipped to 0..1."""
+    """Renders of the shots over their backgrounds, [h, w, 3] each, clipped to 0..1."""
     found = []
-    for camera, t in series:
+    for camera, t, background in series:
         out = render(model, camera, t)
-        found.append(np.clip(out["rgb"] + BACKGROUND * (1 - out["alpha"])[..., None], 0, 1))
+        found.append(np.clip(out["rgb"] + background * (1 - out["alpha"])[..., None], 0, 1))
     return found
 
 

@@ -13,7 +13,7 @@ from damage import Unchecked
 from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
-from fastgs_blender.formats import columns, compressed, quantising, rate, refit, sensitivity
+from fastgs_blender.formats import columns, compressed, quantising, rate, refit, sensitivity, thinning
 from fastgs_blender.model.pruning import pruned, scores
 from fastgs_blender.util.tensor_files import open_tensors
 
@@ -27,7 +27,10 @@ def few_small_pictures(monkeypatch):
     monkeypatch.setattr(sensitivity, "WIDTH", 64)
     monkeypatch.setattr(rate, "SHOTS", 10)
     monkeypatch.setattr(rate, "JUDGED", 4)
-    monkeypatch.setattr(rate, "REFITS", 20)
+    monkeypatch.setattr(rate, "SHOWN", 64)
+    monkeypatch.setattr(thinning, "SENSED", 6)
+    monkeypatch.setattr(thinning, "REFITS", 4)
+    monkeypatch.setattr(thinning, "FINAL", 10)
 
 
 def psnr(a: fg.GaussianModel, b: fg.GaussianModel, t: float) -> float:
@@ -99,6 +102,28 @@ def test_refitting_shows_what_was_left_out():
     after = refit.refitted(ready, level, 400, model, sensitivity.shots(model, 40, 100), lambda share: None)
     assert error(after) < 0.75 * error(ready), (error(after), error(ready))
     np.testing.assert_allclose(np.linalg.norm(after.model.rotation, axis=1), 1, atol=1e-5)
+
+
+def test_layers_that_stand_in_for_each_other_are_not_left_out_together():
+    """Of four equal layers each is worth nothing beside the others, and all of them are worth everything."""
+    layer = random_model(np.random.default_rng(2), 120, "static", "static", "always", "rgb", extent=2.0, size=0.15)
+    layer = replace(layer, opacity=np.full(120, 3, np.float32))
+    model = quantising.canonical(layer.take(np.repeat(np.arange(120), 4)))
+    found = sensitivity.sensitivity(model, sensitivity.shots(model, 10))
+    harm = sensitivity.removal(model, found)
+    least = float(np.quantile(harm, 0.7))
+    level = 0.5 * float(np.log2(least / (thinning.SPARED * thinning.HARM)))
+    ready, at = thinning.thinned(model, found, level, 1000, model, 20, 64, lambda ready, level: thinning.AIM, lambda share: None)
+    judged = sensitivity.shots(model, 4, 1000)
+    truth = sensitivity.pictures(model, judged)
+    rounds, at_once = (sensitivity.mean_square(truth, sensitivity.pictures(one, judged)) for one in (ready.model, model.take(harm > least)))
+    assert at == level and len(ready.model) < 170 and rounds < 0.5 * at_once, (len(ready.model), rounds, at_once)
+
+
+def test_the_worst_picture_does_not_decide_alone():
+    truth, found = [np.zeros((2, 2, 3))] * 5, [np.full((2, 2, 3), error) for error in (0.1, 1.0, 0.1, 0.1, 0.1)]
+    assert rate.usual_square(truth, found) == pytest.approx(0.01 * (4 + rate.OUTLIER) / 5)
+    assert rate.usual_square(truth, found[:1] * 5) == pytest.approx(0.01)
 
 
 def test_a_model_that_is_farther_from_the_truth_may_lose_more():
