@@ -22,14 +22,14 @@ COST = 60.0
 HARM = COST * 2 * np.log(2) / 12
 """A parameter has a rounding error that is uniform over a step of 2^level / sqrt(sensitivity).  One more bit for it lowers the pictures'
 squared error by 4^level 2 ln 2 / 12.  A Gaussian is left out where this adds less error than its bits would remove elsewhere."""
-ROUNDS = 4
-SPARED = 4.0
+ROUNDS = 3
+SPARED = 3.0
 """With refitting, Gaussians are left out up to this many times the usual harm: the others make up for most of it."""
 SENSED = 32
 """Pictures that sensitivities are measured on again after a round."""
-REFITS, FINAL = 100, 200
+REFITS, FINAL = 120, 180
 """Pictures that a model is refitted to in each round, and in the last one."""
-AIM, LARGEST = 0.9, 0.4
+AIM, LARGEST = 0.8, 0.4
 """After a round the level changes so that the error comes to this share of the allowed one, but by no more than this."""
 
 
