@@ -9,6 +9,8 @@ integers, exponents of two by which its step sizes differ from those of the segm
     tint    of its colour's features
     life    -log2 of the length of its lifetime, in which motion and the temporal centre are measured
 
+A number whose own sensitivity asks for less than these steps is rounded to one that costs fewer bits (rounding.py).
+
 Everything that a reader computes is exact or rounded once in float64, so that all machines read the same model.
 
 The error of a motion coefficient is the movement that it causes within the Gaussian's lifetime, each moment weighted by its opacity.  The
@@ -33,14 +35,13 @@ from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
 from .fitting import lifetimes
+from .rounding import chained, pulls, rounded
 from .sensitivity import OPAQUE, UNSEEN, Sensitivity
 
 SAMPLES = 16
 """Times in a lifetime at which its motion is looked at."""
 LIVES = 10
 """Values of `life`."""
-ROUNDING = 0.36
-"""Coefficients of motion are rounded towards 0 by this instead of 0.5: zeros cost least."""
 CLASSES = 12
 """`shape` and `tint` lie within +- CLASSES."""
 SPREADS = 6
@@ -116,6 +117,7 @@ class Prepared:
     base          {attribute: log2 of its step at shape 0}
     colour        [F] log2 of the features' steps at tint 0
     turn          [SPREADS] exponents
+    own           {attribute: log2 of the steps [N, D] that its own sensitivities ask for, for an error of 1 by each number}
     low, high     [N] begin and end of lifetimes
     """
 
@@ -125,13 +127,14 @@ class Prepared:
     base: dict[str, float]
     colour: np.ndarray
     turn: np.ndarray
+    own: dict[str, np.ndarray]
     low: np.ndarray
     high: np.ndarray
 
     def part(self, index: slice) -> Prepared:
         """Some of its Gaussians."""
         own = {name: getattr(self, name)[index] for name in ("shape", "tint", "low", "high")}
-        return replace(self, model=self.model.take(index), **own)
+        return replace(self, model=self.model.take(index), own={name: array[index] for name, array in self.own.items()}, **own)
 
 
 def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
@@ -142,7 +145,7 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
     rows = dict(found.rows)
     opacity = sigmoid(np.minimum(model.opacity, OPAQUE))
     rows["opacity"] = rows["opacity"] / np.maximum(opacity * (1 - opacity), 1e-4)[:, None] ** 2
-    rows["position"], rows["scale"], rows["rotation"] = rows["position"] / 3, rows["scale"] / 3, rows["rotation"] / 3
+    rows["position"], rows["rotation"] = rows["position"] / 3, rows["rotation"] / 3
     size = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)[:, 1:2]
     rows["position"] = rows["position"] * size**2
     rows["mu_tau"] = rows["mu_tau"] * np.ldexp(1.0, -2 * life)[:, None]
@@ -153,6 +156,9 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
             usual = np.array([np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in ratio.T])
         whole = squares + UNSEEN * usual * promise[:, None]
         steps[name] = -0.5 * np.log2(np.maximum(whole, 1e-38))
+    own = dict(steps)
+    with np.errstate(all="ignore"):
+        steps["scale"] = -0.5 * np.log2(np.mean(np.exp2(-2 * steps["scale"]), axis=1, keepdims=True))
     base = {name: float(np.median(steps[name])) for name in ("position", "scale", "rotation", "opacity", "mu_tau")}
     shape = np.mean([steps[name][:, 0] - base[name] for name in SHAPE], axis=0)
     for name in ("rotation", "mu_tau"):
@@ -164,7 +170,7 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
     colour = np.median(steps["features"], axis=0)
     tint = np.mean((steps["features"] - colour)[:, :3], axis=1)
     colour = np.median(steps["features"] - tint[:, None], axis=0)
-    return Prepared(model, shape, tint, base, colour, turn, low, high)
+    return Prepared(model, shape, tint, base, colour, turn, own, low, high)
 
 
 def _life(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -184,6 +190,13 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     extent = float(np.abs(model.position).max(initial=1e-9))
     steps = Steps(base, np.exp2(ready.colour + whole), ready.turn, np.zeros((LIVES, model.basis.terms), int),
                   np.zeros((LIVES, model.rotation_basis.terms), int), least=int(np.ceil(np.log2(extent))) - GRID)
+
+    def eased(name: str) -> np.ndarray:
+        """The steps [N, D] that the sensitivities of an array, or of a column of `temporal`, ask for, in the units of BOUNDS."""
+        first, _, k = name.partition(".")
+        array = np.minimum(np.exp2(ready.own[first] + level), BOUNDS[first])
+        return array[:, [int(k)]] if k else array * np.ldexp(1.0, -life)[:, None] if name == "mu_tau" else array
+
     columns = {"shape": shape, "tint": tint, "life": life}
     columns["scale"] = model.scale, steps.of("scale", shape)[:, None]
     columns["opacity"] = sigmoid(model.opacity), steps.of("opacity", shape)
@@ -196,20 +209,22 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     values = {}
     for name in columns:
         if name not in codes:
-            _chain(name, columns, codes, values, steps)
+            _chain(name, columns, codes, values, steps, eased(name))
     grain = steps.grain(values["scale"], shape)
     t = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, max(SAMPLES, model.basis.terms + 1, model.rotation_basis.terms + 1))
     weight = np.stack([model.temporal_kind.factor(moments, model.mu_tau, model.temporal) for moments in t.T], 1)
     weight /= np.sqrt(np.maximum((weight**2).sum(1, keepdims=True), 1e-12))
     span = (t, weight)
+    pulled = pulls(eased("position")[:, 0] * np.sort(np.exp(values["scale"]), axis=1)[:, 1], np.ldexp(1.0, grain))[:, None]
     position = _trajectory(codes, "motion", model.basis, model.position, model.motion, model.mu_tau, values["mu_tau"], span,
-                           np.ldexp(1.0, grain), life, steps.motion)
+                           np.ldexp(1.0, grain), pulled, life, steps.motion)
     fine = steps.turning(values["scale"], shape)
+    turned = pulls(eased("rotation")[:, 0], fine)[:, None]
     rotation = _trajectory(codes, "rotation_motion", model.rotation_basis, model.rotation, model.rotation_motion, model.mu_tau,
-                           values["mu_tau"], span, fine, life, steps.swing)
+                           values["mu_tau"], span, fine, turned, life, steps.swing)
     whole = model.rotation_basis.terms and not model.rotation_basis.centred  # else the constant term is the unit quaternion of the middle
-    codes["rotation"] = _rounded(rotation if whole else rotation[:, 1:], fine[:, None])
-    codes["position"] = chained(position, np.ldexp(1.0, grain)[:, None])
+    codes["rotation"] = rounded((rotation if whole else rotation[:, 1:]) / fine[:, None], turned)
+    codes["position"] = chained(position, np.ldexp(1.0, grain)[:, None], np.broadcast_to(pulled, position.shape))
     for k, logarithm in enumerate(model.temporal_kind.logarithms):
         if not logarithm:
             bits = model.temporal[:, k].view("<u4")
@@ -217,11 +232,12 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     return codes, steps
 
 
-def _chain(name: str, columns: dict, codes: dict, values: dict, steps: Steps) -> None:
+def _chain(name: str, columns: dict, codes: dict, values: dict, steps: Steps, ease: np.ndarray) -> None:
     """Quantise an attribute, each of its columns as it is or as differences, whichever costs fewer bits; values: as a reader has it."""
     true, step = columns[name]
     true = true.astype(np.float64).reshape(len(true), -1)
     step = np.broadcast_to(step.reshape(len(true), -1), true.shape)
+    pull = np.broadcast_to(pulls(ease, step), true.shape)
     out, known = np.zeros(true.shape, np.int64), np.zeros(true.shape)
     order = range(true.shape[1])
     pairs = name == "features" and true.shape[1] % 3 == 0
@@ -233,11 +249,11 @@ def _chain(name: str, columns: dict, codes: dict, values: dict, steps: Steps) ->
         best = min(choices, key=lambda c: _bits(true[:, k] - (known[:, c[1]] if c[1] is not None else 0), step[:, k], c[0]))
         target = true[:, k] - (known[:, best[1]] if best[1] is not None else 0)
         if best[0]:
-            out[:, k] = chained(target[:, None], step[:, k:k + 1])[:, 0]
+            out[:, k] = chained(target[:, None], step[:, k:k + 1], pull[:, k:k + 1])[:, 0]
             steps.chained.append(f"{name}/{k}")
             known[:, k] = np.cumsum(out[:, k] * step[:, k])
         else:
-            out[:, k] = _rounded(target, step[:, k])
+            out[:, k] = rounded(target / step[:, k], pull[:, k])
             known[:, k] = out[:, k] * step[:, k]
         if best[1] is not None:
             steps.paired.append((k, best[1]))
@@ -255,24 +271,6 @@ def _bits(values: np.ndarray, step: np.ndarray, chain: bool) -> float:
     count = np.bincount(codes - codes.min())
     count = count[count > 0]
     return float(-(count * np.log2(count / len(codes))).sum())
-
-
-def chained(values: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Whole numbers [N, D] whose running sums, each times its step [N, 1], stay within half a step of values [N, D]."""
-    out = np.empty(values.shape, np.int64)
-    steps = step[:, 0].tolist()
-    for k, column in enumerate(values.T.tolist()):
-        sum_, codes = 0.0, []
-        for value, own in zip(column, steps, strict=True):
-            code = round((value - sum_) / own)
-            codes.append(code)
-            sum_ += code * own
-        out[:, k] = codes
-    return out
-
-
-def _rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
-    return np.rint(values.astype(np.float64) / step).astype(np.int64)
 
 
 def restored(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
@@ -357,7 +355,7 @@ def canonical(model: GaussianModel) -> GaussianModel:
         scale=np.take_along_axis(model.scale, np.array(orders)[best], 1))
 
 
-def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu_true, mu, span, fine, life, table) -> np.ndarray:
+def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu_true, mu, span, fine, pull, life, table) -> np.ndarray:
     """Fills codes[name] with coefficients as whole numbers [N, K, D] and the table of steps; returns the constant [N, D] that fits.
 
     mu_true, mu  temporal centres before and after rounding; span: times [N, T] and their weights; fine: the steps [N]
@@ -386,7 +384,6 @@ def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu
         rest = wanted[:, k] - np.einsum("nj,njd->nd", r[:, k, k + 1:], found[:, k + 1:])
         x = np.where(usable[:, None], rest / np.where(usable, r[:, k, k], 1)[:, None], 0)
         step = np.ldexp(fine, table[life, k - 1])[:, None]
-        x = x / step
-        found_codes[:, k - 1] = np.clip(np.sign(x) * np.floor(np.abs(x) + ROUNDING), -2**30, 2**30)
+        found_codes[:, k - 1] = rounded(np.clip(x / step, -2.0**30, 2.0**30), pull)
         found[:, k] = found_codes[:, k - 1] * step
     return (wanted[:, 0] - np.einsum("nj,njd->nd", r[:, 0, 1:], found[:, 1:])) / r[:, 0, 0, None]

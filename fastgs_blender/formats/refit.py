@@ -6,6 +6,9 @@ renders of the original model; each step uses one, from a new camera and at a ne
 have it, is rendered and compared with the target.  Its gradients update the parameters before rounding, as if rounding were the identity
 (straight-through estimator, Bengio et al. 2013).  Parameters are measured in their quantisation steps: one step of any parameter changes
 the pictures by about the same amount, so one learning rate of Adam suits all.
+
+What is minimised is the error plus the price of the bits (rounding.py): where pictures hardly change with a parameter, its whole number
+becomes a smaller one.
 """
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
 from .quantising import SAMPLES, Prepared, Steps, quantised, restored, scales, step_sizes
+from .rounding import TAIL
 from .sensitivity import OPAQUE, Shot, differentiable, parameters_of, pictures
 
 RATE = 0.03
@@ -44,21 +48,48 @@ def refitted(ready: Prepared, level: float, segment: int, original: GaussianMode
     moved, means, squares = ({name: backend.zeros(unit.shape) for name, unit in units.items()} for _ in range(3))
     counts = {name: backend.zeros((n,), np.int32) for name in units}
     rows, when = backend.rows(backend.array(np.ones(n, np.float32))), backend.zeros((n,), np.int64)
-    model, rounding = start, {}
+    model, rounding, dear = start, {}, {}
     for k, shot in enumerate(series):
         if k % EVERY == 0:
-            known = as_read(in_parts(replace(ready, model=model), level, segment), model)
+            parts = in_parts(replace(ready, model=model), level, segment)
+            known = as_read(parts, model)
             rounding = {name: known[name] - array for name, array in model.arrays.items()}
+            dear = {name: (price(name, parts) * (4.0**level * unit if name == "motion" else 4.0**level)).astype(np.float32)
+                    for name, unit in units.items()}
         shown = replace(model, **{name: array + rounding[name] for name, array in model.arrays.items()})
         shown = replace(shown, opacity=np.minimum(shown.opacity, OPAQUE))
         gradients = _gradients(backend, shown, original, shot)
         rate = RATE * (END + (1 - END) * 0.5 * (1 + np.cos(np.pi * k / len(series))))
-        tensors = [(moved[name], backend.array(gradients[name].reshape(unit.shape) * unit), means[name], squares[name], counts[name], rate,
-                    False) for name, unit in units.items()]
+        tensors = [(moved[name], backend.array(gradients[name].reshape(unit.shape) * unit + dear[name]), means[name], squares[name],
+                    counts[name], rate, False) for name, unit in units.items()]
         backend.adam(rows, tensors, BETAS, when, k + 1)
         model = _after(start, {name: backend.numpy(moved[name]) * unit for name, unit in units.items()})
         progress((k + 1) / len(series))
     return replace(ready, model=model)
+
+
+def price(name: str, parts: list[tuple[dict[str, np.ndarray], Steps]]) -> np.ndarray:
+    """How the cost of an array's whole numbers at level 0 changes with its parameters, [N, ...]: for a step, of motion for a unit.
+
+    The cost of c is TAIL / 6 ln(1 + |c|), see rounding.py.  A parameter stands in its own whole number and, where columns are differences,
+    in that of the next Gaussian and in those of other columns.
+    """
+    found = []
+    for codes, steps in parts:
+        code = codes[name].reshape(len(codes[name]), -1)
+        step = np.broadcast_to(step_sizes(codes, steps, scales(codes, steps))[name], codes[name].shape).reshape(code.shape)
+        slope = np.sign(code) / (1.0 + np.abs(code))
+        for k in range(slope.shape[1]):
+            if name == "position" or f"{name}/{k}" in steps.chained:
+                slope[:-1, k] -= slope[1:, k] * step[:-1, k] / step[1:, k]
+        for k, other in steps.paired if name == "features" else ():
+            slope[:, other] -= slope[:, k] * step[:, other] / step[:, k]
+        if name == "motion":
+            slope = slope / step
+        if name == "rotation" and slope.shape[1] == 3:
+            slope = np.concatenate([np.zeros((len(slope), 1)), slope], axis=1)
+        found.append(slope.reshape(*codes[name].shape[:-1], -1) if codes[name].ndim > 1 else slope[:, 0])
+    return TAIL / 6 * np.concatenate(found)
 
 
 def in_parts(ready: Prepared, level: float, segment: int) -> list[tuple[dict[str, np.ndarray], Steps]]:

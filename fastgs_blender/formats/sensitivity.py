@@ -61,7 +61,7 @@ class Shot(NamedTuple):
 class Sensitivity:
     """The mean squared error of pictures (colours 0..1) for each unit of squared error of a parameter: averages over shots, float64.
 
-    rows [N, D] by name of the array: position, scale and rotation summed over their columns (D = 1), features and temporal by column,
+    rows [N, D] by name of the array: position and rotation summed over their columns (D = 1), scale, features and temporal by column,
     opacity and mu_tau as one column
     promise [N] the expected contribution of a Gaussian, from its size as the nearest camera sees it, its opacity and its lifetime; no unit
     """
@@ -181,7 +181,7 @@ def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[fl
         gradients = backend.backward(picture, backend.array(signs), backend.array(-background * signs.sum(2)))
         for name in ("position", "scale", "rotation", "opacity", "features", "mu_tau", "temporal"):
             found = backend.numpy(gradients[name]).reshape(n, -1).astype(np.float64) ** 2 / (rgb.size * len(series))
-            found = found.sum(1, keepdims=True) if name in ("position", "scale", "rotation") else found
+            found = found.sum(1, keepdims=True) if name in ("position", "rotation") else found
             rows[name] = rows[name] + found if name in rows else found
         progress((k + 1) / len(series))
     eyes = np.unique([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera, *_ in series], axis=0)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Leaves Gaussians out of a model that is being compressed, in rounds, and refits the others after each round.
+"""Leaves Gaussians out of a model that is being compressed, in rounds, and refits the others in each round.
 
 The harm that leaving out one Gaussian does (sensitivity.removal) does not tell what leaving out many does: a surface of several layers
 stays closed without any one Gaussian, and has holes without all of them.  So each round but the last leaves out only every second of the
 Gaussians that are not worth their bits, counted along the curve through space, on which neighbours often stand in for each other.  The
-others are refitted, their sensitivities are measured again, and the next round begins.
+sensitivities of the others are measured again, because what lay hidden may show now, and they are refitted.
 """
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ COST = 60.0
 HARM = COST * 2 * np.log(2) / 12
 """A parameter has a rounding error that is uniform over a step of 2^level / sqrt(sensitivity).  One more bit for it lowers the pictures'
 squared error by 4^level 2 ln 2 / 12.  A Gaussian is left out where this adds less error than its bits would remove elsewhere."""
+SPARED = 2.5
+"""With refitting, Gaussians are left out up to this many times that harm: the others make up for most of it."""
 ROUNDS = 3
-SPARED = 3.0
-"""With refitting, Gaussians are left out up to this many times the usual harm: the others make up for most of it."""
-SENSED = 32
-"""Pictures that sensitivities are measured on again after a round."""
-REFITS, FINAL = 120, 180
+SENSED = 24
+"""Pictures that sensitivities are measured on again in a round."""
+REFITS, FINAL = 50, 110
 """Pictures that a model is refitted to in each round, and in the last one."""
-AIM, LARGEST = 0.8, 0.4
-"""After a round the level changes so that the error comes to this share of the allowed one, but by no more than this."""
+LARGEST = 0.4
+"""After a round the level changes so that the error comes to the allowed one, but by no more than this."""
 
 
 def worthy(model: GaussianModel, found: Sensitivity, level: float) -> Prepared:
     """The Gaussians that are worth their bits at a level, when nothing is refitted."""
-    return _kept(model, found, removal(model, found) > HARM * 4.0**level)
+    keep = removal(model, found) > HARM * 4.0**level
+    return prepared(model.take(keep), found.take(keep))
 
 
 def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int, original: GaussianModel, first: int, width: int,
@@ -47,7 +48,7 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
     judged    gives the error of a prepared model that is quantised at a level, divided by the allowed one
     progress  called with 0..1; exceptions that it raises pass through
     """
-    work, done = (ROUNDS - 1) * (REFITS + SENSED) + FINAL, 0
+    work, done = (ROUNDS - 1) * REFITS + FINAL + ROUNDS * SENSED, 0
 
     def part_of(begin: int, count: int) -> Callable[[float], None]:
         return lambda share: progress((begin + share * count) / work)
@@ -60,16 +61,12 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
         keep[harm.argmax()] = True
         if not last:
             keep[np.flatnonzero(~keep)[k % 2::2]] = True
-        ready = refitted(_kept(model, found, keep), level, segment, original, shots(original, count, first, width),
-                         part_of(done, count))
-        first, done = first + count, done + count
+        model = model.take(keep)
+        found = sensitivity(model, shots(original, SENSED, first), part_of(done, SENSED))
+        ready = refitted(prepared(model, found), level, segment, original, shots(original, count, first, width),
+                         part_of(done + SENSED, count))
+        first, done = first + count, done + SENSED + count
         if not last:
-            level += float(np.clip(0.5 * np.log2(AIM / max(judged(ready, level), 1e-6)), -LARGEST, LARGEST))
+            level += float(np.clip(-0.5 * np.log2(max(judged(ready, level), 1e-6)), -LARGEST, LARGEST))
             model = canonical(ready.model)
-            found = sensitivity(model, shots(original, SENSED, first), part_of(done, SENSED))
-            done += SENSED
     return ready, level
-
-
-def _kept(model: GaussianModel, found: Sensitivity, keep: np.ndarray) -> Prepared:
-    return prepared(model.take(keep), found.take(keep))
