@@ -2,6 +2,7 @@
 """Initialises training from an existing model, such as a bake: positions, rotations and motions of its Gaussians are taken over.
 
 The pictures decide which Gaussians are taken, and their colours: those that cover pixels, and more of them where they cover more pixels.
+Some of the others are taken too, so that there is no hole where nobody filmed; nothing in training changes them.
 """
 from __future__ import annotations
 
@@ -27,14 +28,16 @@ from .geometry import project, sample, visible
 
 SHARE = 0.75
 """Of the largest number of Gaussians: what training begins with; it adds the rest where they are needed."""
+UNSEEN = 0.1
+"""Of these, at most so many that no camera sees."""
 MOST_SHOTS, SIDE = 48, 320
 """Pictures in which Gaussians are looked for, and their longer side."""
 MOMENTS = 8
 """Of the clip: at each of them the Gaussians' places count as points of the scene."""
 NEAR = 0.01
 """A Gaussian this far behind the depth that is seen, as a share of that depth, is seen too; and so is one that reaches it."""
-GROWN = 3.0
-"""A Gaussian grows at most by this factor, to fill the places of those that are not taken."""
+GROWN, GROWN_UNSEEN = 3.0, 8.0
+"""A Gaussian grows at most by this factor, to fill the places of those that are not taken; and one that no camera sees."""
 OPAQUE = 0.95
 """Largest opacity: nearer to 1 it would hardly learn any more."""
 LOOKED_AT, MOST_TERMS, MOST_TURN = 1000, 24, 3
@@ -117,19 +120,22 @@ def points_of(model: GaussianModel, capture) -> Points:
 
 def begun_with(model: GaussianModel, capture, store, settings) -> GaussianModel:
     """The model that training begins with: of the settings' kinds, with at most SHARE of their Gaussians."""
-    seen = _seen(model, capture, store, settings)
-    share = _shares(np.sqrt(seen.area), int(SHARE * settings.max_gaussians))
-    rows = np.flatnonzero(generator(settings.seed, POINTS, 2).uniform(size=len(model)) < share)
-    if not len(rows):
+    seen, most = _seen(model, capture, store, settings), int(SHARE * settings.max_gaussians)
+    if not seen.area.any():
         raise FastGSError("no camera of the capture sees the model to start from; check that they share a world.")
+    unseen = seen.area == 0
+    share = _shares(np.sqrt(seen.area), int((1 - UNSEEN) * most))
+    share[unseen] = min(UNSEEN * most / max(unseen.sum(), 1), 1)
+    rows = np.flatnonzero(generator(settings.seed, POINTS, 2).uniform(size=len(model)) < share)
     first = _fitted(model.take(rows), seen.rgb[rows], capture, settings)
-    grown = np.log(np.minimum(share[rows] ** -0.5, GROWN))
+    grown = np.log(np.minimum(share[rows] ** -0.5, np.where(unseen[rows], GROWN_UNSEEN, GROWN)))
     return replace(first, scale=first.scale + grown[:, None].astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What pictures show of N Gaussians: area [N] in pixels, summed over them; the mean colour there rgb [N, 3]."""
+    """What pictures show of N Gaussians: area [N] in pixels, summed over them; the mean colour there rgb [N, 3], and of those that none
+    shows the model's own, as much lighter or darker as the others are."""
 
     area: np.ndarray
     rgb: np.ndarray
@@ -152,8 +158,9 @@ def _seen(model, capture, store, settings) -> _Seen:
         pixels = widest.prod(1) * camera.fx * camera.fy / depth**2 * _facing(now, rows, camera)
         np.add.at(area, now.index[rows], pixels)
         np.add.at(sums, now.index[rows], sample(image, places) * pixels[:, None])
-    plain = model.appearance.plain_colours(model.features)
-    return _Seen(area, np.divide(sums, area[:, None], out=np.array(plain, np.float64), where=area[:, None] > 0))
+    plain = np.array(model.appearance.plain_colours(model.features), np.float64)
+    light = sums.sum(0) / np.maximum((plain * area[:, None]).sum(0), 1e-6 * max(area.sum(), 1))
+    return _Seen(area, np.divide(sums, area[:, None], out=np.clip(plain * light, 0, 1), where=area[:, None] > 0))
 
 
 def _facing(now: Slice, rows, camera) -> np.ndarray:

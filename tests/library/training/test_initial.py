@@ -210,8 +210,8 @@ def test_training_begins_with_a_known_model_as_it_moves_in_the_colours_of_the_pi
     model = begun.model
     assert "4000" in said[-1] and str(len(model)) in said[-1]
     assert 1000 <= len(model) <= 1300 and begun.sizes is None
-    shown = np.abs(model.position[:, 2] - CARD_DEPTH) < 0.1  # what is hidden is left out
-    assert shown.mean() > 0.98
+    shown = np.abs(model.position[:, 2] - CARD_DEPTH) < 0.1  # of what is hidden little is taken, for views from elsewhere
+    assert 0.05 < 1 - shown.mean() < 0.15
     for t in (0.0, 0.25, 0.5, 0.75):
         now = fg.slice_model(model.take(shown), t)
         assert np.abs(now.position[:, 0] - card_x(t)).max() < CARD_HALF + 0.03
