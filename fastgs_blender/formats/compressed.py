@@ -21,7 +21,7 @@ from ..util.tensor_files import TensorFile
 from ..util.threads import run
 from . import columns
 from .description import whole_number
-from .quantising import ATTRIBUTES, LIVES, SPREADS, Steps, restored, scales, spread
+from .quantising import ATTRIBUTES, LARGEST, LIVES, SPREADS, Steps, restored, scales, spread
 from .rate import Loss, allotted
 from .static import plausible_count
 
@@ -30,8 +30,6 @@ CONTEXTS = ("shape", "tint", "life")
 """Arrays of one column by which others may be put in order."""
 ALLOTTING = 0.9
 """Share of the time of compressing that deciding how finely takes; the rest is packing."""
-LARGEST = 60
-"""Exponents in a header lie within +- LARGEST."""
 
 
 def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]) -> tuple[dict[str, np.ndarray], dict]:

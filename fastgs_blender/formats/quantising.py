@@ -44,6 +44,8 @@ LIVES = 10
 """Values of `life`."""
 CLASSES = 12
 """`shape` and `tint` lie within +- CLASSES."""
+LARGEST = 60
+"""Exponents of steps, and those that a header tells, lie within +- LARGEST."""
 SPREADS = 6
 """Rows of the table of rotations' steps, by how far a Gaussian is from round."""
 SHAPE = ("position", "scale", "opacity")
@@ -167,10 +169,16 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
     kind = spread(model.scale.astype(np.float64))
     rest = steps["rotation"][:, 0] - shape - base["rotation"]
     turn = np.array([round(float(np.median(rest[kind == k]))) if (kind == k).any() else 0 for k in range(SPREADS)])
+    turn = np.clip(turn, -LARGEST, LARGEST)
     colour = np.median(steps["features"], axis=0)
     tint = np.mean((steps["features"] - colour)[:, :3], axis=1)
     colour = np.median(steps["features"] - tint[:, None], axis=0)
     return Prepared(model, shape, tint, base, colour, turn, own, low, high)
+
+
+def _exp2(exponent):
+    """2^exponent, as far as a header may say it: where nothing is seen of a model, any step does."""
+    return np.exp2(np.clip(exponent, -LARGEST, LARGEST))
 
 
 def _life(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -186,9 +194,9 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     life = _life(low, high)
     whole = int(np.floor(level))
     shape, tint = (np.clip(np.rint(values + level) - whole, -CLASSES, CLASSES).astype(int) for values in (ready.shape, ready.tint))
-    base = {name: float(np.exp2(value + whole)) for name, value in ready.base.items()}
+    base = {name: float(_exp2(value + whole)) for name, value in ready.base.items()}
     extent = float(np.abs(model.position).max(initial=1e-9))
-    steps = Steps(base, np.exp2(ready.colour + whole), ready.turn, np.zeros((LIVES, model.basis.terms), int),
+    steps = Steps(base, _exp2(ready.colour + whole), ready.turn, np.zeros((LIVES, model.basis.terms), int),
                   np.zeros((LIVES, model.rotation_basis.terms), int), least=int(np.ceil(np.log2(extent))) - GRID)
 
     def eased(name: str) -> np.ndarray:

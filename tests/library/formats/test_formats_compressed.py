@@ -53,6 +53,16 @@ def test_every_kind_looks_as_before(tmp_path, basis, rotation_basis, temporal, a
         assert psnr(model, again, t) > 33, (psnr(model, again, t), t)
 
 
+def test_a_model_too_small_to_be_seen_is_read_again(tmp_path):
+    """No picture shows its numbers, so any step does: the header says one that a reader takes."""
+    rng = np.random.default_rng(0)
+    model = replace(random_model(rng, 40, "static", "static", "always", "rgb"), position=rng.normal(0, 1e-12, (40, 3)).astype(np.float32),
+                    scale=rng.uniform(-31, -29, (40, 3)).astype(np.float32), opacity=np.zeros(40, np.float32))
+    for level in ("fine", "small"):
+        fg.save(model, tmp_path / "m.safetensors", compress=level)
+        assert len(fg.load(tmp_path / "m.safetensors")) <= 40
+
+
 def test_files_lose_what_they_may_and_are_smaller_for_it(tmp_path):
     model = random_model(np.random.default_rng(2), 2000, "paper", "line", "radial", "sh1", extent=2.0, size=0.04)
     judged = sensitivity.shots(model, 4, 1000)  # neither measured on nor searched on
