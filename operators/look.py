@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..fastgs_blender.rendering.instances import RANGES
+from ..fastgs_blender.rendering.instances import LOOKS
 from ..scene import objects
 
 
@@ -22,7 +22,7 @@ class FASTGS_OT_reset_look(bpy.types.Operator):
     def execute(self, context):
         for obj in {context.object, *context.selected_editable_objects}:
             if objects.is_splat(obj):
-                for name in (*RANGES, "antialias"):
+                for name in (*LOOKS, "antialias"):
                     obj.fastgs.property_unset(name)
                 obj.update_tag()
         return {'FINISHED'}

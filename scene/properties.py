@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Defines what the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
-import math
-
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -14,7 +12,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..fastgs_blender.rendering.instances import RANGES
+from ..fastgs_blender.rendering.instances import LOOKS, ObjectSettings
 from ..fastgs_blender.rendering.passes import PASSES
 from . import paths, shadows, updates
 from .settings import BLEND_RELATIVE
@@ -91,13 +89,17 @@ class FASTGS_PG_filter(bpy.types.PropertyGroup):
     use: BoolProperty(name="Use", description="Filter by this", default=True, **_SHOWN)
 
 
-def _look(name, description, default, low, high, *, soft_min=None, soft_max=None, **options):
-    """A look of an object: its limits are those of the library's ObjectSettings."""
-    soft = {"soft_min": low if soft_min is None else soft_min, "soft_max": high if soft_max is None else soft_max}
-    return FloatProperty(name=name, description=description, default=default, min=low, max=high, **soft, **options, **_SHOWN)
+def _look(name, look):
+    """The property of a look in the library's table."""
+    default = getattr(ObjectSettings, name)
+    made = FloatVectorProperty if isinstance(default, tuple) else FloatProperty
+    return made(name=look.label, description=look.tooltip, default=default, min=look.low, max=look.high, **look.options, **_SHOWN)
 
 
-class FASTGS_PG_object(bpy.types.PropertyGroup):
+_Looks = type("_Looks", (), {"__annotations__": {name: _look(name, look) for name, look in LOOKS.items()}})
+
+
+class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
     filepath: StringProperty(
@@ -185,28 +187,12 @@ class FASTGS_PG_object(bpy.types.PropertyGroup):
         "off for glass, smoke and hair", default=True, override=_OWN, update=updates.viewports)
     mask: StringProperty(
         name="Hidden by Hand", description="Which Gaussians the brush has hidden, packed", options={'HIDDEN'}, **_SHOWN)
-    exposure: _look("Exposure", "Brightness, in stops", 0.0, *RANGES["exposure"], soft_min=-10.0, soft_max=10.0)
-    gamma: _look("Gamma", "Brightness of the middle tones; black and white stay", 1.0, *RANGES["gamma"], soft_min=0.2, soft_max=5.0)
-    contrast: _look("Contrast", "Spread of the tones around middle grey", 1.0, *RANGES["contrast"], soft_max=3.0)
-    saturation: _look("Saturation", "Strength of the colours; 0 is black and white", 1.0, *RANGES["saturation"], soft_max=3.0)
-    hue: _look("Hue", "Turns the colours around the wheel", 0.0, *RANGES["hue"], soft_min=-math.pi, soft_max=math.pi, subtype='ANGLE')
-    tint: FloatVectorProperty(
-        name="Tint", description="Colour by which those of the Gaussians are multiplied", subtype='COLOR', size=3, default=(1.0, 1.0, 1.0),
-        min=RANGES["tint"][0], max=RANGES["tint"][1], soft_max=1.0, **_SHOWN)
-    opacity: _look("Opacity", "Factor on the opacity of every Gaussian", 1.0, *RANGES["opacity"], soft_max=1.0)
-    opacity_cut: _look("Opacity Cut", "Gaussians of less opacity are not shown, by what the file says without fading in and out", 0.0,
-                       *RANGES["opacity_cut"])
     viewport_density: FloatProperty(
         name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
         min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
     density: FloatProperty(
         name="Render Density", description="Share of the Gaussians that final renders and exports show, the most important ones first",
         default=1.0, min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
-    splat_scale: _look("Splat Scale", "Factor on the size of every Gaussian", 1.0, *RANGES["splat_scale"], soft_max=3.0)
-    min_size: _look("Minimum Size", "Gaussians are made at least this large, by their longest axis; their shape stays", 0.0,
-                    *RANGES["min_size"], soft_max=1.0, unit='LENGTH', precision=4)
-    max_size: _look("Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0.0,
-                    *RANGES["max_size"], soft_max=1.0, unit='LENGTH', precision=4)
     antialias: BoolProperty(
         name="Antialias Far Views", description="Draw splats fainter where they are seen from farther than the capture's cameras saw them, "
         "so that they do not grow into each other and do not flicker. The file must know those cameras; nearer views stay as they are",

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
-from ..fastgs_blender.rendering.instances import LIMIT, RANGES, Instance, ObjectSettings
+from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectSettings
 from . import crops, devices, model_space, objects, point_edits
 from .time import Retime, shown_frames
 
@@ -154,5 +154,5 @@ def settings_of(obj, depsgraph, final: bool = False) -> ObjectSettings:
 
 def looks_of(obj, final: bool) -> ObjectSettings:
     """The looks of an evaluated object, each the property of the same name: of one that instances splats, too, on top of theirs."""
-    looks = {name: getattr(obj.fastgs, name) for name in RANGES}
+    looks = {name: getattr(obj.fastgs, name) for name in LOOKS}
     return ObjectSettings(**looks, antialias=obj.fastgs.antialias, density=obj.fastgs.density if final else obj.fastgs.viewport_density)

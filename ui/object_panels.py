@@ -2,8 +2,11 @@
 """The splat object's panels, in the object's properties and in the sidebar of the 3D view."""
 from __future__ import annotations
 
+from itertools import groupby
+
 import bpy
 
+from ..fastgs_blender.rendering.instances import LOOKS
 from ..scene import objects, startup
 from . import facts
 
@@ -114,8 +117,8 @@ def draw_look(layout, context):
     """Draw how the model's colours, opacity and sizes are changed."""
     settings = context.object.fastgs
     layout.use_property_split = True
-    for names in (("exposure", "gamma", "contrast"), ("saturation", "hue", "tint"), ("opacity", "opacity_cut"),
-                  ("splat_scale", "min_size", "max_size"), ("antialias",), ("viewport_density", "density")):
+    groups = [list(names) for _, names in groupby(LOOKS, lambda name: LOOKS[name].group)]
+    for names in (*groups, ["antialias"], ["viewport_density", "density"]):
         col = layout.column(align=True)
         for name in names:
             col.prop(settings, name)

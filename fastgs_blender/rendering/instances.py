@@ -2,10 +2,12 @@
 """The instance of a model in a picture: which model, where it stands, which time it shows, and how its object shows it."""
 from __future__ import annotations
 
-from collections.abc import Hashable
+import math
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TypeVar
+from operator import add, mul
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,13 +24,27 @@ from .looks import look_numbers
 LIMIT = 1e30
 """Largest coordinate, depth or colour that is drawn: float32 sums of such numbers stay finite.  What lies beyond is left out."""
 
-RANGES = {
-    "exposure": (-32, 32), "gamma": (0.01, 100), "contrast": (0, 100), "saturation": (0, 100), "hue": (-1e3, 1e3), "tint": (0, 1e4),
-    "opacity": (0, 100), "opacity_cut": (0, 1), "splat_scale": (0, 1e4), "min_size": (0, 1e9), "max_size": (0, 1e9),
-}
-"""What numbers the looks of ObjectSettings take; the properties in Blender have the same limits."""
 BACKDROPS = ("INSIDE", "SHOWN", "HIDDEN")
 One = TypeVar("One", bound="Instance")
+
+
+class Control(NamedTuple):
+    """How a look is set: options of the property in Blender (soft limits, subtype, unit), its name and meaning for an artist, the limits of
+    its numbers, the group in which panels draw it, and what a look of an object and that of one that instances it make together.
+    """
+
+    options: dict[str, Any]
+    label: str
+    tooltip: str
+    low: float
+    high: float
+    group: str
+    joined: Callable[[Any, Any], Any]
+
+
+def _look(default: Any, *control: Any, **options: Any) -> Any:
+    """A member of ObjectSettings that is a look, by its default and its Control."""
+    return field(default=default, metadata={"look": Control(options, *control)})
 
 
 @dataclass(frozen=True)
@@ -38,12 +54,7 @@ class ObjectSettings:
     crops     shapes that cut the model, see crops.py
     filters   which Gaussians are hidden for what they are, see filters.py
     mask      which Gaussians are hidden by hand, as masks.pack_mask() writes it; "": none
-    exposure, gamma, contrast, saturation, hue, tint
-              of the colours, scene linear: stops; powers; a factor on what is not grey; radians; factors on red, green and blue
-    opacity, opacity_cut
-              a factor on the opacity; Gaussians of less opacity than the cut, before that factor, are left out
-    splat_scale, min_size, max_size
-              a factor on each Gaussian's size, and limits of its largest standard deviation, in the model's units; max_size 0: none
+    exposure to max_size  the looks (LOOKS), in the units of looks.py
     density   share of the Gaussians that are shown, the most important ones
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     antialias whether splats become fainter where they are seen from farther than the capture's cameras saw them (distance.py)
@@ -52,17 +63,23 @@ class ObjectSettings:
 
     crops: tuple[Crop, ...] = ()
     backdrop: str = "INSIDE"
-    exposure: float = 0.0
-    gamma: float = 1.0
-    contrast: float = 1.0
-    saturation: float = 1.0
-    hue: float = 0.0
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    opacity: float = 1.0
-    opacity_cut: float = 0.0
-    splat_scale: float = 1.0
-    min_size: float = 0.0
-    max_size: float = 0.0
+    exposure: float = _look(0.0, "Exposure", "Brightness, in stops", -32, 32, "TONE", add, soft_min=-10.0, soft_max=10.0)
+    gamma: float = _look(1.0, "Gamma", "Brightness of the middle tones; black and white stay", 0.01, 100, "TONE", mul, soft_min=0.2,
+                         soft_max=5.0)
+    contrast: float = _look(1.0, "Contrast", "Spread of the tones around middle grey", 0, 100, "TONE", mul, soft_max=3.0)
+    saturation: float = _look(1.0, "Saturation", "Strength of the colours; 0 is black and white", 0, 100, "COLOUR", mul, soft_max=3.0)
+    hue: float = _look(0.0, "Hue", "Turns the colours around the wheel", -1e3, 1e3, "COLOUR", add, soft_min=-math.pi, soft_max=math.pi,
+                       subtype="ANGLE")
+    tint: tuple[float, float, float] = _look((1.0, 1.0, 1.0), "Tint", "Colour by which those of the Gaussians are multiplied", 0, 1e4,
+                                             "COLOUR", mul, soft_max=1.0, subtype="COLOR")
+    opacity: float = _look(1.0, "Opacity", "Factor on the opacity of every Gaussian", 0, 100, "OPACITY", mul, soft_max=1.0)
+    opacity_cut: float = _look(0.0, "Opacity Cut", "Gaussians of less opacity are not shown, by what the file says without fading in and "
+                               "out", 0, 1, "OPACITY", np.maximum)
+    splat_scale: float = _look(1.0, "Splat Scale", "Factor on the size of every Gaussian", 0, 1e4, "SIZE", mul, soft_max=3.0)
+    min_size: float = _look(0.0, "Minimum Size", "Gaussians are made at least this large, by their longest axis; their shape stays", 0,
+                            1e9, "SIZE", np.maximum, soft_max=1.0, unit="LENGTH", precision=4)
+    max_size: float = _look(0.0, "Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0, 1e9,
+                            "SIZE", lambda a, b: min(a or b, b or a), soft_max=1.0, unit="LENGTH", precision=4)
     filters: tuple[Filter, ...] = ()
     mask: str = ""
     density: float = 1.0
@@ -73,10 +90,10 @@ class ObjectSettings:
         object.__setattr__(self, "crops", tuple(self.crops))
         object.__setattr__(self, "filters", tuple(self.filters))
         object.__setattr__(self, "tint", tuple(float(value) for value in self.tint))
-        for name, (low, high) in RANGES.items():
-            for value in self.tint if name == "tint" else (getattr(self, name),):
-                if not low <= value <= high:
-                    raise FastGSError(f"the setting {name} of an object must lie between {low:g} and {high:g}, not {value!r}.")
+        for name, look in LOOKS.items():
+            value = getattr(self, name)
+            if not np.array_equal(np.clip(value, look.low, look.high), value):
+                raise FastGSError(f"the setting {name} of an object must lie between {look.low:g} and {look.high:g}, not {value!r}.")
         if len(self.tint) != 3:
             raise FastGSError("the setting tint of an object must be three numbers, of red, green and blue.")
         if not 0 <= self.density <= 1:
@@ -86,16 +103,13 @@ class ObjectSettings:
 
     def under(self, above: ObjectSettings) -> ObjectSettings:
         """These settings with the looks of an object that instances this one on top; what is no look stays."""
-        looks = {name: getattr(self, name) * getattr(above, name) for name in ("gamma", "contrast", "saturation", "opacity", "splat_scale")}
-        looks |= {name: getattr(self, name) + getattr(above, name) for name in ("exposure", "hue")}
-        looks |= {name: max(getattr(self, name), getattr(above, name)) for name in ("opacity_cut", "min_size")}
-        looks["max_size"] = min((size for size in (self.max_size, above.max_size) if size), default=0.0)
-        looks = {name: min(max(value, RANGES[name][0]), RANGES[name][1]) for name, value in looks.items()}
-        r, g, b = (min(a * b, RANGES["tint"][1]) for a, b in zip(self.tint, above.tint, strict=True))
-        return replace(self, **looks, tint=(r, g, b), density=self.density * above.density,
-                       antialias=self.antialias and above.antialias)
+        looks = {name: np.clip(look.joined(np.array(getattr(self, name)), getattr(above, name)), look.low, look.high).tolist()
+                 for name, look in LOOKS.items()}
+        return replace(self, **looks, density=self.density * above.density, antialias=self.antialias and above.antialias)
 
 
+LOOKS: dict[str, Control] = {f.name: f.metadata["look"] for f in fields(ObjectSettings) if f.metadata}
+"""By name, in the order of panels.  Properties and panels in Blender are made from it."""
 AS_TRAINED = ObjectSettings(antialias=False, bends=False)
 """The settings with which a model is trained: the same picture from any distance."""
 

@@ -67,13 +67,11 @@ def look_numbers(settings, colour_space: str) -> np.ndarray:
     row[Look.FAINTEST] = min(1 / settings.opacity_cut, BOUND) if settings.opacity_cut > 0 else BOUND
     largest = settings.max_size or BOUND
     row[Look.SCALE], row[Look.SMALLEST], row[Look.LARGEST] = settings.splat_scale, min(settings.min_size, largest), largest
-    row[Look.SIZED] = (settings.splat_scale, settings.min_size, settings.max_size) != (1, 0, 0)
+    row[Look.SIZED] = (row[Look.SCALE], row[Look.SMALLEST], row[Look.LARGEST]) != (1, 0, BOUND)
     row[Look.LINEAR] = colour_space == "linear"
-    matrix, power = _matrix(settings), settings.contrast / settings.gamma
-    row[Look.FACTOR], row[Look.POWER] = GREY ** ((1 - settings.contrast) / settings.gamma), power
-    row[Look.MATRIX:Look.MATRIX + 9] = matrix.ravel()
-    row[Look.GRADED] = (settings.exposure, settings.saturation, settings.hue, settings.contrast, settings.gamma, *settings.tint) != (
-        0, 1, 0, 1, 1, 1, 1, 1)
+    matrix, power, factor = _matrix(settings), settings.contrast / settings.gamma, GREY ** ((1 - settings.contrast) / settings.gamma)
+    row[Look.FACTOR], row[Look.POWER], row[Look.MATRIX:Look.MATRIX + 9] = factor, power, matrix.ravel()
+    row[Look.GRADED] = (factor, power) != (1, 1) or np.abs(matrix - np.eye(3)).max() > 1e-12
     return row
 
 

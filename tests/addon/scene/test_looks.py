@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
+from panel_recorder import Layout
 
 LOOK = dict(exposure=0.5, gamma=1.5, contrast=1.5, saturation=0.5, hue=0.6, tint=(1.0, 0.75, 0.5), opacity=0.75, opacity_cut=0.25,
             splat_scale=1.5, min_size=0.25, max_size=0.5)
@@ -34,11 +35,21 @@ def test_properties_are_the_librarys_settings(module, shown):
     for name, value in LOOK.items():
         assert getattr(got, name) == pytest.approx(value), name
         rna = shown.fastgs.bl_rna.properties[name]
-        low, high = instances.RANGES[name]
-        assert (rna.hard_min, rna.hard_max) == (pytest.approx(low), pytest.approx(high)) and rna.description
+        look = instances.LOOKS[name]
+        assert (rna.hard_min, rna.hard_max) == (pytest.approx(look.low), pytest.approx(look.high))
+        assert (rna.name, rna.description) == (look.label, look.tooltip) and rna.is_animatable
     copy = shown.copy()
     bpy.context.scene.collection.objects.link(copy)
     assert settings_of(module, copy) == got
+
+
+def test_the_panel_draws_the_librarys_looks_in_their_order(module, shown):
+    bpy.context.view_layer.objects.active = shown
+    layout = Layout()
+    module("ui.object_panels").draw_look(layout, bpy.context)
+    names = [name for kind, name, _ in layout.record if kind == "prop"]
+    looks = list(module("fastgs_blender.rendering.instances").LOOKS)
+    assert looks == list(LOOK) and names == [*looks, "antialias", "viewport_density", "density"]
 
 
 def test_f12_shows_the_look_of_each_object_and_of_its_instances(module, shown, render, scene, now):
