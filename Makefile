@@ -76,6 +76,7 @@ bench: .venv/ready
 	@$(PY) benchmarks/features.py
 	@$(PY) benchmarks/baked_passes.py
 	@$(PY) benchmarks/points.py
+	@$(PY) benchmarks/shots.py
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py

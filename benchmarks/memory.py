@@ -3,7 +3,8 @@
 
     python benchmarks/memory.py [--frames 500] [--gaussians 20000]
 
-Prints the resident memory every fifty frames, and the last as a share of the fiftieth.  Needs Linux and the bpy module.
+Prints the resident memory every fifty frames and the largest of all, as shares of the fiftieth, and what the process has asked the
+allocator for and not given back: the difference is glibc's, which keeps freed memory for a while.  Needs Linux and the bpy module.
 """
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = """
-import sys, bpy, addon_utils
+import ctypes, resource, sys, bpy, addon_utils
 assert addon_utils.enable("bl_ext.user_default.fastgs_blender")
 from bl_ext.user_default.fastgs_blender import fastgs_blender as fg
 from bl_ext.user_default.fastgs_blender.fastgs_blender.commands.bench import synthetic
@@ -33,9 +34,16 @@ scene.render.resolution_x, scene.render.resolution_y = 320, 180
 scene.frame_start, scene.frame_end = 1, frames
 scene.render.filepath = folder + "/frames/"
 
+class Heap(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_size_t) for name in "arena ordblks smblks hblks mapped usmblks fsmblks used free keepcost".split()]
+
+heap = ctypes.CDLL("libc.so.6").mallinfo2
+heap.restype = Heap
+
 def tell(*_):
+    now = heap()
     with open("/proc/self/statm") as file:
-        print("resident", scene.frame_current, file.read().split()[1], flush=True)
+        print("memory", scene.frame_current, int(file.read().split()[1]) * resource.getpagesize(), now.used + now.mapped, flush=True)
 
 bpy.app.handlers.render_write.append(tell)
 bpy.ops.render.render(animation=True)
@@ -54,10 +62,16 @@ def main():
         environment = os.environ | {"BLENDER_USER_RESOURCES": str(Path(folder, "user"))}
         text = subprocess.run([sys.executable, "-c", SCENE, folder, str(args.frames), str(args.gaussians)], env=environment, check=True,
                               text=True, stdout=subprocess.PIPE).stdout
-    unit = os.sysconf("SC_PAGE_SIZE") / 2**20
-    sizes = {int(n): int(pages) * unit for n, pages in (line.split()[1:] for line in text.splitlines() if line.startswith("resident "))}
+    sizes = {int(n): (int(resident), int(used)) for _, n, resident, used in (
+        line.split() for line in text.splitlines() if line.startswith("memory "))}
+
+    def tell(what, number):
+        print(f"{what:12}" + "".join(f"   {name} {size / 2**20:7.1f} MiB, {size / first:.4f} of frame 50"
+                                     for name, size, first in zip(("resident", "in use"), sizes[number], sizes[50], strict=True)))
+
     for number in range(50, args.frames + 1, 50):
-        print(f"frame {number:4}  {sizes[number]:8.1f} MiB   {sizes[number] / sizes[50]:.4f} of frame 50")
+        tell(f"frame {number}", number)
+    tell("the largest", max((number for number in sizes if number >= 50), key=lambda number: sizes[number]))
 
 
 if __name__ == "__main__":

@@ -33,35 +33,40 @@ def local_maps(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     size = max(float((high - low).max()), 1e-12) / np.clip(np.cbrt(len(p)), 1, 4096)
     waiting = np.arange(len(p))
     for level in range(LEVELS):
-        found, number = _maps(p, q, low, size * 2**level, waiting)
-        done = number >= (ENOUGH if level < LEVELS - 1 else 4)
-        maps[good[waiting[done]]] = found[done]
+        found, done = _maps(p, q, low, size * 2**level, waiting, ENOUGH if level < LEVELS - 1 else 4)
+        maps[good[waiting[done]]] = found
         waiting = waiting[~done]
         if not len(waiting):
             break
     return maps
 
 
-def _maps(p, q, low, size, wanted):
-    """The maps at the points `wanted` by cells of a size, and how many points each was found from."""
+def _maps(p, q, low, size, wanted, least):
+    """By cells of a size: (the maps at those of the points `wanted` that have `least` points around them, which these are)."""
     keys, own = _cells(p, low, size)
-    middle, count = np.zeros((len(keys), 3)), np.bincount(own, minlength=len(keys))
-    for axis in range(3):
-        middle[:, axis] = np.bincount(own, p[:, axis], len(keys)) / count
+    count, asked = np.bincount(own, minlength=len(keys)), np.unique(own[wanted])
+    asked = asked[sum(np.where(there, count[at], 0) for at, there in _around(keys, asked)) >= least]
+    done = np.isin(own[wanted], asked)
+    if not len(asked):
+        return np.empty((0, 3, 3)), done
+    middle = np.stack([np.bincount(own, column, len(keys)) for column in p.T], 1) / count[:, None]
     local = (p - middle[own]) / size  # small numbers, so that sums of squares are exact enough
     moved = (q - p) / size
     # columns: 1, p, d, p p^T, d p^T with the displacement d
     columns = np.concatenate([np.ones((len(p), 1)), local, moved, _outer(local, local), _outer(moved, local)], 1)
     sums = np.stack([np.bincount(own, column, len(keys)) for column in columns.T], 1)
-    total = np.zeros_like(sums)
-    asked = np.unique(own[wanted])
+    total = np.zeros((len(asked), sums.shape[1]))
+    for at, there in _around(keys, asked):
+        total[there] += _about(sums[at[there]], (middle[at] - middle[asked])[there] / size)
+    return _fitted(total)[np.searchsorted(asked, own[wanted[done]])], done
+
+
+def _around(keys, cells):
+    """For each of the 27 cells at and beside some: (where it is among the filled ones, whether it is)."""
     for offset in itertools.product((-1, 0, 1), repeat=3):
-        beside = keys[asked] + np.array(offset) @ _STEP
+        beside = keys[cells] + np.array(offset) @ _STEP
         at = np.minimum(np.searchsorted(keys, beside), len(keys) - 1)
-        there = keys[at] == beside
-        total[asked[there]] += _about(sums[at[there]], (middle[at] - middle[asked])[there] / size)
-    row = np.searchsorted(asked, own[wanted])
-    return _fitted(total[asked])[row], total[asked, 0][row]
+        yield at, keys[at] == beside
 
 
 _STEP = np.array([1, 1 << 21, 1 << 42])

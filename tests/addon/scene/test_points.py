@@ -200,6 +200,21 @@ def test_deleted_points_are_gone_and_other_engines_see_the_edit(fg, module, mode
     assert len(faces) and numbers[faces].min() >= 75
 
 
+def test_a_frame_is_edited_once(module, points, render, scene, monkeypatch):
+    """Blender evaluates a frame for the viewport and for F12, for which also twice: what points cost is paid once, until they change."""
+    carried, edited = module("scene.point_edits").Carried, []
+    edit = carried._edit
+    monkeypatch.setattr(carried, "_edit", lambda self, model: edited.append(self.t) or edit(self, model))
+    modifier = nodes(points, wave)
+    for frame in (8, 9):
+        scene.frame_set(frame)
+        render()
+    assert edited == pytest.approx([7 / 20, 8 / 20])
+    modifier.node_group.nodes["Vector Math.002"].inputs[1].default_value[0] = 0.6
+    render()
+    assert len(edited) == 3
+
+
 @pytest.mark.parametrize("kind", ["LATTICE", "ARMATURE"])
 def test_deformed_gaussians_move_and_turn(fg, module, model, points, scene, now, kind):
     """A quarter turn by a lattice or a bone looks like the object turned by a quarter, looked at from one side (no harmonics)."""
