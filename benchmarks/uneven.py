@@ -72,12 +72,12 @@ def main() -> None:
                          preview_every=0, **options)
         seconds = time.process_time() - began
         found = evened(model)
-        whole, right = (fg.evaluate(model, fg.open_capture(capture), lpips=False, backend="cpu", fit_colours=fit)["average"]["psnr"]
-                        for fit in (False, True))
+        plain, fitted = (fg.evaluate(model, fg.open_capture(capture), lpips=False, backend="cpu", fit_colours=fit)["average"]["psnr"]
+                         for fit in (False, True))
         clocks = found.get("clocks", {})
         error = {view: late - (SHIFT if view == LATE and kind != "even" else 0.0) for view, late in clocks.items()}
         told = f"{LATE} {clocks[LATE]:+.3f}, largest error {max(map(abs, error.values())):.3f} frames" if clocks else ""
-        print(f"{name:18} {whole:.2f} dB, colours fitted {right:.2f} dB  {seconds:.0f} s of the processor  {told}  "
+        print(f"{name:18} {plain:.2f} dB, colours fitted {fitted:.2f} dB  {seconds:.0f} s of the processor  {told}  "
               f"{'exposures evened' if 'exposures' in found else ''}", flush=True)
 
 

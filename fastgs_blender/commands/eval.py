@@ -34,7 +34,7 @@ def add_arguments(parser):
     parser.add_argument("--images", type=int, default=10, metavar="N", help="side-by-side pictures of each view (default: 10)")
     parser.add_argument("--no-lpips", action="store_true", help="do not measure LPIPS, which takes the longest")
     parser.add_argument("--fit-colours", choices=("auto", "on", "off"), default="auto", help="fit a gain and an offset for each channel on "
-                        "the left half of each picture and measure its right half (default: where training evened exposures)")
+                        "one half of each picture, for its other half (default: where training evened exposures)")
     add_backend(parser)
 
 

@@ -51,7 +51,16 @@ def run(args):
         from ..training.run.clocks import STEPS, refined
 
         with progress(STEPS, "step", "refining", quiet=args.quiet) as bar:
-            clocks, lost = refined(args.capture, clocks.offsets, args.layout, progress=bar.to)
+
+            def starting(done: int, of: int) -> None:
+                bar.note(f"finding starting points, {done} of {of}")
+                bar.to(0)
+
+            def stepped(done: int, of: int) -> None:
+                bar.note("")
+                bar.to(done, of)
+
+            clocks, lost = refined(args.capture, clocks.offsets, args.layout, progress=stepped, starting=starting)
         if len(lost) == len(capture.views):
             raise FastGSError(f"{capture.path}: too little moves in its pictures for clocks to be compared; film something that moves, or "
                               "clap or flash a lamp.")
@@ -66,6 +75,6 @@ def run(args):
     rows = []
     for view, offset in clocks.offsets.items():
         spread = clocks.uncertainty.get(view)
-        sure = "not found, taken as 0" if view in lost else "" if spread is None else f"+- {spread:.2f}"
+        sure = "not found" if view in lost else "" if spread is None else f"+- {spread:.2f}"
         rows.append((view, f"{offset:+.2f} frames, {1000 * offset / fps:+.0f} ms  {sure}".rstrip()))
     say(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))

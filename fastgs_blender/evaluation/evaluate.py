@@ -43,8 +43,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     frames     their numbers from 0, beyond the model's clip too; None: all that the clip covers
     out        folder for side-by-side pictures of `images` frames of each view, and a film of each view; None: no pictures
     lpips      measure LPIPS too, where its weights are on this machine, else FLIP, where its package is
-    fit_colours  fit the colours of each picture on its left half and measure the right one (halves.py); None: where training evened
-               exposures, as the model says
+    fit_colours  fit the colours of each half of a picture on its other half (halves.py); None: where training evened exposures, as the
+               model says
     progress   called as progress(done, total, row) after each frame
 
     Returns JSON values: facts of the model and the capture; "rows", one for each frame; "views" and "average", the means of MEASURES
@@ -104,7 +104,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 picture = _picture(model, shot.camera, t, backend)
                 spent = time.perf_counter() - began
                 seconds += spent
-                whole, (picture, truth, foreground, valid) = _judged(picture, truth, foreground, valid, fit_colours)
+                picture = _judged(picture, truth, valid, fit_colours)
                 told = None if known is None else known.saw(view, clock(shot)[1], model.clip.frame_count)
                 row = {"view": view, "frame": shot.frame, "t": t, "trained_on": told,
                        "milliseconds": round(1000 * spent, 3), **_measures(picture, truth, foreground, valid, perceptual, flip)}
@@ -114,7 +114,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 before = shot.frame, picture, truth, None if valid is None else np.asarray(valid) > 0
                 rows.append(row)
                 if gallery:
-                    gallery.add(shot, whole[0], whole[1], row)
+                    gallery.add(shot, picture, truth, row)
                 progress(len(rows), len(covered), row)
     if fit_colours:
         notes.append(halves.NOTE)
@@ -252,12 +252,10 @@ def _truth(capture: Capture, store: FrameStore, shot: Shot) -> tuple[np.ndarray,
     return rgb, mask, valid
 
 
-def _judged(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, fit: bool) -> tuple:
-    """The two whole pictures to be shown; and what is to be measured: picture, truth, foreground and valid pixels."""
+def _judged(picture: np.ndarray, truth: np.ndarray, valid: np.ndarray | None, fit: bool) -> np.ndarray:
+    """The picture as it is shown and measured: with fitted colours, black where it is not valid."""
     picture = halves.fitted(picture, truth, valid) if fit else picture
-    picture = picture if valid is None else picture * valid[..., None]
-    parts = (picture, truth, foreground, valid)
-    return parts[:2], halves.right(*parts) if fit else parts
+    return picture if valid is None else picture * valid[..., None]
 
 
 def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, perceptual: Any,

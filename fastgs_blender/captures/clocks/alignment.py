@@ -18,13 +18,14 @@ ROUNDS = 60
 @dataclass(frozen=True)
 class Pair:
     """Curve j shows at sample s what curve i shows at s + lag; alike: their correlation there, -1..1; alone: how much higher it is than
-    at any other peak."""
+    at any other peak; common: the samples that both have."""
 
     i: int
     j: int
     lag: float
     alike: float
     alone: float
+    common: int = 0
 
 
 def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int) -> Pair | None:
@@ -46,7 +47,7 @@ def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int) -> Pair | 
     fine = lags[best] + np.arange(-1, 1 + FINE / 2, FINE)
     closer = np.array([_alike(a, b, lag) for lag in fine])
     top = int(np.argmax(closer))
-    return Pair(i, j, float(fine[top]), float(closer[top]), float(closer[top] - max(others.max(initial=0), 0)))
+    return Pair(i, j, float(fine[top]), float(closer[top]), float(closer[top] - max(others.max(initial=0), 0)), int(common[best]))
 
 
 def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:

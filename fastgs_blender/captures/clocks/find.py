@@ -21,6 +21,9 @@ NEIGHBOURS = 8
 """Cameras that each one is compared with: in a large rig not all pairs are."""
 ALIKE, ALONE = 0.5, 0.1
 """Least correlation of two cameras' curves of motion, and how far it must stand above that of other shifts."""
+CHANCE = 3.5
+"""Curves of motion count as alike above this many standard deviations of the correlation that curves of as many samples have by chance, the
+best of several shifts: in 15 frames almost only equal curves are."""
 SURE = 2.0
 """An offset found by motion counts where it is so many standard deviations from 0: these curves are only alike, not equal."""
 SOUND_ERROR, FLASH_ERROR, MOTION_ERROR = 0.003, 0.3, 0.15
@@ -66,7 +69,7 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
     shown = curves(capture, progress)
     flash = flashes(shown) if way in ("auto", "flash") else None
     if flash is not None:
-        found = _settled(capture, shown, list(flash), list(range(len(flash))), "flash", ALIKE)
+        found = _settled(capture, shown, list(flash), list(range(len(flash))), "flash")
         if not found.lost or way == "flash":
             return found
     elif way == "flash":
@@ -81,7 +84,7 @@ def _by_motion(capture: Capture, shown: Curves) -> Found:
         some = "more than one" if usable else "any"
         raise FastGSError(f"{capture.path}: nothing moves in the pictures of {some} of its cameras, so clocks cannot be compared; choose "
                           "a part of the clip in which something moves, or clap or flash a lamp when you film.")
-    found = _settled(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion", ALIKE)
+    found = _settled(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion")
     if len(found.lost) == len(shown.views):
         raise FastGSError(f"{capture.path}: what moves looks too different from camera to camera for their clocks to be compared; choose a "
                           "longer part of the clip, or clap or flash a lamp when you film.")
@@ -101,12 +104,13 @@ def _pairs(count: int) -> list[tuple[int, int]]:
     return [(i, (i + k) % count) for k in range(1, min(NEIGHBOURS, count // 2) + 1) for i in range(count) if 2 * k < count or i < k]
 
 
-def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str, alike: float) -> Found:
+def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str) -> Found:
     """The Found offsets of the views `rows`, by aligning their curves `lines`."""
     length = min(map(len, lines))
     most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
     pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most)) is not None]
-    pairs = [pair for pair in pairs if pair.alike >= alike and pair.alone >= ALONE]
+    chance = CHANCE if way == "motion" else 0.0
+    pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
     offsets, spread = settled(len(lines), pairs)
     return _found(capture, {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}, way, shown)
 

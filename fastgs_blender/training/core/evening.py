@@ -52,6 +52,10 @@ TOLD = 1.0
 with wrong gains partly believes them: its features see the direction, and with it the camera (benchmarks/uneven.py)."""
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
 """Standard deviation of clock offsets in frames, as a prior; number of pixels whose errors are correlated and count as one."""
+TOGETHER = 0.6
+"""Where the clocks of this share of the cameras seem to differ by less than NOTICED_CLOCK, they run together and stay equal.  A model
+partly believes one wrong clock in all views near that camera, and a whole side of a rig would drift, by 0.1 frames and more
+(benchmarks/uneven.py)."""
 FARTHEST = 1.5
 """The largest clock offset in frames that training corrects; larger ones are found before training (captures/clocks)."""
 
@@ -66,6 +70,7 @@ class Evening:
     fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
     colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
     clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
+    apart    [V] whether a camera is known not to run together with the others; its pictures are placed at their moments then
     """
 
     views: tuple[str, ...]
@@ -79,6 +84,7 @@ class Evening:
     fades: np.ndarray
     colour: np.ndarray
     clock: np.ndarray
+    apart: np.ndarray | None = None
 
     @classmethod
     def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
@@ -217,9 +223,15 @@ class Evening:
         known = square > 0
         if not known.any():
             return
-        late = missing / np.maximum(square + pull, 1e-12)
-        late = np.clip(self.late + FARTHER * (late - self.late), -FARTHEST, FARTHEST)
-        self.late = np.where(known, late - np.median(late[known]), 0.0)
+        told = missing / np.maximum(square + pull, 1e-12)
+        late = np.clip(self.late + FARTHER * (told - self.late), -FARTHEST, FARTHEST)
+        together = known & (np.abs(told - np.median(told[known])) < NOTICED_CLOCK)
+        if self.apart is not None:
+            together &= ~self.apart
+        if together.sum() >= TOGETHER * known.sum():
+            self.late = np.where(known & ~together, late, 0.0)
+        else:
+            self.late = np.where(known, late - np.median(late[known]), 0.0)
 
     def uncertainty(self) -> np.ndarray:
         """Standard deviations [V] of the clocks, in frames; inf where nothing moves before a camera."""

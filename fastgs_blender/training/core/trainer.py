@@ -277,7 +277,7 @@ class Trainer:
 def measure(model, capture, store, settings, shots, backend: str = "cpu", fit_colours: bool = False):
     """(mean PSNR of shots, that of their foreground where masks show it or None, [(picture, truth)] of each, over black).
 
-    fit_colours  PSNR is that of the right halves, colours fitted on the left ones (evaluation/halves.py)
+    fit_colours  colours of each half of a picture are fitted on its other half (evaluation/halves.py)
     """
     from ...evaluation import halves
     from ...evaluation.metrics import psnr
@@ -289,10 +289,9 @@ def measure(model, capture, store, settings, shots, backend: str = "cpu", fit_co
         cover = cover_of(use_of_mask(settings, capture, shot, pixels.mask), pixels)
         truth = pixels.rgb if cover is None else pixels.rgb * cover[..., None]
         picture = halves.fitted(picture, truth, pixels.valid) if fit_colours else picture
-        measured = halves.right(picture, truth, pixels.mask) if fit_colours else (picture, truth, pixels.mask)
-        whole.append(psnr(*measured[:2]))
+        whole.append(psnr(picture, truth))
         if pixels.mask is not None:
-            part.append(psnr(*measured))
+            part.append(psnr(picture, truth, pixels.mask))
         pictures.append((picture, truth))
     part = [value for value in part if np.isfinite(value)]
     return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures

@@ -29,11 +29,12 @@ EXPECTED = 0.5
 
 
 def refined(path, first: Mapping[str, float], layout: str | None = None, steps: int = STEPS,
-            progress: Callable[[int, int], None] | None = None) -> tuple[Clocks, tuple[str, ...]]:
+            progress: Callable[[int, int], None] = lambda done, of: None,
+            starting: Callable[[int, int], None] = lambda done, of: None) -> tuple[Clocks, tuple[str, ...]]:
     """The clocks of a posed capture, from offsets that are right within a frame or so; and the views before which too little moves.
 
     All views are trained on, those to be held out later too: of their pictures nothing is kept but the clocks.
-    progress  called as progress(done, of) after each step
+    progress  called as progress(done, of) after each step;  starting: in the same way while starting points are looked for
     Raises FastGSError where the capture has no poses or nothing can be trained on.
     """
     capture = _small(path, first, layout)
@@ -43,12 +44,12 @@ def refined(path, first: Mapping[str, float], layout: str | None = None, steps: 
         store = FrameStore(capture, folder=folder)
         store.fill()
         chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, points=POINTS, clocks="on", preview_every=0)
-        began = start(capture, store, chosen, lambda text: None)
+        began = start(capture, store, chosen, lambda text: None, starting)
         trainer = Trainer(capture, store, chosen, began.model, sizes=began.sizes, reach=began.reach)
+        trainer.evening.apart = np.array([first.get(view, 0.0) != 0 for view in trainer.evening.views])
         while trainer.iteration < steps:
             trainer.step()
-            if progress:
-                progress(trainer.iteration, steps)
+            progress(trainer.iteration, steps)
     found = trainer.evening
     spread, late = found.uncertainty(), dict(zip(found.views, found.late))
     known = {view for view, each in zip(found.views, spread) if each < EXPECTED and abs(late[view]) < FARTHEST}

@@ -51,6 +51,22 @@ def test_a_genlocked_capture_stays_as_it_is(frames, tmp_path):
     assert set(found.clocks.offsets.values()) == {0.0}
 
 
+def test_curves_that_are_alike_by_chance_tell_no_offsets(tmp_path):
+    """Sixteen pictures in which each camera sees something else that moves: some shift always fits."""
+    rng = np.random.default_rng(1)
+    folder = write_uneven(tmp_path, 16, 10, speed=0.0)
+    for view in range(10):
+        place = 0.0
+        for frame in range(16):
+            path = folder / f"cam{view:02}" / f"{frame + 1:04}.png"
+            picture = np.array(Image.open(path))
+            place += rng.uniform(0.2, 3)
+            picture[10:20, int(place):int(place) + 12] = 255
+            Image.fromarray(picture).save(path)
+    with pytest.raises(FastGSError, match="too different"):
+        find_offsets(open_capture(folder))
+
+
 def test_pictures_are_placed_at_their_moments(shifted, tmp_path):
     bare = open_capture(shifted, offsets={})
     assert times(bare, "cam02")[1] == (0, 0)

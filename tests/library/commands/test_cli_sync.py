@@ -35,11 +35,10 @@ def test_quick(shifted, capsys):
 
 def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypatch, capsys):
     pytest.importorskip("pycolmap")
-    seen = []
+    seen, began = [], []
 
-    def few(path, first, layout=None, steps=0, progress=None):
-        found = refined(path, first, layout, 240, lambda done, of: seen.append((done, of)))
-        return found
+    def few(path, first, layout=None, steps=0, progress=None, starting=None):
+        return refined(path, first, layout, 240, lambda done, of: seen.append((done, of)), lambda done, of: began.append((done, of)))
 
     refined = clocks.refined
     monkeypatch.setattr(clocks, "refined", few)
@@ -47,6 +46,7 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     values = json.loads(capsys.readouterr().out)
     assert values["found_by"] == "training" and values["offsets"].keys() == {"cam00", "cam01", "cam02", "cam03"}
     assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (240, 240)
+    assert len(began) > 1, "finding starting points takes the longer part"
     assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
 
 

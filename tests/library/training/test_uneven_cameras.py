@@ -146,6 +146,19 @@ def test_a_clock_is_found_along_the_models_change():
     assert found.facts()["clocks"]["b"] == pytest.approx(0.4, abs=0.02)
 
 
+@pytest.mark.parametrize(("seems", "apart", "taken"), [
+    ((-0.09, 0.35, -0.08, -0.1, 0.02, 0.03), (), "one"),  # a whole side of the rig seems late, because the model half believes one clock
+    ((-0.4, 0.35, -0.2, -0.1, 0.02, 0.3), (), "all"),  # free cameras
+    ((-0.09, 0.08, -0.08, -0.1, 0.02, 0.03), (0, 1, 2, 3, 4), "all")])  # they were already placed at their own moments
+def test_cameras_that_run_together_keep_equal_clocks(seems, apart, taken):
+    found = Evening.begun(tuple("abcdef"), 10, settings(clocks="on"))
+    found.apart = np.isin(np.arange(6), apart)
+    clock = np.array([(1e4, 1e4 * late, 0.01, 1e5) for late in seems])
+    found.learn(np.zeros((6, 3, 5)), clock)
+    assert (found.late != 0).tolist() == [taken == "all" or k == 1 for k in range(6)]
+    assert found.late[1] > 0.1
+
+
 def test_where_nothing_moves_no_clock_is_found():
     found = evening()
     rgb = np.full((8, 8, 3), 0.5, np.float32)
@@ -177,7 +190,7 @@ def test_each_picture_is_read_once_for_its_step():
 def test_evening_makes_the_held_out_view_better(uneven):
     with_it, without = uneven
     shots = with_it.capture.held_out
-    fitted = [np.mean([psnr(*halves.right(halves.fitted(picture, truth), truth)) for picture, truth in who.measure(shots)[2]])
+    fitted = [np.mean([psnr(halves.fitted(picture, truth), truth) for picture, truth in who.measure(shots)[2]])
               for who in uneven]
     assert fitted[0] > fitted[1] + 0.5
     grey = 0.5 * with_it.evening.gains[:, 1] + with_it.evening.biases[:, 1]
@@ -197,24 +210,34 @@ def test_evaluation_fits_colours_of_such_a_model_and_says_so(uneven):
     assert not evaluate(without.final_model({}), capture, store, lpips=False)["fit_colours"]
 
 
-def test_a_fit_on_the_left_half_is_judged_on_the_right_one():
-    truth = np.random.default_rng(3).random((20, 30, 3))
+def test_each_half_is_judged_by_a_fit_on_the_other_one():
+    truth = np.random.default_rng(3).random((20, 31, 3))
     picture = (truth - 0.1) / 1.4
-    assert psnr(*halves.right(halves.fitted(picture, truth), truth)) > 50 > psnr(*halves.right(picture, truth))
-    wrong = picture.copy()
-    wrong[:, 15:] = 0.5  # the right half is not looked at
-    np.testing.assert_allclose(halves.fitted(wrong, truth)[:, :15], truth[:, :15], atol=0.01)
-    assert halves.fitted(picture, truth, np.zeros((20, 30))) is picture
+    assert psnr(halves.fitted(picture, truth), truth) > 50 > psnr(picture, truth)
+    for own, other in ((np.s_[:, :15], np.s_[:, 15:]), (np.s_[:, 15:], np.s_[:, :15])):
+        wrong = picture.copy()
+        wrong[own] = truth[own] * 0.5 + 0.3
+        found = halves.fitted(wrong, truth)
+        np.testing.assert_allclose(found[own], 1.4 * wrong[own] + 0.1, atol=0.01)  # not by its own pixels
+        np.testing.assert_allclose(found[other], 2 * picture[other] - 0.6, atol=0.02)
+    counts = np.zeros((20, 31))
+    assert np.array_equal(halves.fitted(picture, truth, counts), picture)
+    counts[:, :15] = 1
+    found = halves.fitted(picture, truth, counts)
+    assert np.array_equal(found[:, :15], picture[:, :15]) and psnr(found[:, 15:], truth[:, 15:]) > 50
 
 
 def test_what_a_model_shows_wrongly_does_not_bend_the_fit():
-    """A third of the left half shows something else: plain least squares would find half the gain."""
+    """A third of each half shows something else: plain least squares would find half the gain."""
     truth = np.random.default_rng(3).random((40, 60, 3))
     picture = (truth - 0.05) / 1.2
-    picture[:, :10] = 0.9 - 0.8 * picture[:, :10]
-    assert psnr(*halves.right(halves.fitted(picture, truth), truth)) > 35
+    for wrong in (np.s_[:, :10], np.s_[:, -10:]):
+        picture[wrong] = 0.9 - 0.8 * picture[wrong]
+    right = np.s_[:, 10:-10]
+    assert psnr(halves.fitted(picture, truth)[right], truth[right]) > 35
     large = [np.repeat(np.repeat(image, 12, 0), 12, 1) for image in (picture, truth)]
-    assert psnr(*halves.right(halves.fitted(*large), large[1])) > 35, "some of many pixels tell as much"
+    right = np.s_[:, 120:-120]
+    assert psnr(halves.fitted(*large)[right], large[1][right]) > 35, "some of many pixels tell as much"
 
 
 def test_a_restored_run_goes_on_exactly(tmp_path):
@@ -227,7 +250,7 @@ def test_a_restored_run_goes_on_exactly(tmp_path):
     again = Trainer(made[0], made[1], straight.settings)
     again.restore(*checkpoint.load(tmp_path))
     train(again)
-    assert again.evening.gains.std() > 0.01 and np.abs(again.evening.late).max() > 0
+    assert again.evening.gains.std() > 0.01 and np.abs(again.evening.clock).max() > 0
     for name, array in straight.state()[0].items():
         assert np.array_equal(array, again.state()[0][name], equal_nan=True), name
 
