@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..util.errors import FastGSError, LossWarning
 from . import ply
 from .base import STEEP, Format, generator
 from .fitting import bell_opacity, polynomial_motion, still_rotation
-from .inria import DEGREES, NORMAL, POSITION, ROTATION, SCALE, colour_columns, in_file_order
+from .inria import NORMAL, POSITION, ROTATION, SCALE, harmonics, in_file_order
 from .static import plain_harmonics
 from .straight import straight
 from .turning import into_rdf, turned
@@ -49,7 +50,7 @@ class FreeTimePly(Format):
         header = ply.read_header(path)
         said = _settings(header.comments)
         moves = said["use_velocity"] != 0
-        degree, groups = static_columns(header)
+        degree, groups = static_columns(header, path)
         _need(header, (*TIME, *(VELOCITY if moves else ())))
         columns = ply.read_vertices(path, header, groups | {"time": TIME, "velocity": VELOCITY if moves else ()})
         time, velocity, opacity = columns.pop("time"), columns.pop("velocity"), columns.pop("opacity")[:, 0]
@@ -59,7 +60,6 @@ class FreeTimePly(Format):
         lives = straight(columns.pop("position"), velocity if moves else None, time[:, 0],
                          np.maximum(time[:, 1], math.log(said["min_duration"])))
         return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
-
 
     def fit(self, model):
         return straight_model(model, degree=4)
@@ -95,15 +95,12 @@ def straight_model(model: GaussianModel, degree: int) -> tuple[GaussianModel, li
     return replace(turned(model, turn), axes="RDF", **basis), lost
 
 
-def static_columns(header: ply.Header) -> tuple[int, dict[str, tuple[str, ...] | list[str]]]:
+def static_columns(header: ply.Header, path) -> tuple[int, dict[str, Sequence[str]]]:
     """The degree of spherical harmonics and the columns that every static Gaussian has, for read_vertices(); checked."""
-    rest = sum(name.startswith("f_rest_") for name in header.names)
-    if rest not in DEGREES:
-        raise FastGSError(f"its {rest} columns f_rest_* fit no degree of spherical harmonics (0, 9, 24, 45 or 72 do).")
-    groups = {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",),
-              "features": colour_columns(DEGREES[rest])}
+    degree, colours = harmonics(header, path)
+    groups = {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colours}
     _need(header, [name for names in groups.values() for name in names])
-    return DEGREES[rest], groups
+    return degree, groups
 
 
 def clip_of(frames: int, fps: float = 30.0) -> Clip:

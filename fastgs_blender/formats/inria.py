@@ -4,9 +4,14 @@
 Columns, by name and in any order: x y z, f_dc_0..2, f_rest_* (all of red, then green, then blue), opacity (logit),
 scale_0..2 (ln), rot_0..3 (w x y z); nx ny nz and others are ignored.  `comment SplatRenderMode: mip` (Brush) and
 `comment antialiased 1` (Postshot) make the model antialiased; the blur stays 0.3, for the file does not say another.
+
+What some trainers write instead: red, green, blue for f_dc_* (nerfstudio's `--ply-color-mode rgb`), and scale_0 alone for round
+Gaussians.
 """
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +19,7 @@ import numpy as np
 from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
 from ..model.temporal import Always
-from ..util.errors import FastGSError
+from ..util.errors import LossWarning
 from . import ply
 from .base import Format, generator
 from .description import comments, from_comments
@@ -26,12 +31,28 @@ POSITION, SCALE, ROTATION = ("x", "y", "z"), ("scale_0", "scale_1", "scale_2"), 
 NORMAL = ("nx", "ny", "nz")
 """Written as zeros, since other tools expect them."""
 DEGREES = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
+CONSTANT, PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2"), ("red", "green", "blue")
+"""The colour seen from everywhere: as coefficients, or as it is."""
 
 
-def colour_columns(degree: int) -> list[str]:
-    """The columns' names in the order of GaussianModel.features: by coefficient, then r, g, b."""
+def colour_columns(degree: int, each: int | None = None) -> list[str]:
+    """The columns' names in the order of GaussianModel.features: by coefficient, then r, g, b.
+
+    each  columns f_rest_* that the file has for a channel, where these are more than the degree has
+    """
     rest = (degree + 1) ** 2 - 1
-    return [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3)]
+    return [*CONSTANT, *(f"f_rest_{c * (each or rest) + b}" for b in range(rest) for c in range(3))]
+
+
+def harmonics(header: ply.Header, path) -> tuple[int, list[str]]:
+    """The degree of spherical harmonics that the columns f_rest_* fill, and colour_columns(); a LossWarning tells of others."""
+    rest = sum(name.startswith("f_rest_") for name in header.names)
+    each = rest // 3 if rest % 3 == 0 and header.names.issuperset(f"f_rest_{i}" for i in range(rest)) else 0
+    degree = min(4, math.isqrt(each + 1) - 1)
+    if rest not in DEGREES or (rest and not each):
+        warnings.warn(LossWarning(f"{path}: its {rest} columns f_rest_* fit no degree of spherical harmonics (9, 24, 45 or 72 do); degree "
+                                  f"{degree} is read."), stacklevel=4)
+    return degree, colour_columns(degree, each)
 
 
 class Inria(Format):
@@ -45,17 +66,18 @@ class Inria(Format):
             return False
         header = ply.read_header(path)
         moves = any(name.startswith("motion_") for name in header.names)
-        return header.names.issuperset(GAUSSIAN) and not moves and not is_2dgs(header)
+        return header.names.issuperset(_needed(header)) and not moves and not is_2dgs(header)
 
     def load(self, path):
         header = ply.read_header(path)
-        rest = sum(name.startswith("f_rest_") for name in header.names)
-        if rest not in DEGREES or not header.names.issuperset(colour_columns(DEGREES[rest])):
-            raise FastGSError(f"its {rest} columns f_rest_* fit no degree of spherical harmonics (0, 9, 24, 45 or 72 do).")
-        degree = DEGREES[rest]
+        plain = not header.names.issuperset(CONSTANT)
+        degree, colours = (0, PLAIN) if plain else harmonics(header, path)
         columns = ply.read_vertices(path, header, {
-            "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colour_columns(degree)})
+            "position": POSITION, "rotation": ROTATION, "scale": SCALE[:1] * 3 if _is_round(header) else SCALE, "opacity": ("opacity",),
+            "features": colours})
         columns["opacity"] = columns["opacity"][:, 0]
+        if plain:
+            columns["features"] = _coefficients(header, columns["features"])
         kinds = {"raster": Raster(antialiased=says_antialiased(header))} | from_comments(header.comments, KEYS)
         return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
@@ -77,6 +99,24 @@ class Inria(Format):
             (POSITION, model.position), (NORMAL, np.broadcast_to(np.float32(0), (len(model), 3))),
             *in_file_order(model), (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation)]
         ply.write(targets[-1], [f"Written by {generator()}", *mode, *comments(model, KEYS)[0]], columns)
+
+
+def _is_round(header: ply.Header) -> bool:
+    """Whether its Gaussians have one scale each."""
+    return "scale_0" in header.names and header.names.isdisjoint(SCALE[1:])
+
+
+def _needed(header: ply.Header) -> set[str]:
+    """The columns without which such a file holds no Gaussians."""
+    instead = set(SCALE[1:]) if _is_round(header) else set()
+    return set(GAUSSIAN) - instead if header.names.issuperset(CONSTANT) else set(GAUSSIAN) - instead - set(CONSTANT) | set(PLAIN)
+
+
+def _coefficients(header: ply.Header, colours: np.ndarray) -> np.ndarray:
+    """Coefficients [N, 3] of colours as they are: floats 0..1, or integers up to their type's greatest."""
+    code = next(p.code for p in header.vertex.properties if p.name == PLAIN[0])
+    most = 1.0 if code[0] == "f" else float(np.iinfo(code).max)
+    return (colours.astype(np.float64) / most - 0.5) / SH_C0
 
 
 def says_antialiased(header: ply.Header) -> bool:

@@ -42,7 +42,7 @@ class MediastormPly(Format):
         centre = next((name for name in CENTRES if name in header.names), None)
         if centre is None:
             raise FastGSError("its column t, the time at which each Gaussian is seen best, is missing; export it again.")
-        degree, groups = static_columns(header)
+        degree, groups = static_columns(header, path)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "time": (centre, "t_scale")})
         time, velocity, opacity = columns.pop("time"), columns.pop("velocity"), columns.pop("opacity")[:, 0]
         frames = last_frame(time[:, 0], FPS) + 1

@@ -6,7 +6,7 @@ Nothing is allocated on the word of a header: counts are checked against the fil
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
@@ -30,6 +30,8 @@ TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }
+FOREIGN = ("scalar_scal_", "scalar_", "scal_")
+"""What CloudCompare, and the converter 3dgsconverter for it, put before the names of columns that no plain point cloud has."""
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -133,7 +135,7 @@ def _parse(lines: list[str], size: int) -> Header:
             raise FastGSError(f"line {number + 1} of its PLY header makes no sense: {line[:60]!r}.") from error
     if order is None:
         raise FastGSError("its PLY header names no format.")
-    return Header(order, tuple(comments), tuple(Element(n, c, tuple(p.values())) for n, (c, p) in elements.items()), size)
+    return Header(order, tuple(comments), tuple(Element(n, c, _named(p.values())) for n, (c, p) in elements.items()), size)
 
 
 def _expect(good: bool) -> None:
@@ -148,6 +150,20 @@ def _property(words: list[str]) -> Property:
         return Property(name, TYPES[item], TYPES[count])
     kind, name = words
     return Property(name, TYPES[kind])
+
+
+def _named(properties: Iterable[Property]) -> tuple[Property, ...]:
+    """The columns under the names that they had before another program put something in front of them, where these are free."""
+    properties = tuple(properties)
+    names = {p.name for p in properties}
+    found = []
+    for prop in properties:
+        prefix = next((each for each in FOREIGN if prop.name.startswith(each)), "")
+        own = prop.name.removeprefix(prefix)
+        taken = not prefix or not own or own in names
+        names.add(own)
+        found.append(prop if taken else replace(prop, name=own))
+    return tuple(found)
 
 
 def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:

@@ -35,7 +35,7 @@ class SuperSplatPly(Format):
 
     def load(self, path):
         header = ply.read_header(path)
-        degree, groups = static_columns(header)
+        degree, groups = static_columns(header, path)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "bell": BELL})
         (centre, ln_width), velocity, opacity = columns.pop("bell").T, columns.pop("velocity"), columns.pop("opacity")[:, 0]
         clip = _clip_of(header, path) or {"duration": last_frame(centre, FPS) / FPS}
