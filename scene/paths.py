@@ -106,7 +106,7 @@ def _first(path: str) -> tuple[str, str]:
     if not stands_for_many(there):
         return path, ""
     try:
-        first = numbered_files(Path(there))[0][1].name
+        first = numbered_files(Path(there), below=False)[0][1].name
     except (FastGSError, OSError):  # whoever reads the sequence says why
         return path, ""
     if os.path.isdir(there):

@@ -75,23 +75,26 @@ def _devices(args):
 
 
 def is_capture(path) -> bool:
-    """Whether a path is to be read as a capture: a folder without a sequence of models, and files that a layout of captures knows."""
+    """Whether a path is to be read as a capture: a folder without a sequence of models, and files that a layout of captures knows.
+
+    A capture may have models in folders below it (points of each frame): only of what is no capture these make a sequence.
+    """
     path = Path(path)
-    if path.is_dir():
-        return not holds_sequence(path)
-    if path.suffix.lower() not in CAPTURE_FILES or not path.is_file():
+    if not path.is_dir() and (path.suffix.lower() not in CAPTURE_FILES or not path.is_file()):
+        return False
+    if path.is_dir() and holds_models(path, below=False):
         return False
     from ..captures import recognised
 
-    return recognised(path) is not None
+    return recognised(path) is not None or (path.is_dir() and not holds_models(path))
 
 
-def holds_sequence(folder: Path) -> bool:
-    """Whether a folder holds the numbered files of a sequence of models."""
-    from ..formats.sequences import numbered_files
+def holds_models(folder: Path, below: bool = True) -> bool:
+    """Whether a folder holds the numbered files of a sequence of models, or stands for one; below: in folders in it, too."""
+    from ..formats.sequences import numbered_files, settled
 
     try:
-        return bool(numbered_files(folder))
+        return settled(folder) != folder or bool(numbered_files(folder, below))
     except FastGSError:
         return False
 

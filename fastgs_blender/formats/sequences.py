@@ -2,12 +2,13 @@
 """Sequences of files: numbered files of static models in a folder or in a zip file, opened as one source (model/sequence.py).
 
 A path stands for a sequence where it is
-    a folder                       frames/                   with the numbered files of one sequence in it
+    a folder                       frames/                   with the numbered files of one sequence in it, or with a folder for each frame
     a pattern of names             frames/take_####.ply      every file whose number stands there, with any number of digits
     the same with two numbers      frames/take_[10-50].ply   those from 10 to 50
     a zip file                     frames.zip                as a folder
 Frames have the places that their numbers give them, divided by the step that all numbers share; where one is missing, its
-neighbours are shown.
+neighbours are shown.  Capitals make no difference.  Of what a trainer saved after several iterations, the last counts.
+A folder that SOG was written into, meta.json and pictures, stands for that one model.
 """
 from __future__ import annotations
 
@@ -21,6 +22,7 @@ import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,9 +32,10 @@ from ..model.slicing import freeze
 from ..model.temporal import Always
 from ..util.errors import FastGSError, LossWarning
 from ..util.identity import status_of
-from ..util.reading import reading
+from ..util.reading import open_file, reading
 from ..util.zip_files import opened_zip
 from .base import Format
+from .sog import Sog
 from .turning import with_axes
 from .zipped import members
 
@@ -40,6 +43,12 @@ EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".
 """Of files that are taken for frames."""
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
+META, LEVELS = "meta.json", "lod-meta.json"
+"""Of SOG in a folder, and of its levels of detail in folders beside each other."""
+DEPTH = 4
+"""Folders below the one that was chosen in which frames are looked for: frame_0001/point_cloud/iteration_7000/point_cloud.ply."""
+SAVED = re.compile(r"(?<![^/])iteration_(\d{1,18})/")
+"""The folder of one of several states of a training."""
 MOST_FRAMES = 1_000_000
 SPARSE = 100
 """Numbers whose range is this many times as long as their list are names, not times: the frames then follow each other closely."""
@@ -78,16 +87,26 @@ class ZippedFiles(SequenceFormat):
     reads = (".zip",)
 
     def sniff(self, head, path):
-        return any(_is_frame(name) for name in members(head, path))
+        return any(_is_packed_frame(name) for name in members(head, path))
 
     def open(self, path, load):
         with reading(path), opened_zip(path) as archive:
-            infos = {info.filename: info for info in archive.infolist() if not info.is_dir() and _is_frame(info.filename)}
+            infos = {info.filename: info for info in archive.infolist() if not info.is_dir()}
+            infos = {name: infos[name] for name in _latest(filter(_is_packed_frame, infos))}
         if len(infos) == 1:
             return _unpacked(path, next(iter(infos.values())), load)
         found = _one_sequence(infos, "the zip file")
         return _sequence([n for n, _ in found], lambda i: _still(_unpacked(path, infos[found[i][1]], load), f"{path}: {found[i][1]}"),
                          lambda i: status_of(str(path)), str(path))
+
+
+def settled(path: Path) -> Path:
+    """The file that a path stands for: in a folder of SOG its meta.json, else the path itself."""
+    meta = path / META
+    if not os.path.isfile(meta) or (path / LEVELS).exists():
+        return path
+    with reading(meta), open_file(meta) as stream:
+        return meta if Sog().sniff(stream.read(512), meta) else path
 
 
 def stands_for_many(path: str | os.PathLike) -> bool:
@@ -105,16 +124,24 @@ def title(path: Path) -> str:
     """A name for what is at a path, without the place of a number."""
     plain = PLACE.sub("", path.name) if stands_for_many(path) else path.name
     for extension in EXTENSIONS:
-        plain = plain.removesuffix(extension)
+        plain = plain[:-len(extension)] if plain.lower().endswith(extension) else plain
     return plain.rstrip("_-. ") or path.parent.name
 
 
-def numbered_files(path: Path) -> list[tuple[int, Path]]:
-    """The frames' numbers, increasing, and files of a folder or a pattern; raises FastGSError."""
+def numbered_files(path: Path, below: bool = True) -> list[tuple[int, Path]]:
+    """The frames' numbers, increasing, and files of a folder or a pattern; raises FastGSError.
+
+    below  whether a folder that has no frames itself may have folders with them
+    """
     if path.is_dir():
-        return [(n, path / name) for n, name in _one_sequence(_names(path), "the folder")]
+        names = _names(path)
+        if LEVELS in names:
+            raise FastGSError("the folder holds SOG in levels of detail, which are no frames; choose the meta.json of one level, of which "
+                              "0_0 is the finest.")
+        found = names if any(map(_is_frame, names)) or not below else _names_below(path)
+        return [(n, path / name) for n, name in _one_sequence(found, "the folder")]
     place = PLACE.search(path.name)
-    number = re.compile(re.escape(path.name[:place.start()]) + r"(\d{1,18})" + re.escape(path.name[place.end():]))
+    number = _pattern(path.name[:place.start()], path.name[place.end():])
     found = sorted((int(m[1]), path.parent / m[0]) for m in map(number.fullmatch, _names(path.parent)) if m)
     if place[1] is not None:
         found = [pair for pair in found if int(place[1]) <= pair[0] <= int(place[2])]
@@ -130,11 +157,10 @@ def grouped(paths: Iterable[Path]) -> list[Path]:
     for folder in dict.fromkeys(path.parent for path in paths):
         names = [path.name for path in paths if path.parent == folder and _is_frame(path.name)]
         there = _names(folder) if folder.is_dir() else names
-        for (before, after), numbers in _sequences(names).items():
-            low, high = min(numbers), max(numbers)
-            everything = sum(1 for name in there if re.fullmatch(re.escape(before) + r"\d{1,18}" + re.escape(after), name))
-            inside = "####" if everything == len(numbers) else f"[{low[1]}-{high[1]}]"
-            found |= {folder / f"{before}{digits}{after}": folder / f"{before}{inside}{after}" for _, digits in numbers}
+        for (before, after), rows in _sequences(names).items():
+            everything = sum(1 for name in there if _pattern(before, after).fullmatch(name))
+            inside = "####" if everything == len(rows) else f"[{rows[0].digits}-{rows[-1].digits}]"
+            found |= {folder / row.name: folder / f"{before}{inside}{after}" for row in rows}
     return list(dict.fromkeys(found.get(path, path) for path in paths))
 
 
@@ -143,39 +169,89 @@ def _names(folder: Path) -> list[str]:
         return sorted(entry.name for entry in os.scandir(folder))
 
 
+def _names_below(folder: Path, depth: int = DEPTH, above: str = "") -> list[str]:
+    """The names of frames in folders below one, with the folders' names before them and "/" between; MOST_FRAMES at most."""
+    found: list[str] = []
+    for name in _names(folder) if depth else ():
+        if name.startswith(".") or len(found) > MOST_FRAMES:
+            continue
+        if (folder / name).is_dir():
+            found += _names_below(folder / name, depth - 1, f"{above}{name}/")
+        elif above and (_is_frame(name) or name == META):
+            found.append(above + name)
+    return found
+
+
 def _is_frame(name: str) -> bool:
-    return name.lower().endswith(EXTENSIONS) and not os.path.basename(name).startswith(".") and "__MACOSX" not in name
+    return (name.lower().endswith(EXTENSIONS) and not os.path.basename(name).startswith(".") and "__MACOSX" not in name) or (
+        "/" in name and os.path.basename(name) == META)
 
 
-def _sequences(names: Iterable[str]) -> dict[tuple[str, str], list[tuple[int, str]]]:
-    """{(before, after the number): [(number, its digits), ...]} of names that differ in one number, two names at least.
+def _is_packed_frame(name: str) -> bool:
+    """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not."""
+    return _is_frame(name) and os.path.basename(name) != META
+
+
+def _pattern(before: str, after: str) -> re.Pattern:
+    """The names of a sequence, with the number as their group."""
+    return re.compile(re.escape(before) + r"(\d{1,18})" + re.escape(after), re.IGNORECASE)
+
+
+class _Row(NamedTuple):
+    """A frame: its number, as a number and as it is written, and its name."""
+
+    number: int
+    digits: str
+    name: str
+
+
+def _sequences(names: Iterable[str], loose: bool = False) -> dict[tuple[str, str], list[_Row]]:
+    """{(before, after the number): frames, by number} of names that differ in one number, two names at least.
 
     Where several numbers differ, the last one is the frame's.
+    loose  the first one is, and the others may differ as they like: times, say
     """
     alike = defaultdict(list)
     for name in names:
-        alike[tuple(re.split(r"\d+", name))].append(re.findall(r"\d+", name))
-    found: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
-    for texts, rows in alike.items():
-        differing = [c for c in range(len(texts) - 1) if len({row[c] for row in rows}) > 1]
-        for row in rows if differing else ():
-            c = differing[-1]
-            parts = [text + digits for text, digits in zip(texts, row)]
-            found["".join(parts[:c]) + texts[c], texts[c + 1] + "".join(d + t for d, t in zip(row[c + 1:], texts[c + 2:]))].append(
-                (int(row[c][:18]), row[c]))
-    return {key: sorted(numbers) for key, numbers in found.items() if len(numbers) > 1}
+        alike[tuple(re.split(r"\d+", name.lower()))].append(name)
+    found: dict[tuple[str, str], list[_Row]] = {}
+    for group in alike.values():
+        digits = [re.findall(r"\d+", name) for name in group]
+        differing = [c for c in range(len(digits[0])) if len({row[c] for row in digits}) > 1]
+        parts: dict[tuple, list[_Row]] = defaultdict(list)
+        for name, row in zip(group, digits, strict=True) if differing else ():
+            c = differing[0 if loose else -1]
+            parts[() if loose else (*row[:c], *row[c + 1:])].append(_Row(int(row[c][:18]), row[c], name))
+        for rows in parts.values():
+            if len(rows) > 1:
+                rows.sort()
+                texts = re.split(r"\d+", rows[0].name)
+                row, c = re.findall(r"\d+", rows[0].name), differing[0 if loose else -1]
+                before = "".join(text + number for text, number in zip(texts, row[:c])) + texts[c]
+                found[before, rows[0].name[len(before) + len(row[c]):]] = rows
+    return found
+
+
+def _latest(names: Iterable[str]) -> list[str]:
+    """The names without those of earlier iterations of a training."""
+    last: dict[str, tuple[int, str]] = {}
+    for name in names:
+        saved = SAVED.search(name)
+        key = SAVED.sub("/", name)
+        last[key] = max(last.get(key, (-1, "")), (int(saved[1]) if saved else 0, name))
+    return [name for _, name in last.values()]
 
 
 def _one_sequence(names: Iterable[str], where: str) -> list[tuple[int, str]]:
     """Numbers and names of the one sequence among names; raises FastGSError."""
-    found = _sequences(name for name in names if _is_frame(name))
+    names = _latest(name for name in names if _is_frame(name))
+    found = _sequences(names) or _sequences(names, loose=True)
     if not found:
         raise FastGSError(f"{where} holds no numbered model files ({', '.join(EXTENSIONS)}); choose a file, or {ADVICE}.")
     if len(found) > 1:
         patterns = sorted(f"{before}####{after}" for before, after in found)
         raise FastGSError(f"{where} holds {len(found)} sequences ({', '.join(patterns[:4])}); choose one of them by its name.")
-    (before, after), numbers = next(iter(found.items()))
-    return _once([(n, f"{before}{digits}{after}") for n, digits in numbers])
+    return _once([(row.number, row.name) for rows in found.values() for row in rows])
 
 
 def _once(found: list) -> list:

@@ -89,7 +89,7 @@ def test_what_cloudcompare_saved(rng, load_bytes, prefix):
     """It puts a word before columns that no plain point cloud has; 3dgsconverter does so itself, to be kept by it."""
     table = ply_files.columns(rng, [*INRIA, *(f"f_rest_{i}" for i in range(9))])
     saved = {name if name in "xyz" else prefix + name: values for name, values in table.items()}
-    check_inria(load_bytes(ply_files.ply(saved, types={name: "double" for name in "xyz"})), table)
+    check_inria(load_bytes(ply_files.ply(saved, types=dict.fromkeys("xyz", "double"))), table)
     mine = table | {f"{prefix}opacity": table["x"], prefix: table["y"]}
     check_inria(load_bytes(ply_files.ply(mine)), table)  # a column's own name comes first
 

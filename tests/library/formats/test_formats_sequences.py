@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sequences: folders, patterns and zips of numbered files, .gsd; their frames, what lies between, memory, and fits to them."""
+"""Sequences: folders, patterns and zips of numbered files; their frames, what lies between, memory, and fits to them."""
 from __future__ import annotations
 
 import json
-import struct
 import subprocess
 import sys
 import threading
@@ -18,7 +17,7 @@ import pytest
 from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.formats.lz4 import unpack
+from fastgs_blender.formats import fingerprint, identify
 from fastgs_blender.formats.sequences import grouped, title
 from fastgs_blender.model import sequence
 from fastgs_blender.model.from_frames import one_model
@@ -100,6 +99,66 @@ def test_paths_and_names(folder, tmp_path):
     assert [path.name for path in grouped([*files, *mixed])] == ["take_####.ply", "cam2_####.spz", *(path.name for path in mixed[2:])]
     for path, name in ((folder, "take"), (folder / "take_####.ply", "take"), (folder / "####.spz", "take"), (Path("a/b.zip"), "b.zip")):
         assert title(path) == name
+
+
+def test_capitals_and_other_numbers_make_no_difference(tmp_path):
+    """Windows and cameras write names as they like; times in names are no frames' numbers."""
+    for i, name in enumerate(("Take_1.PLY", "take_02.ply", "TAKE_3.ply", "take_010.Ply")):
+        fg.save(frame(i), tmp_path / "a.ply")
+        (tmp_path / "a.ply").rename(tmp_path / name)
+    (tmp_path / "._take_4.ply").write_bytes(b"what macOS leaves")
+    source = fg.open_source(tmp_path)
+    assert source.clip.frame_count == 10 and len(source.at) == 4
+    np.testing.assert_array_equal(place(source, 9), frame(3).position[0])
+    assert len(fg.open_source(tmp_path / "take_####.ply").at) == 4
+    chosen = [tmp_path / name for name in ("Take_1.PLY", "take_02.ply", "TAKE_3.ply")]
+    (pattern,) = grouped(chosen)
+    assert len(fg.open_source(pattern).at) == 3 and title(pattern).lower() == "take"
+    timed = write(tmp_path / "timed", (0,), "f_{:d}_t0.000.ply")
+    for i in (1, 2):
+        write(timed, (i,), f"f_{{:d}}_t{i / 30:.3f}.ply")
+    source = fg.open_source(timed)
+    np.testing.assert_array_equal([place(source, f) for f in range(3)], [frame(i).position[0] for i in range(3)])
+
+
+def test_a_folder_for_each_frame(tmp_path):
+    """As trainers that run once a frame leave them, with an earlier iteration beside the last one."""
+    for i in range(3):
+        for iteration, model in ((7000, frame(9)), (30000, frame(i))):
+            there = tmp_path / "run" / f"frame{i:06d}" / "point_cloud" / f"iteration_{iteration}"
+            there.mkdir(parents=True)
+            fg.save(model, there / "point_cloud.ply")
+        (tmp_path / "run" / f"frame{i:06d}" / "cameras.json").write_text("[]")
+    with zipfile.ZipFile(tmp_path / "run.zip", "w") as archive:
+        for file in sorted((tmp_path / "run").rglob("*.ply")):
+            archive.write(file, file.relative_to(tmp_path))
+    for path in (tmp_path / "run", tmp_path / "run.zip"):
+        source = fg.open_source(path)
+        np.testing.assert_array_equal([place(source, f) for f in range(3)], [frame(i).position[0] for i in range(3)])
+    inside = tmp_path / "run" / "frame000001"
+    with pytest.raises(fg.FastGSError, match="no numbered model files"):
+        fg.open_source(inside)  # two iterations of one model are no clip
+
+
+def test_sog_in_folders(tmp_path):
+    for i in range(2):
+        fg.save(frame(i), tmp_path / "packed.sog")
+        with zipfile.ZipFile(tmp_path / "packed.sog") as archive:
+            archive.extractall(tmp_path / "frames" / f"{i:04d}")
+    model = fg.load(tmp_path / "packed.sog")
+    one = tmp_path / "frames" / "0001"
+    for path in (one, one / "meta.json"):
+        np.testing.assert_array_equal(fg.load(path).position, model.position)
+    assert fg.open_source(one).provenance["format"] == identify(one).name == "SOG" and fingerprint(one) == fingerprint(one / "meta.json")
+    source = fg.open_source(tmp_path / "frames")
+    assert len(source.at) == 2
+    np.testing.assert_array_equal(source.moment(source.clip.t_of_frame(1))[0].position, model.position)
+    (tmp_path / "frames" / "lod-meta.json").write_text("{}")
+    with pytest.raises(fg.FastGSError, match="levels of detail"):
+        fg.open_source(tmp_path / "frames")
+    (one / "meta.json").write_text('{"a": 1}')
+    with pytest.raises(fg.FastGSError, match="no numbered model files"):
+        fg.open_source(one)
 
 
 @pytest.mark.parametrize("extension", ["spz", "sog"])
@@ -237,89 +296,12 @@ def test_command_line(tmp_path, folder):
     assert facts["clip"]["frame_count"] == 8 and facts["gaussians"] == COUNT
 
 
-def lz4(data: bytes) -> bytes:
-    """An LZ4 block: of literals, but for one repetition that overlaps itself."""
-    def length(n):
-        return (n << 4, b"") if n < 15 else (0xF0, bytes([255] * ((n - 15) // 255) + [(n - 15) % 255]))
-
-    head, rest = data[:20], data[20:]
-    again = next((k for k in range(len(rest), 3, -1) if rest[:k] == (head[-4:] * (k // 4 + 1))[:k]), 0)
-    token, more = length(20)
-    block = bytes([token | min(again - 4, 15) if again else token]) + more + head
-    if again:
-        block += b"\4\0" + (bytes([255] * ((again - 19) // 255) + [(again - 19) % 255]) if again >= 19 else b"")
-        rest = rest[again:]
-    else:
-        block, rest = b"", data
-    token, more = length(len(rest))
-    return block + bytes([token]) + more + rest
-
-
-def gsd(models: list[fg.GaussianModel], kinds=(0, 1, 1, 1)) -> bytes:
-    """A .gsd file as the module's docstring has it."""
-    blocks, infos = [], []
-    for model in models:
-        s = fg.slice_model(model, 0, cull=False)
-        side = int(np.ceil(np.sqrt(len(model))))
-        x, y, z = s.position.T
-        w, i, j, k = s.rotation.T
-        tables = [np.stack([z, x, -y, 0 * x], -1), np.stack([k, i, -j, w], -1), np.c_[s.scale[:, [2, 0, 1]], s.opacity]]
-        colour = np.zeros((len(model), -(-s.features.shape[1] // 4) * 4))
-        colour[:, :s.features.shape[1]] = s.features
-        tables += list(colour.reshape(len(model), -1, 4).transpose(1, 0, 2))
-        data = b""
-        for table, kind in zip(tables, [*kinds[:3], *[kinds[3]] * (len(tables) - 3)]):
-            pixels = np.zeros((side * side, 4))
-            pixels[:len(table)] = table
-            raw = pixels.astype("<f2" if kind else "<f4").view("u1")
-            data += raw.reshape(side * side, -1).T.tobytes()
-        blocks.append(lz4(data))
-        infos.append({"compressedSize": len(blocks[-1]), "gaussianCount": len(model), "textureWidth": side, "textureHeight": side})
-    names = ("positionPrecision", "rotationPrecision", "scaleOpacityPrecision", "shPrecision")
-    degree = models[0].appearance.degree
-    header = json.dumps({"version": 1, "frameCount": len(models), "targetFPS": 25.0, "shDegree": degree, "frames": infos,
-                         **dict(zip(names, kinds))}).encode()
-    return b"GSD1" + struct.pack("<I", len(header)) + header + b"".join(struct.pack("<I", len(b)) + b for b in blocks)
-
-
-def test_gsd(tmp_path):
-    models = [frame(i).take(np.arange(COUNT - 3 * i)) for i in range(3)]
-    for kinds, tolerance in (((0, 0, 0, 0), 1e-5), ((0, 1, 1, 1), 4e-3)):
-        (tmp_path / "m.gsd").write_bytes(gsd(models, kinds))
-        source = fg.open_source(tmp_path / "m.gsd")
-        assert source.clip == fg.Clip(3, 25.0)
-        for i, model in enumerate(models):
-            a, b = fg.slice_model(source.moment(i / 3)[0], 0, cull=False), fg.slice_model(model, 0, cull=False)
-            np.testing.assert_array_equal(a.position.astype(np.float32), b.position.astype(np.float32))
-            np.testing.assert_allclose(np.abs(np.sum(a.rotation * b.rotation, 1)), 1, atol=tolerance)
-            for name in ("scale", "opacity", "features"):
-                np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=tolerance, atol=tolerance)
-
-
-def test_lz4_blocks():
-    for data in (b"", b"abc", bytes(range(256)) * 5, b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail"):
-        block = lz4(data) if len(data) > 20 else bytes([len(data) << 4]) + data
-        assert unpack(block, len(data)).tobytes() == data
-    packed = lz4(b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail")
-    assert len(packed) < 50
-    for wrong, size in ((packed, 1223), (packed[:-1], 1224), (packed, 10**12), (b"\x10a\0\0", 100), (b"\x10a\5\0", 100), (b"\xf0", 20)):
-        with pytest.raises(fg.FastGSError, match="damaged"):
-            unpack(wrong, size)
-
-
 def all_frames(path: Path) -> None:
     source = fg.open_source(path)
     for f in np.arange(0, min(source.clip.frame_count, 4), 0.5):
         model, t = source.moment(source.clip.t_of_frame(f))
         s = fg.slice_model(model, t, cull=False)
         assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
-
-
-def test_mutated_gsd(tmp_path):
-    unpack(b"\0", 0)  # compiled before the limits of the campaign
-    models = [frame(i).take(np.arange(5)) for i in range(2)]
-    told = mutations.campaign("gsd", lambda folder: all_frames(folder / "m.gsd"), {"two frames": {"m.gsd": gsd(models)}}, tmp_path)
-    assert min(told.values(), default=1) > 0
 
 
 def test_mutated_zips(tmp_path):
