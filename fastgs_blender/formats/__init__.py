@@ -203,7 +203,7 @@ def _identify(path: Path) -> Format:
     for known in FORMATS:
         if known.sniff(head, path):
             return known
-    raise FastGSError(f"{explain(head, path, [known.name for known in FORMATS])}.")
+    raise FastGSError(f"{explain(head, path)}.")
 
 
 def writer_of(model: GaussianModel, path: Path) -> Format:
