@@ -47,6 +47,10 @@ def valid(tmp_path_factory) -> dict[str, bytes]:
     table = ply_files.columns(rng, ply_files.INRIA, 4)
     for kind, order in ply_files.FORMATS.items():
         files[f"{kind}.ply"] = ply_files.ply(table, kind, before=[ply_files.faces(order)])
+    shown = {name: values for name, values in table.items() if not name.startswith(("f_dc", "scale_1", "scale_2"))}
+    shown |= {name: np.arange(4) for name in ("red", "green", "blue")}
+    files["nerfstudio.ply"] = ply_files.ply(shown, types=dict.fromkeys(("red", "green", "blue"), "uchar"))
+    files["cloudcompare.ply"] = ply_files.ply({name if name in "xyz" else f"scalar_{name}": values for name, values in table.items()})
     return files
 
 
@@ -85,7 +89,8 @@ def loaded(path: Path, data: bytes, decoder: bytes = b"") -> fg.GaussianModel | 
         return None
 
 
-NAMES = [*KINDS, *(f"{kind}.ply" for kind in ply_files.FORMATS)]
+OTHERS = [*(f"{kind}.ply" for kind in ply_files.FORMATS), "nerfstudio.ply", "cloudcompare.ply"]
+NAMES = [*KINDS, *OTHERS]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -99,7 +104,7 @@ def read(folder: Path) -> None:
 
 
 CAMPAIGNS = {
-    "native": ["keys.safetensors", "paper.safetensors"], "INRIA": ["rgb.ply", "sh3.ply", *(f"{kind}.ply" for kind in ply_files.FORMATS)],
+    "native": ["keys.safetensors", "paper.safetensors"], "INRIA": ["rgb.ply", "sh3.ply", *OTHERS],
     "STG": ["lite.ply", "full.ply", "cosine.ply"], "splatv": ["lite.splatv"],
 }
 

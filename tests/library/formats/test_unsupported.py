@@ -7,11 +7,15 @@ import struct
 import tarfile
 import zipfile
 
+import mutations
 import numpy as np
 import pytest
 from PIL import Image
 
 import fastgs_blender as fg
+from fastgs_blender.formats import HEAD
+from fastgs_blender.formats.looks import look
+from fastgs_blender.util.errors import printable
 
 
 def picture(kind: str) -> bytes:
@@ -79,3 +83,17 @@ def test_an_unknown_file_is_named_by_its_looks(tmp_path, kind):
         fg.load(path)
     text = str(error.value)
     assert str(path) in text and "\n" not in text and len(text) < len(str(path)) + 230  # a sentence
+
+
+DAMAGED = ("docx", "npz", "zip of pictures", "PyTorch", "transforms.json", "mesh .glb", "OBJ", "STL")
+
+
+def test_damaged_foreign_files(tmp_path):
+    """Whatever is damaged in them: a short clause, a guess, or a refusal in one sentence."""
+    def read(folder):
+        path = folder / "m"
+        text = look(path.read_bytes()[:HEAD], path) or ""
+        assert len(text) < 230 and text == printable(text)
+
+    told = mutations.campaign("foreign files", read, {kind: {"m": LOOKS[kind][0]} for kind in DAMAGED}, tmp_path)
+    assert not told or told["accepted"]
