@@ -12,6 +12,7 @@ import json
 import struct
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -200,11 +201,13 @@ class _Buffers:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
             except (binascii.Error, ValueError) as error:
                 raise FastGSError("one of its buffers is damaged; export it again.") from error
-        if any(c in uri for c in "/\\:%\0") or uri in ("", ".", ".."):
-            raise FastGSError(f"its buffer {uri[:60]!r} is not a file beside it; put it there, or save it as .glb.")
-        if not (self.folder / uri).is_file():
+        parts = [part for part in unquote(uri).split("/") if part != "."]
+        if not parts or any(part in ("", "..") or any(c in part for c in "\\:\0") for part in parts):
+            raise FastGSError(f"its buffer {uri[:60]!r} is not a file beside or below it; put it there, or save it as .glb.")
+        file = self.folder.joinpath(*parts)
+        if not file.is_file():
             raise FastGSError(f"its buffer {uri[:60]!r} is missing; put it beside the file.")
-        return read_whole(self.folder / uri)
+        return read_whole(file)
 
 
 def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:

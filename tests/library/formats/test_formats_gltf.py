@@ -160,6 +160,18 @@ def test_a_mesh_that_a_thousand_nodes_show_is_refused(rng, tmp_path):
                 fg.load(tmp_path / "m.glb")
 
 
+def test_buffers_in_folders_and_names_with_spaces(rng, tmp_path):
+    """URIs, as exporters write them."""
+    attributes = random_attributes(rng)
+    tree, binary = tree_of(attributes)
+    (tmp_path / "the buffers").mkdir()
+    (tmp_path / "the buffers" / "m 1.bin").write_bytes(binary)
+    for uri in ("the%20buffers/m%201.bin", "./the buffers/m 1.bin"):
+        tree["buffers"][0]["uri"] = uri
+        (tmp_path / "m.gltf").write_text(json.dumps(tree))
+        assert_model(fg.load(tmp_path / "m.gltf"), attributes)
+
+
 @pytest.mark.parametrize("uri", ["file", "data"])
 def test_json_with_its_buffer_apart(rng, tmp_path, uri):
     attributes = random_attributes(rng)
@@ -215,7 +227,8 @@ def test_broken_files(rng, tmp_path):
     refused("cut short", cut=8)
     refused("longer than its buffer", lambda t: t["accessors"][0].update(count=10**9))
     refused("kernel or a colour space", lambda t: about(t).update(kernel="cube"))
-    refused("not a file beside it", lambda t: t["buffers"][0].update(uri="../m.bin"))
+    for uri in ("../m.bin", "a/../../m.bin", "%2e%2e/m.bin", "/etc/passwd", "a//b", "c:\\m.bin", "http://a/b", "m%00.bin", "", "."):
+        refused("not a file beside or below it", lambda t, uri=uri: t["buffers"][0].update(uri=uri))
     refused("is missing", lambda t: t["buffers"][0].update(uri="m.bin"))
     refused("tree of nodes", lambda t: t["nodes"][0].update(children=[0]))
     refused("no attribute KHR_gaussian_splatting:SCALE", lambda t: t["meshes"][0]["primitives"][0]["attributes"].pop(f"{EXT}:SCALE"))
