@@ -225,7 +225,7 @@ class Evening:
             return
         told = missing / np.maximum(square + pull, 1e-12)
         late = np.clip(self.late + FARTHER * (told - self.late), -FARTHEST, FARTHEST)
-        together = known & (np.abs(told - np.median(told[known])) < NOTICED_CLOCK)
+        together = known & (np.abs(late - np.median(late[known])) < NOTICED_CLOCK)
         if self.apart is not None:
             together &= ~self.apart
         if together.sum() >= TOGETHER * known.sum():
