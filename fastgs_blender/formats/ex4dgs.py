@@ -19,6 +19,7 @@ from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.sequence import Computed
 from ..model.slicing import sigmoid
 from ..util import rotations
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from . import cfg_args, ply
@@ -68,8 +69,8 @@ class Ex4DGS(SequenceFormat):
                 and all(isinstance(v, (int, float)) and 0 <= v < 1e4 for v in numbers) and numbers[0] >= 1):
             raise FastGSError("the cfg_args that should lie above it, with the capture's duration and the keys' interval, are missing or "
                               "damaged; copy the whole folder of the model.")
-        if said["interp_type"] not in PLACES or said["rot_interp_type"] != "slerp":
-            raise FastGSError(f"its interpolations {said['interp_type']!r} and {said['rot_interp_type']!r} are not supported; "
+        if not isinstance(said["interp_type"], str) or said["interp_type"] not in PLACES or said["rot_interp_type"] != "slerp":
+            raise FastGSError(f"its interpolations {shown(said['interp_type'])} and {shown(said['rot_interp_type'])} are not supported; "
                               f"{', '.join(PLACES)} with 'slerp' are.")
         raster = Raster(blur=float(said["kernel_size"]), antialiased=True)
         drifting, drift = _drifting(files[0], raster)

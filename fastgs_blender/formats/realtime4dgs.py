@@ -21,6 +21,7 @@ from ..model.appearance import SH, Changing
 from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Fourier
 from ..util import rotations
+from ..util.arguments import shown
 from ..util.errors import FastGSError, LossWarning
 from . import cfg_args, torch_zip
 from .base import Format
@@ -47,7 +48,7 @@ class Realtime4DGS(Format):
         values = torch_zip.TorchFile(path).content[0]
         degree = values[0]
         if type(degree) is not int or not 0 <= degree <= 3:
-            raise FastGSError(f"its degree of spherical harmonics cannot be {degree!r}.")
+            raise FastGSError(f"its degree of spherical harmonics cannot be {shown(degree)}.")
         position, *looks, scale, rotation, opacity = (numbers_of(v) for v in values[1:7])
         n = len(position)
         shapes = {"xyz": (position, (n, 3)), "scaling": (scale, (n, 3)), "rotation": (rotation, (n, 4)), "opacity": (opacity, (n, 1))}
@@ -59,7 +60,7 @@ class Realtime4DGS(Format):
         check_shapes({"t": (t, (n, 1)), "scaling_t": (scale_t, (n, 1))})
         degree_t = values[18]
         if type(degree_t) is not int or not 0 <= degree_t <= 2 or (degree_t and degree != 3):
-            raise FastGSError(f"its temporal degree of spherical harmonics cannot be {degree_t!r} with degree {degree}.")
+            raise FastGSError(f"its temporal degree of spherical harmonics cannot be {shown(degree_t)} with degree {degree}.")
         if isinstance(values[17], torch_zip.Tensor) and 0 not in values[17].shape:
             warnings.warn(LossWarning(f"{path}: its environment map, the background, is left out."), stacklevel=3)
         begin, end = capture_of(path, t)

@@ -18,6 +18,7 @@ from ..model.appearance import RGB, Features
 from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Basis, Cosine, Fourier, Polynomial
 from ..model.temporal import Radial
+from ..util.arguments import shown
 from ..util.errors import FastGSError, LossWarning, printable
 from ..util.reading import reading
 from . import cfg_args, ply, torch_zip
@@ -146,9 +147,10 @@ def _motion_columns(header: ply.Header, recorded: Basis | None) -> tuple[Basis, 
 def _activation(path: Path, settings: dict) -> str:
     """The decoder's output activation; warns about an unknown one."""
     function = settings.get("function", "sandwich")
-    if function not in ACTIVATIONS:
-        warnings.warn(LossWarning(f"{path}: its decoder's output function {function!r} is unknown, so sigmoid is used."), stacklevel=5)
-    return ACTIVATIONS.get(function, "sigmoid")
+    if isinstance(function, str) and function in ACTIVATIONS:
+        return ACTIVATIONS[function]
+    warnings.warn(LossWarning(f"{path}: its decoder's output function {shown(function)} is unknown, so sigmoid is used."), stacklevel=5)
+    return "sigmoid"
 
 
 def _settings(path: Path) -> dict:
@@ -161,7 +163,7 @@ def _settings(path: Path) -> dict:
         if "duration" in said:
             settings["frames"] = said["duration"]
             if type(said["duration"]) is not int or not 1 <= said["duration"] <= 10_000_000:
-                raise FastGSError(f"{file} says a duration of {said['duration']!r}")
+                raise FastGSError(f"{file} says a duration of {shown(said['duration'])}")
         settings["function"] = said.get("rgbfunction", "sandwich")
     except FastGSError as error:
         warnings.warn(LossWarning(f"{error}; {path.name} is taken to have {FRAMES} frames and the decoder of N3V."), stacklevel=5)

@@ -22,8 +22,10 @@ import numpy as np
 from ..util.errors import FastGSError
 from ..util.zip_files import opened_zip, read_member
 
-MAX_PICKLE = 4 << 20
+MAX_PICKLE = 1 << 20
 """Bytes; a table of a thousand tensors has 200 KB."""
+MOST_VALUES = 1 << 21
+"""Of what a pickle describes, where a value that is named twice counts twice: one that doubles a table thirty times is short."""
 STORAGES = {
     "FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "bf2", "LongStorage": "i8", "IntStorage": "i4",
     "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
@@ -31,6 +33,7 @@ STORAGES = {
 """PyTorch's kinds of storage and their numpy codes; bf2 is bfloat16, which numpy lacks."""
 NUMPY = ("numpy.dtype", "numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar", "_codecs.encode")
 """What a single number of numpy, such as the size of the scene in checkpoints of INRIA's family, is made of."""
+TABLES = (dict, list, tuple)
 REFUSED = "it is not a table of tensors alone, and a pickle with anything else in it is never executed"
 
 
@@ -147,6 +150,26 @@ def _expect(good: bool) -> None:
         raise FastGSError(f"{REFUSED}.")
 
 
+def _check_size(value) -> None:
+    """Raises FastGSError for tables that contain themselves, or one another so often that nobody could walk through them."""
+    sizes: dict[int, int] = {}  # by id(): all tables live as long as `value`
+    around: set[int] = set()
+    stack = [value] if isinstance(value, TABLES) else []
+    while stack:
+        table = stack[-1]
+        inside = [v for v in (table.values() if isinstance(table, dict) else table) if isinstance(v, TABLES)]
+        unknown = [each for each in inside if id(each) not in sizes]
+        if unknown:
+            around.add(id(table))
+            _expect(around.isdisjoint(map(id, unknown)))
+            stack += unknown
+        else:
+            stack.pop()
+            around.discard(id(table))
+            sizes[id(table)] = 1 + len(table) + sum(sizes[id(each)] for each in inside)
+            _expect(sizes[id(table)] <= MOST_VALUES)
+
+
 def _numpy(name: str, arguments: tuple):
     """A type, the bytes of a number, or the number."""
     if name == "numpy.dtype":
@@ -182,6 +205,7 @@ class _Machine:
                 while (opcode := self._next(stream)).name != "STOP":
                     self._step(opcode.name, opcode.arg.reader(stream) if opcode.arg else None)
             _expect(len(self.stack) == 1)
+            _check_size(self.stack[0])
             return self.stack[0]
         except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
             raise FastGSError("the pickle in it is damaged; copy the file again.") from error

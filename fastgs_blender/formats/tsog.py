@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..model.gaussians import Clip
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from . import pixel_tables as tables
 from . import sog
@@ -59,12 +60,12 @@ def _timed(model, meta: dict, files):
     if kind == 0:
         frames = timeline.get("N")
         if type(frames) is not int or not 1 <= frames <= 65536 or timeline.get("delta") != 65536 // frames:
-            raise FastGSError(f"its timeline of {frames!r} frames is damaged; export it again.")
+            raise FastGSError(f"its timeline of {shown(frames)} frames is damaged; export it again.")
         frame = np.minimum(frames - 1, code[:, 0] // (65536 // frames))
         lives = straight(model.position, None, np.zeros(n), np.full(n, np.inf), Timeline(length=frames), (frame, frame + 1))
         return replace(model, **lives, clip=Clip(frames, frames / seconds if seconds else fps))
     if kind != 1:
-        raise FastGSError(f"its timeline is of type {kind!r}, and 0 and 1 are known.")
+        raise FastGSError(f"its timeline is of type {shown(kind)}, and 0 and 1 are known.")
     begin, end = tables.bounds(timeline, 2)
     if begin[1] <= 0:
         raise FastGSError("its temporal deviations are not positive; the file is damaged.")
@@ -97,5 +98,5 @@ def _playback(meta: dict) -> tuple[float, float]:
         raise FastGSError("its playback is no table; the file is damaged.")
     fps, seconds = playback.get("fps", meta.get("fps", FPS)), playback.get("duration", 0)
     if any(type(v) not in (int, float) or not 0 <= v <= 1e6 for v in (fps, seconds)) or not fps:
-        raise FastGSError(f"its playback of {fps!r} frames per second and {seconds!r} seconds is damaged.")
+        raise FastGSError(f"its playback of {shown(fps)} frames per second and {shown(seconds)} seconds is damaged.")
     return float(fps), float(seconds)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sequences of files as one object: import by folder, name and selection; F12 of a frame is the file of that frame; panels; viewport."""
+import warnings
+import zipfile
 from dataclasses import replace
 
 import bpy
@@ -55,6 +57,24 @@ def test_selected_files_and_dropped_ones(folder, module):
     assert imported(names[1:3]) == [("take_[002-003].ply", 2)]
     assert imported(names[:2], as_sequence=False) == [(name, 1) for name in names[:2]]
     assert {".zip", ".gsd"} <= set(bpy.types.FASTGS_FH_import.bl_file_extensions.split(";"))
+
+
+def test_a_folder_for_each_frame_and_one_of_sog(scene, module, fg, folder, tmp_path):
+    """Both are chosen as folders; the second is one model."""
+    for i in range(3):
+        there = tmp_path / "run" / f"frame{i:04d}" / "point_cloud" / "iteration_7000"
+        there.mkdir(parents=True)
+        (folder / f"take_{i + 1:03d}.ply").rename(there / "point_cloud.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fg.LossWarning)
+        fg.save(fg.load(folder / f"take_{FRAMES:03d}.ply"), tmp_path / "m.sog")
+    with zipfile.ZipFile(tmp_path / "m.sog") as archive:
+        archive.extractall(tmp_path / "sog")
+    for name, frames in (("run", 3), ("sog", 1)):
+        assert bpy.ops.import_scene.fastgs(filepath=str(tmp_path / name)) == {'FINISHED'}
+        obj = bpy.context.object
+        assert (obj.name, obj.fastgs.frame_count, obj.fastgs.gaussian_count) == (name, frames, 60)
+        assert module("scene.objects").error_of(obj) is None
 
 
 def test_f12_of_a_frame_is_the_file_of_that_frame(scene, folder, sequence, splat_object, add_camera, render):

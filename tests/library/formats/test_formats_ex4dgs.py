@@ -100,9 +100,10 @@ def test_what_is_missing_is_said(tmp_path, rng):
         (tmp_path / name).write_bytes(contents[name])
     with pytest.raises(fg.FastGSError, match=r"point_cloud\.ply.*cfg_args"):
         fg.open_source(tmp_path / "point_cloud.ply")
-    (tmp_path / "cfg_args").write_bytes(contents["cfg_args"].replace(b"'cube'", b"'cubic_diff'"))
-    with pytest.raises(fg.FastGSError, match="cubic_diff"):
-        fg.open_source(tmp_path / "point_cloud.ply")
+    for other, said in ((b"'cubic_diff'", "cubic_diff"), (b"['cube']", "a list"), (b"{}", "a dict")):
+        (tmp_path / "cfg_args").write_bytes(contents["cfg_args"].replace(b"'cube'", other))
+        with pytest.raises(fg.FastGSError, match=said):
+            fg.open_source(tmp_path / "point_cloud.ply")
 
 
 def test_mutated_files(tmp_path, rng):

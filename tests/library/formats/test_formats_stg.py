@@ -109,11 +109,12 @@ def test_settings_that_are_no_literals_are_as_if_not_there(rng, model_folder):
     assert fg.load(model_folder / "point_cloud.ply").clip.frame_count == 50
 
 
-def test_an_unknown_output_function_is_said(rng, model_folder):
+@pytest.mark.parametrize("function", ["'club'", "['club']", "{}"])
+def test_an_unknown_output_function_is_said(rng, model_folder, function):
     (model_folder / "point_cloud.ply").write_bytes(ply_files.ply(ply_files.columns(rng, STG_FULL)))
     write_decoder(model_folder / "point_cloud.pt", rng)
-    (model_folder.parents[1] / "cfg_args").write_text("Namespace(duration=20, rgbfunction='club')")
-    with pytest.warns(fg.LossWarning, match="'club'.*sigmoid"):
+    (model_folder.parents[1] / "cfg_args").write_text(f"Namespace(duration=20, rgbfunction={function})")
+    with pytest.warns(fg.LossWarning, match="unknown, so sigmoid"):
         model = fg.load(model_folder / "point_cloud.ply")
     assert (model.appearance.activation, model.clip.frame_count) == ("sigmoid", 20)
 

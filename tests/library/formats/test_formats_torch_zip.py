@@ -120,6 +120,15 @@ class Bomb:
         return os.mkdir, ("pwned",)
 
 
+def doubling_lists(count: int) -> bytes:
+    """Each list holds the next one twice, and is still empty when it is named."""
+    def get(k):
+        return b"j" + struct.pack("<I", k)
+
+    made = b"".join(b"]r" + struct.pack("<I", k) for k in range(count))
+    return b"\x80\x02(" + made + b"".join(get(k) + 2 * (get(k + 1) + b"a") for k in range(count - 1)) + b"t."
+
+
 REFUSED = {
     "a call": pickle.dumps({"a": Bomb()}, 2),
     "a call, protocol 5": pickle.dumps({"a": Bomb()}, 5),
@@ -156,6 +165,9 @@ REFUSED = {
     "no end": b"\x80\x02}",
     "nothing": b"",
     "noise": bytes(range(256)),
+    "tuples that double": b"\x80\x02K\1" + b"q\1h\1\x86" * 60 + b".",
+    "lists that double, filled from outside": doubling_lists(60),
+    "a list in itself": b"\x80\x02]q\0h\0a.",
     "deep tuples as a key": b"\x80\x02}" + b")" + b"\x85" * 100_000 + b"Ns.",
 }
 
