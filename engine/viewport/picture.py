@@ -2,7 +2,7 @@
 """Draws a picture of splats on the GPU: blends them in the space in which their models were trained, then makes scene-linear colour of it.
 
 Splats are blended once for each *group* that needs its own way from blended numbers to colour: one for all plain sRGB models,
-one for all linear ones, one for each model with a decoder.  In a group's turn the splats of others are black, so that they
+one for all linear ones, one for each decoder, place and look.  In a group's turn the splats of others are black, so that they
 hide what lies behind them.  Groups in one colour space are summed, then decoded; the spaces' light adds up (engine/scene_linear.py
 does the same).  Nearly always there is one group.
 """
@@ -14,8 +14,8 @@ import gpu
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.model.appearance import Features
 from ...fastgs_blender.rendering.instances import ViewedInstance
+from ...fastgs_blender.rendering.layout import decoding
 from ...scene.sky import Panorama
 from . import shaders
 from .atlas import Atlas
@@ -34,7 +34,7 @@ SKY_WIDTH = 8192
 
 @dataclass(frozen=True)
 class Group:
-    """Instances whose blended numbers become colour in the same way; `instance` is the one with a decoder, or None."""
+    """Instances whose blended numbers become colour in the same way (layout.decoding); `instance` is one with a decoder, or None."""
 
     colour_space: str
     instance: ViewedInstance | None = None
@@ -42,17 +42,13 @@ class Group:
 
 def grouped(instances: list[ViewedInstance]) -> tuple[list[Group], dict[int, int]]:
     """(the groups, {place of an instance in the list: place of its group})."""
-    groups, member, plain = [], {}, {}
+    groups, member, known = [], {}, {}
     for number, instance in enumerate(instances):
-        space = instance.model.colour_space
-        if isinstance(instance.model.appearance, Features):
-            member[number] = len(groups)
-            groups.append(Group(space, instance))
-        else:
-            if space not in plain:
-                plain[space] = len(groups)
-                groups.append(Group(space))
-            member[number] = plain[space]
+        way = instance.model.colour_space, decoding(instance)
+        if way not in known:
+            known[way] = len(groups)
+            groups.append(Group(way[0], instance if way[1] else None))
+        member[number] = known[way]
     return groups, member
 
 

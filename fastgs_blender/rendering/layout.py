@@ -6,6 +6,7 @@ quantities of quantities.py), and probes, which look at the splats one by one wh
 """
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from ..model.appearance import Features
 from .instances import ViewedInstance
+from .looks import Look
 from .quantities import Quantity
 
 DEPTH_FROM = {"median": 0.5, "first": float(np.nextafter(np.float32(1), np.float32(0)))}
@@ -21,13 +23,26 @@ PROBES = (*DEPTH_FROM, "count")
 """All probes; count: how many splats were blended into the pixel."""
 
 
+def decoding(instance: ViewedInstance) -> Hashable:
+    """How an instance's blended features become colour: by its decoder, its place (the rays) and its look of colour; None: they are colour.
+
+    Instances with the same decoding are decoded together, as one model is: its separated parts, echoes, both ends of a fading loop.
+    """
+    look = instance.model.appearance
+    if not isinstance(look, Features):
+        return None
+    return (look.activation, look.w1.tobytes(), look.w2.tobytes(), instance.camera_to_model.tobytes(),
+            instance.look[Look.GRADED:].tobytes())
+
+
 @dataclass(frozen=True)
 class ChannelGroup:
-    """A run of blended channels with one meaning: the rgb of all instances without a decoder, or the features of one with a decoder.
+    """A run of blended channels with one meaning: the rgb of all instances without a decoder, or the features of those with one
+    decoding.
 
     offset    first channel
     weight    channel that holds this group's own share of alpha; None: alpha itself
-    instance  the instance whose decoder turns the features into colour; None: the channels are rgb
+    instance  one of those, whose decoder turns the features into colour; None: the channels are rgb
     """
 
     offset: int
@@ -38,8 +53,8 @@ class ChannelGroup:
 class Layout:
     """Which channel holds what when all instances are blended together.
 
-    Three channels for all instances with plain colour, nine for each instance with a decoder (its rays differ from instance to
-    instance), plus its share of alpha where it is not alone; then the depth, if wanted, and further quantities.
+    Three channels for all instances with plain colour, nine for those with one decoding, plus its share of alpha where
+    it is not alone; then the depth, if wanted, and further quantities.
 
     groups      list of ChannelGroup
     depth       channel of the depth of the splats' centres, or None
@@ -54,13 +69,17 @@ class Layout:
 
     def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False,
                  by_pixel: bool = False):
-        decoded = [i for i in instances if isinstance(i.model.appearance, Features)]
-        plain = len(decoded) < len(instances) or not instances
-        alone = len(decoded) == 1 and not plain
+        kinds: dict[Hashable, list[ViewedInstance]] = {}
+        for instance in instances:
+            kinds.setdefault(decoding(instance), []).append(instance)
+        plain = kinds.pop(None, None) is not None or not instances
+        alone = len(kinds) == 1 and not plain
         self.groups = [ChannelGroup(0)] if plain else []
+        self._of: dict[int, ChannelGroup] = {}
         offset = 3 * plain
-        for instance in decoded:
-            self.groups.append(ChannelGroup(offset, None if alone else offset + 9, instance))
+        for alike in kinds.values():
+            self.groups.append(ChannelGroup(offset, None if alone else offset + 9, alike[0]))
+            self._of |= dict.fromkeys(map(id, alike), self.groups[-1])
             offset += 9 if alone else 10
         self.depth = offset if depth else None
         self.places = {"depth": slice(offset, offset + 1)} if depth else {}
@@ -78,7 +97,7 @@ class Layout:
 
     def group_of(self, instance: ViewedInstance) -> ChannelGroup:
         """The group that an instance's Gaussians write to."""
-        return next((g for g in self.groups if g.instance is instance), self.groups[0])
+        return self._of.get(id(instance), self.groups[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -159,6 +159,16 @@ def test_crops_with_soft_edges_and_filters(module, fg, moving, camera, drawn, ki
         assert psnr(want, plain) < 30
 
 
+def test_parts_of_a_model_are_decoded_together(module, fg, moving, camera, drawn):
+    """Separated by a filter, beside another object: as F12 shows them, which is the whole model."""
+    filters, settings = module("fastgs_blender.rendering.filters"), module("fastgs_blender.rendering.instances").ObjectSettings
+    model, other = moving(decoder(fg, "sigmoid"), "paper"), (moving(fg.RGB(), n=20, seed=4), np.eye(4), 0.2)
+    parts = [(model, np.eye(4), 0.4, settings(filters=[filters.Filter("SIZE", 0.2, 9, keep)])) for keep in (True, False)]
+    assert all(psnr(expected(module, [(model, np.eye(4), 0.4)], camera()), expected(module, [part], camera())) < 40 for part in parts)
+    got, _ = agree(module, [*parts, other], camera(), drawn)
+    assert psnr(got, expected(module, [(model, np.eye(4), 0.4), other], camera())) >= 45
+
+
 def test_antialiased_models_with_constants_of_their_own(module, fg, moving, camera, drawn):
     raster = fg.Raster(blur=0.1, alpha_max=0.8, alpha_cut=0.02, near=0.5, antialiased=True)
     agree(module, [(moving(fg.RGB(), raster=raster), np.eye(4), 0.5)], camera(distance=1.0), drawn)

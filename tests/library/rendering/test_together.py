@@ -9,7 +9,8 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.formats.scenes import as_seen
-from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.filters import Filter, values
+from fastgs_blender.rendering.instances import Instance, ObjectSettings
 from fastgs_blender.util import rotations
 
 
@@ -34,3 +35,31 @@ def test_overlapping_objects_are_one_merged_model(appearance, stretched):
     assert apart["alpha"].max() > 0.9 and apart["alpha"].mean() > 0.1
     for name in ("rgb", "alpha"):
         assert np.abs(apart[name] - one[name]).max() < 1e-4, name
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_parts_of_a_model_with_a_decoder_are_decoded_together(backend):
+    """Separated by a filter they look as the whole does; at another place, or with another look, a part has a decoding of its own."""
+    rng = np.random.default_rng(8)
+    model = random_model(rng, 150, "fourier", "line", "window", "sigmoid")
+    camera = fg.Camera(64, 48, 60, 60, 32, 24, random_pose(rng, 4.0))
+    speeds = values(model, "SPEED")
+    limit = float(np.median(speeds))
+
+    def part(keep, placement=None, **look):
+        only = ObjectSettings(filters=[Filter("SPEED", limit, keep=keep)], **look)
+        return Instance(model, np.eye(4) if placement is None else placement, 0.4, only)
+
+    def picture(*parts):
+        return fg.render(list(parts), camera, backend=backend)["rgb"]
+
+    whole = picture(Instance(model, np.eye(4), 0.4))
+    assert 0.2 < (speeds >= limit).mean() < 0.8
+    assert np.abs(picture(part(True), part(False)) - whole).max() < 1e-6
+    graded = picture(part(True, saturation=0.0), part(False, saturation=0.0))
+    assert np.abs(graded - graded.mean(-1, keepdims=True)).max() < 1e-5
+    half = picture(part(True), part(False, saturation=0.0))
+    assert np.abs(half - whole).max() > 0.05 and np.abs(half - graded).max() > 0.05
+    away = np.eye(4)
+    away[:3, 3] = 100
+    assert np.abs(picture(part(True), part(False, away)) - picture(part(True))).max() < 1e-6
