@@ -2,7 +2,7 @@
 """Crops: a Gaussian is drawn by how far its centre lies within the boxes, ellipsoids and closed meshes that leave or remove it."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,6 +54,15 @@ class Crop:
             return (depth >= 0).astype(np.float64)
         s = np.clip(np.nan_to_num(depth, nan=0.0) / self.soft, 0, 1)
         return s * s * (3 - 2 * s)
+
+
+def crops_between(before: tuple[Crop, ...], after: tuple[Crop, ...], share: float) -> tuple[Crop, ...]:
+    """The crops at a share of the way from one moment to the next: they go straight; all but their places is the nearer moment's."""
+    near = before if share < 0.5 else after
+    if before == after or len(before) != len(after):
+        return near
+    return tuple(replace(crop, matrix=(1 - share) * np.asarray(a.matrix) + share * np.asarray(b.matrix))
+                 for crop, a, b in zip(near, before, after))
 
 
 def crop_arrays(crops) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

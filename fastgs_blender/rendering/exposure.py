@@ -14,6 +14,7 @@ from ..cameras.camera import Camera
 from ..model.edits import mixed
 from ..util.errors import FastGSError
 from . import colour
+from .crops import crops_between
 from .holdout import between
 from .instances import Instance, Moment, ViewedInstance
 
@@ -186,6 +187,9 @@ class Exposure:
         before, after, share = self._between(time)
         a, b = (moment.instances.get(instance.place, instance) for moment in (before, after))
         placement = a.placement + share * (b.placement - a.placement)
+        near = a if share < 0.5 else b
+        settings = replace(near.settings, crops=crops_between(a.settings.crops, b.settings.crops, share))
+        instance = replace(instance, settings=settings)
         if not a.source is instance.source is b.source:  # frames of a sequence are not the same Gaussians
             return replace_time(instance, instance.t, placement)
         if a.origin is None is b.origin:

@@ -11,6 +11,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.model.edits import Edit
 from fastgs_blender.rendering import colour
+from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.cryptomatte import number
 from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
@@ -197,6 +198,25 @@ def test_edits_are_blurred_between_the_moments():
     for backend in ("cpu", "reference"):
         found = fg.render([at(0.5)], CAMERA, exposure=Exposure(moments=moments, steps=64), backend=backend)
         assert np.abs(found["rgb"] - expected["rgb"]).mean() < 1e-3 and np.abs(found["rgb"] - expected["rgb"]).max() < 0.02
+
+
+@pytest.mark.parametrize("soft", [0.0, 0.4])
+def test_crops_and_looks_that_move_are_blurred(soft):
+    """A sphere that uncovers a still model as it sweeps along, while the model fades: the average of all times."""
+    model = fg.freeze(arm(), 0.5)
+
+    def at(share):
+        matrix = np.diag([1.0, 1, 0.1, 1])
+        matrix[0, 3] = 0.8 - 1.6 * share
+        crops = [Crop(np.eye(4) * [0.2, 0.2, 0.05, 1]), Crop(matrix, remove=True, shape="SPHERE", soft=soft)]
+        return Instance(model, np.eye(4), 0.0, ObjectSettings(crops=crops, opacity=1 - 0.5 * share), place="one")
+
+    moments = tuple(Moment({"one": at(share)}, CAMERA) for share in np.linspace(0, 1, 9))
+    expected = np.mean([light(fg.render([at((i + 0.5) / 128)], CAMERA)) for i in range(128)], 0)
+    assert np.abs(light(fg.render([at(0.5)], CAMERA)) - expected).max() > 0.15, "it should matter"
+    for backend in ("cpu", "reference"):
+        found = light(fg.render([at(0.5)], CAMERA, exposure=Exposure(moments=moments, steps=64), backend=backend))
+        assert np.abs(found - expected).mean() < 1e-3 and np.abs(found - expected).max() < 0.02
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])

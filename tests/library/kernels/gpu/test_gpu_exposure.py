@@ -12,8 +12,9 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.kernels.gpu import expose
 from fastgs_blender.kernels.gpu.device import Device
+from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.exposure import Aperture, Exposure
-from fastgs_blender.rendering.instances import Instance, Moment
+from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
 from fastgs_blender.rendering.passes import PassSettings
 
 CLOSE, MEAN = 2e-3, 1e-5
@@ -31,13 +32,15 @@ def scene():
 
 
 def moving(scene) -> Exposure:
-    """An exposure while which one object and the camera move."""
+    """An exposure while which one object, the camera and a crop move, and a look changes."""
     instances, camera = scene
     place = np.eye(4)
     place[:3, 3] = 0.4, 0.1, 0.2
-    later = {0: replace(instances[0], placement=place), 1: instances[1]}
+    cut = [replace(instances[1], settings=ObjectSettings(crops=[Crop(move)], saturation=grey))
+           for move, grey in ((np.eye(4), 1.0), (place, 0.0))]
+    first, later = {0: instances[0], 1: cut[0]}, {0: replace(instances[0], placement=place), 1: cut[1]}
     turned = replace(camera, fx=54.0, fy=54.0)
-    return Exposure(moments=(Moment(dict(enumerate(instances)), camera, TRIANGLES), Moment(later, turned, TRIANGLES + np.float32(0.1))),
+    return Exposure(moments=(Moment(first, camera, TRIANGLES), Moment(later, turned, TRIANGLES + np.float32(0.1))),
                     curve=(0.0, 1.0, 1.0), steps=8)
 
 
