@@ -52,6 +52,11 @@ def understand(values: dict) -> dict:
     return {name: read(values[key]) for key, (name, read) in readers.items() if key in values}
 
 
+def is_json_table(head: bytes) -> bool:
+    """Whether a file begins as JSON of a table does, after a mark of UTF-8 as Windows' programs write it."""
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
+
+
 def read_json(text: str | bytes):
     """Decoded JSON; raises FastGSError for anything else."""
     try:

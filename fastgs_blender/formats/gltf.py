@@ -22,7 +22,7 @@ from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError
 from .base import OPAQUE, generator
-from .description import read_json, whole_number
+from .description import is_json_table, read_json, whole_number
 from .scenes import placed, together
 from .spz import decoded
 from .static import StaticFormat, read_whole
@@ -53,7 +53,7 @@ class Gltf(StaticFormat):
     linear = True
 
     def sniff(self, head, path):
-        if not head.startswith(MAGIC) and head.lstrip()[:1] != b"{":
+        if not head.startswith(MAGIC) and not is_json_table(head):
             return False
         try:
             tree, _ = _parts(path)
@@ -198,7 +198,7 @@ class _Buffers:
             raise FastGSError("one of its buffers says not where it is; the file is damaged.")
         if uri.startswith("data:"):
             try:
-                return base64.b64decode(uri.partition(",")[2], validate=True)
+                return base64.b64decode("".join(uri.partition(",")[2].split()), validate=True)
             except (binascii.Error, ValueError) as error:
                 raise FastGSError("one of its buffers is damaged; export it again.") from error
         parts = [part for part in unquote(uri).split("/") if part != "."]

@@ -19,7 +19,7 @@ from ..util.errors import FastGSError
 from . import pixel_tables as tables
 from .base import generator
 from .codebooks import codebook, palette
-from .description import read_json, whole_number
+from .description import is_json_table, read_json, whole_number
 from .static import (
     SQRT_HALF,
     StaticFormat,
@@ -56,7 +56,7 @@ class Sog(StaticFormat):
                     return files.has("meta.json") and _is_meta(files.read("meta.json", tables.MAX_META))
             except FastGSError:
                 return path.suffix.lower() == ".sog"  # broken, which load() says
-        return head.lstrip()[:1] == b"{" and path.stat().st_size <= tables.MAX_META and _is_meta(read_whole(path))
+        return is_json_table(head) and path.stat().st_size <= tables.MAX_META and _is_meta(read_whole(path))
 
     def load(self, path):
         zipped = read_whole(path, 4) == ZIP
@@ -91,9 +91,10 @@ def _is_meta(text: bytes) -> bool:
 
 def decoded(meta: dict, files) -> GaussianModel:
     """The model that a meta.json describes; files: a tables.Archive or tables.Folder."""
-    version = meta.get("version", 1)
-    if version not in (1, 2):
-        raise FastGSError(f"it is of SOG version {str(version)[:20]}; versions 1 and 2 are read.")
+    said = str(meta.get("version", 1))[:20]
+    version = {"1": 1, "2": 2}.get(said.removesuffix(".0"))
+    if version is None:
+        raise FastGSError(f"it is of SOG version {said}; versions 1 and 2 are read.")
     if version == 2:
         count = whole_number(meta.get("count"), "the number of Gaussians")
     else:

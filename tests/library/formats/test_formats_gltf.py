@@ -172,14 +172,16 @@ def test_buffers_in_folders_and_names_with_spaces(rng, tmp_path):
         assert_model(fg.load(tmp_path / "m.gltf"), attributes)
 
 
-@pytest.mark.parametrize("uri", ["file", "data"])
+@pytest.mark.parametrize("uri", ["file", "data", "data in lines"])
 def test_json_with_its_buffer_apart(rng, tmp_path, uri):
+    """The mark of UTF-8 before it, which Windows' programs write, makes no difference."""
     attributes = random_attributes(rng)
     tree, binary = tree_of(attributes, colorSpace="lin_rec709_display")
     (tmp_path / "m.data").write_bytes(binary)
-    name = "m.data" if uri == "file" else "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+    packed = (base64.encodebytes if uri.endswith("lines") else base64.b64encode)(binary).decode()
+    name = "m.data" if uri == "file" else "data:application/octet-stream;base64," + packed
     tree["buffers"][0]["uri"] = name
-    (tmp_path / "m.gltf").write_text(json.dumps(tree))
+    (tmp_path / "m.gltf").write_text(json.dumps(tree), "utf-8-sig")
     model = fg.load(tmp_path / "m.gltf")
     assert_model(model, attributes)
     assert model.colour_space == "linear"

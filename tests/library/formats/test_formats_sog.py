@@ -122,6 +122,17 @@ def test_both_versions_as_their_formulas_say(rng, tmp_path, version, degree, for
     assert model.raster.antialiased == (version == 2)
 
 
+def test_versions_as_texts_and_marks_before_the_json(rng, tmp_path):
+    for said, version in (("2", 2), (2.0, 2), ("1", 1)):
+        files, want = contents(rng, 12, 1, version)
+        files["meta.json"] = json.dumps(json.loads(files["meta.json"]) | {"version": said}).encode("utf-8-sig")
+        for name, content in files.items():
+            (tmp_path / name).write_bytes(content)
+        assert_model(fg.load(tmp_path / "meta.json"), want)
+        (tmp_path / "m.sog").write_bytes(zipped(files))
+        assert_model(fg.load(tmp_path / "m.sog"), want)
+
+
 def test_pictures_of_other_kinds_that_hold_the_same_numbers(rng, tmp_path):
     """PNG, and WebP without an alpha channel where that is not used; names that begin with ./; version 1 with a count, no shape."""
     files, want = contents(rng, 20, 1, 1)
