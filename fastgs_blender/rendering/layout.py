@@ -3,6 +3,10 @@
 
 A picture holds two kinds of numbers for each pixel: sums over the splats of a value times the splat's weight (colour, and the
 quantities of quantities.py), and probes, which look at the splats one by one while they are blended.
+
+Some quantities are summed over a pixel's core: the splats that block the middle half of its light.  At the outline of something, and at a
+sharp edge, a few splats of one surface stick out before another one.  A mean of all would mix the two; the core is of one of them nearly
+everywhere, and still of many splats where there is one surface.
 """
 from __future__ import annotations
 
@@ -21,6 +25,10 @@ DEPTH_FROM = {"median": 0.5, "first": float(np.nextafter(np.float32(1), np.float
 """Probes that are a depth: that of the last splat before which the transmittance is above this; infinite where nothing is."""
 PROBES = (*DEPTH_FROM, "count")
 """All probes; count: how many splats were blended into the pixel."""
+CORE = (0.25, 0.75)
+"""A splat's weight in the core is what it takes of the transmittance between these two,"""
+REST = 2.0**-10
+"""and this share of its usual weight: faint pixels have no core."""
 
 
 def decoding(instance: ViewedInstance) -> Hashable:
@@ -57,6 +65,8 @@ class Layout:
     it is not alone; then the depth, if wanted, and further quantities.
 
     groups      list of ChannelGroup
+    core        from which channel to which they are summed over the core of each pixel; (0, 0): there are none.  These come right after
+                the groups, so that few kernels are compiled
     depth       channel of the depth of the splats' centres, or None
     plane       the first of three channels a, b, c with which a splat's depth at a pixel is a + b x + c y, x and y counted from the
                 middle of the image; or None
@@ -81,18 +91,15 @@ class Layout:
             self.groups.append(ChannelGroup(offset, None if alone else offset + 9, alike[0]))
             self._of |= dict.fromkeys(map(id, alike), self.groups[-1])
             offset += 9 if alone else 10
-        self.depth = offset if depth else None
-        self.places = {"depth": slice(offset, offset + 1)} if depth else {}
-        offset += int(depth)
-        self.by_pixel = by_pixel
-        self.plane = offset if plane or by_pixel else None
-        if self.plane is not None:
-            self.places["plane"] = slice(offset, offset + 3)
-            offset += 3
-        self.quantities = quantities or {}
-        for name, quantity in self.quantities.items():
-            self.places[name] = slice(offset, offset + quantity.width)
-            offset += quantity.width
+        self.by_pixel, self.quantities = by_pixel, quantities or {}
+        cores, others = ({name: q.width for name, q in self.quantities.items() if q.core is core} for core in (True, False))
+        self.core = (offset, offset + sum(cores.values())) if cores else (0, 0)
+        planes = ({"depth": 1} if depth else {}) | ({"plane": 3} if plane or by_pixel else {})
+        self.places = {}
+        for name, width in (cores | planes | others).items():
+            self.places[name] = slice(offset, offset + width)
+            offset += width
+        self.depth, self.plane = (self.places[name].start if name in self.places else None for name in ("depth", "plane"))
         self.channels = offset
 
     def group_of(self, instance: ViewedInstance) -> ChannelGroup:

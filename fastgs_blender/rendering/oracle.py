@@ -21,7 +21,7 @@ from .distance import share
 from .exposure import Exposure, Film
 from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
-from .layout import DEPTH_FROM, PROBES, Buffers, Exposed, Layout
+from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, Exposed, Layout
 from .looks import Look, graded, size_factor
 from .quantities import Shown, shares
 
@@ -181,7 +181,7 @@ def plane(deep, flat, blur, determinant, box, mean, z, camera: Camera) -> np.nda
 
 
 def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.ndarray | None = None, planes: slice = slice(0),
-              by_pixel: bool = False) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
+              by_pixel: bool = False, core: tuple[int, int] = (0, 0)) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple]:
     """Channels [h, w, C], alpha [h, w], the probes [h, w], and of a holdout the light that it stops and the share that it covers [h, w]:
     front-to-back compositing into the camera's window (rasterisers.md 3.2).
 
@@ -190,6 +190,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     holdout  triangles, see holdout.py: each of a pixel's points loses its share of the light behind them
     planes   with a holdout or by_pixel, the channels of the splats' planes
     by_pixel each pixel's splats come in the order of these planes' depths, which take the place of the centres'
+    core     from which channel to which they are summed over the core of each pixel (layout.py)
     """
     x0, y0, width, height = camera.window
     px, py = x0 + np.arange(width) + 0.5, y0 + np.arange(height) + 0.5
@@ -197,6 +198,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     depths = np.full((height, width, 1), np.inf) if holdout is None else sample_depths(holdout, camera).astype(np.float32)
     transmittance, live = np.ones(depths.shape), np.ones(depths.shape, bool)  # of each point of a pixel
     probes = {name: np.full((height, width), np.inf if name in DEPTH_FROM else 0.0) for name in PROBES}
+    of_core = np.isin(np.arange(out.shape[2]), np.arange(*core))
     farthest = depths.max(-1)  # infinite unless triangles cover the whole pixel
     for box, alpha, cut, depth, surface, values in (_by_pixel if by_pixel else _by_centre)(splats, camera, px, py, planes):
         t = transmittance[box]
@@ -210,8 +212,10 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
         after = t * (1 - alpha[..., None])
         blended = hit & (after > T_STOP)
         live[box] &= ~(hit & ~blended)
-        out[box] += np.where(blended, alpha[..., None] * t, 0).mean(-1, keepdims=True) * values
         drawn, light = blended.any(-1), (t * shows).mean(-1)
+        weight = np.where(blended, alpha[..., None] * t, 0).mean(-1)
+        inner = np.maximum(np.minimum(light, CORE[1]) - np.maximum(light - weight, CORE[0]), 0) + REST * weight
+        out[box] += np.where(of_core, inner[..., None], weight[..., None]) * values
         for name, above in DEPTH_FROM.items():
             probes[name][box] = np.where(drawn & (light > above), depth, probes[name][box])
         probes["count"][box] += drawn
@@ -291,7 +295,8 @@ class Oracle:
             found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
         splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
-        channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)), layout.by_pixel)
+        channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)), layout.by_pixel,
+                                                    layout.core)
         sums = {name: channels[..., where] for name, where in layout.places.items()}
         return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 

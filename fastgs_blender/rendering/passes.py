@@ -88,13 +88,14 @@ class Blended:
     held: np.ndarray | None = None
     shadow: np.ndarray | None = None
 
-    def mean(self, name: str) -> np.ndarray:
-        """A quantity's mean over what covers each pixel, weighted by how much each splat is seen; 0 where alpha is 0."""
-        return np.divide(self.sums[name], self.alpha[..., None], out=np.zeros_like(self.sums[name]), where=self.alpha[..., None] > 0)
+    def at_pixels(self, sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """The mean of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3].
 
-    def at_pixels(self, name: str) -> np.ndarray:
-        """The same of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3]."""
-        (a, b, c), (x, y) = np.split(self.mean(name), 3, -1), (side.astype(np.float32) for side in self.camera.from_middle())
+        sums [h, w, K] a, b and c times the splats' weights; weight [h, w] the sum of these.  Where it is 0 the mean is 0.
+        """
+        weight = weight[..., None]
+        mean = np.divide(sums, weight, out=np.zeros_like(sums), where=weight > 0)
+        (a, b, c), (x, y) = np.split(mean, 3, -1), (side.astype(np.float32) for side in self.camera.from_middle())
         return a + b * x[:, None] + c * y[:, None, None]
 
 
@@ -162,7 +163,7 @@ class Pass:
 
 
 def _expected_depth(blended: Blended) -> np.ndarray:
-    return np.where(blended.alpha > 0, blended.at_pixels("plane")[..., 0], np.inf)
+    return np.where(blended.alpha > 0, blended.at_pixels(blended.sums["plane"], blended.alpha)[..., 0], np.inf)
 
 
 def _position(blended: Blended) -> np.ndarray:
@@ -179,6 +180,11 @@ def _normal(blended: Blended) -> np.ndarray:
     total = blended.sums["normal"]
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def _vector(blended: Blended) -> np.ndarray:
+    sums = blended.sums["vector"]
+    return blended.at_pixels(sums[..., :-1], sums[..., -1])
 
 
 def _held(blended: Blended) -> np.ndarray:
@@ -233,7 +239,7 @@ PASSES = {entry.name: entry for entry in (
     Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
          blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", look=false_colour.directions,
          shows="Red, green and blue are x, y and z; -1 is dark, 1 is bright"),
-    Pass("vector", lambda b: b.at_pixels("vector"), ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
+    Pass("vector", _vector, ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
          blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", look=false_colour.motion,
          shows="The hue is the direction of motion to the next frame, the brightness its speed"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",

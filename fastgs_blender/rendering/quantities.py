@@ -84,11 +84,13 @@ class Quantity:
     """Some numbers of each Gaussian: values(Shown) gives [M, width] float64.
 
     same  gives the numbers [width] of an instance all of whose Gaussians have the same; None: they have their own
+    core  whether they are summed over the core of each pixel (layout.py), and not over all that it shows
     """
 
     width: int
     values: Callable[[Shown], np.ndarray]
     same: Callable[[ViewedInstance], np.ndarray] | None = None
+    core: bool = False
 
     def of(self, shown: Shown) -> np.ndarray:
         """The values [M, width]; 0 where they are not numbers or too large to be summed."""
@@ -127,7 +129,8 @@ def vector(instances: list[ViewedInstance], before: Moment | None, after: Moment
     placements and cameras.  Without moments, cameras and placements stand still and the time moves by a frame of each model's clip.
 
     A Gaussian that turns, or grows in the picture, moves differently at each of its pixels, so its vector is a plane, as its depth is
-    (oracle.plane): 12 numbers a, b, c of four each, with which it is a + b x + c y, x and y counted from the image's middle.
+    (oracle.plane): 12 numbers a, b, c of four each, with which it is a + b x + c y, x and y counted from the image's middle.  A
+    thirteenth, 1, sums up to the weight of all.
     """
     moved = {instance: (_moved(instance, before, -1), _moved(instance, after, 1)) for instance in instances}
 
@@ -145,9 +148,9 @@ def vector(instances: list[ViewedInstance], before: Moment | None, after: Moment
             slope[:, 2 * i:2 * i + 2] = sign[:, None] * ((wide - spread) @ towards)
         camera = shown.instance.camera
         shift -= np.einsum("mck,mk->mc", slope, now - np.array([camera.width, camera.height]) / 2)
-        return np.concatenate([shift, slope[..., 0], slope[..., 1]], 1)
+        return np.concatenate([shift, slope[..., 0], slope[..., 1], np.ones((len(now), 1))], 1)
 
-    return Quantity(12, values)
+    return Quantity(13, values, core=True)
 
 
 def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> ViewedInstance:

@@ -11,6 +11,8 @@ from .sampling import near_pairs, triangle_normals
 SHARP = np.cos(np.radians(25.0))
 """Two triangles that meet at more than this angle meet at a border.  With 12 degrees rings of sixteen facets have thinner outlines, but
 domes have holes where borders cross."""
+FLAT = 1.5
+"""By how much farther a border counts across which the surface goes on without a bend: Gaussians of both sides have to close it alone."""
 SAME_SIDE = 0.7
 """Least cosine between the normals of a sample and of a border's triangle for both to lie on one surface."""
 
@@ -20,12 +22,14 @@ CROSSING = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Borders:
-    """The M sides of sharp edges: start, end [M, 3]; the triangle's normal and the direction into it across the edge [M, 3]."""
+    """The M sides of borders: start, end [M, 3]; the triangle's normal and the direction into it across the edge [M, 3]; whether the
+    surface goes on there without a bend [M]."""
 
     start: np.ndarray
     end: np.ndarray
     normal: np.ndarray
     inward: np.ndarray
+    flat: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +73,20 @@ def mesh_edges(points: np.ndarray, triangles: np.ndarray) -> Edges:
 def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, seam: np.ndarray | None = None) -> Borders:
     """Edges of a mesh (points [V, 3], triangles [T, 3]) that have one triangle only, or two that differ in direction or patch [T].
 
-    seam [T, 3]: further sides, bool.
+    seam [T, 3]: further sides, bool.  Triangles without an area, as at the poles of spheres, have no borders.
     """
     corners = np.asarray(points, np.float64)[triangles]
     normal = triangle_normals(corners)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    area = np.linalg.norm(normal, axis=1)
+    solid = area > 1e-12 * area.max(initial=0.0)
+    triangles, patch, corners, normal = triangles[solid], patch[solid], corners[solid], normal[solid] / area[solid, None]
+    seam = None if seam is None else seam[solid]
     edges = mesh_edges(points, triangles)
     if not len(edges.side):
-        return Borders(*(np.zeros((0, 3)) for _ in range(4)))
+        return Borders(*(np.zeros((0, 3)) for _ in range(4)), np.zeros(0, bool))
     one, other = edges.side[edges.first], edges.side[np.minimum(edges.first + 1, len(edges.side) - 1)]
-    smooth = (edges.count == 2) & (np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]) >= SHARP)
-    smooth &= patch[one // 3] == patch[other // 3]
+    flat = (edges.count == 2) & (np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]) >= SHARP)
+    smooth = flat & (patch[one // 3] == patch[other // 3])
     if seam is not None:
         smooth &= ~seam.ravel()[one]
     t, k = np.divmod(edges.side[np.repeat(~smooth, edges.count)], 3)
@@ -87,7 +94,7 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, s
     inward = np.cross(normal[t], end - start)
     inward *= np.sign(np.einsum("nd,nd->n", inward, opposite - start))[:, None]
     length = np.linalg.norm(inward, axis=1, keepdims=True)
-    return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30))
+    return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30), np.repeat(flat[~smooth], edges.count[~smooth]))
 
 
 def welded(points: np.ndarray) -> np.ndarray:
@@ -102,7 +109,7 @@ def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarr
 
     position, normal  [N, 3] of the samples, the normals of unit length
     direction         across the nearest border, away from it; 0 where none is within reach
-    distance          to that border and, along it, to the nearest other border; at most `reach`
+    distance          to that border and, along it, to the nearest other border, FLAT times as far where it is flat; at most `reach`
     """
     n = len(position)
     direction, distance = np.zeros((n, 3)), np.full((n, 2), float(reach))
@@ -121,7 +128,7 @@ def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarr
     d = np.linalg.norm(offset, axis=1)
     near = ((d < reach) & (np.einsum("nd,nd->n", normal[i], borders.normal[j]) > SAME_SIDE)
             & (np.einsum("nd,nd->n", offset, borders.inward[j]) >= -1e-6 * reach))
-    i, j, d = i[near], j[near], d[near]
+    i, j, d = i[near], j[near], np.minimum(d * np.where(borders.flat[j], FLAT, 1), reach)[near]
     order = np.lexsort((d, i))
     i, j, d = i[order], j[order], d[order]
     found, first = np.unique(i, return_index=True)

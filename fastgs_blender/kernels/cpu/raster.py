@@ -15,7 +15,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from ...rendering.holdout import SAMPLES
-from ...rendering.layout import DEPTH_FROM, PROBES
+from ...rendering.layout import CORE, DEPTH_FROM, PROBES, REST
 from ...rendering.oracle import T_STOP
 from . import simd
 from .jit import inline, kernel
@@ -57,20 +57,21 @@ def covering(builder, column, u, du, row) -> simd.Floats:
 
 
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z, dz, channels, probes, trace, smooth, hides):
+def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z, dz, channels, core, end, probes, trace, smooth, hides):
     """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
 
-    channels, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  probes: which of
-    layout.PROBES are computed, a bit each; trace: remember `place` as that of the last splat blended; smooth: let alpha fade in
-    over `band` above the cut; hides: the splat shows only where its surface, z + i dz, lies before the depths in the last plane.
+    channels, core, end, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  core, end: from which
+    channel to which they are summed over the core (layout.py); probes: which of layout.PROBES are computed, a bit each; trace: remember
+    `place` as that of the last splat blended; smooth: let alpha fade in over `band` above the cut; hides: the splat shows only where its
+    surface, z + i dz, lies before the depths in the last plane.
     """
-    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, probes, trace, smooth, hides)):
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, core, end, probes, trace, smooth, hides)):
         return None
-    count = channels.literal_value
+    count, cored = channels.literal_value, range(core.literal_value, end.literal_value)
     number = types.float32
     signature = types.void(
-        state, types.intp, number, number, number, attributes, types.intp, number, number, number, number, channels, probes, trace, smooth,
-        hides)
+        state, types.intp, number, number, number, attributes, types.intp, number, number, number, number, channels, core, end, probes,
+        trace, smooth, hides)
 
     def build(context, b, signature, args):
         state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
@@ -93,9 +94,11 @@ def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z,
         live = after > T_STOP
         weight = weight.where(live, 0.0)
         state.store(pixel, 0, after.where(live, before.negative_magnitude()))
+        if cored:
+            inner = (before.min(CORE[1]) - after.max(CORE[0])).max(0.0).where(live, 0.0) + weight * REST
         for c in range(count):
             plane = PIXELS * (1 + c)
-            state.store(pixel, plane, state.floats(pixel, plane) + weight * column(CHANNEL + c))
+            state.store(pixel, plane, state.floats(pixel, plane) + (inner if c in cored else weight) * column(CHANNEL + c))
         if trace.literal_value:
             plane = PIXELS * (1 + count)
             state.store(pixel, plane, simd.broadcast(b, args[7]).where(weight > 0.0, state.floats(pixel, plane)))
@@ -145,8 +148,11 @@ def deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, 
 
 
 @cache
-def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0, plane: int | None = None):
+def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0, plane: int | None = None,
+               core: tuple[int, int] = (0, 0)):
     """The kernel for a number of channels, and the probes (layout.PROBES, in their order).
+
+    core: from which to which channel they are summed over the core of each pixel.
 
     trace: write what the backward pass starts from (raster_backward.py) instead of probes.  band: alpha fades in over
     this much above the cut instead of beginning there, so that pictures are smooth functions of the splats.  plane: for pictures
@@ -154,7 +160,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
     """
     assert not (trace and (probes or plane is not None))
     trace, smooth, band, hides = int(trace), int(band > 0), float(band), int(plane is not None)
-    surface = CHANNEL + (plane or 0)
+    surface, (core, end) = CHANNEL + (plane or 0), core
     bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
     planes = 1 + channels + (number or trace) + hides
     limit = PIXELS * (planes - 1)
@@ -219,7 +225,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                             z = float32(attributes[i, surface] + dz * (left + x + 0.5 - middle_x)
                                         + attributes[i, surface + 2] * (top + y + 0.5 - middle_y))
                         blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
-                               z, dz, channels, bits, trace, smooth, hides)
+                               z, dz, channels, core, end, bits, trace, smooth, hides)
                 blended += 1
                 if blended % TILE == 0:
                     front = state[0]

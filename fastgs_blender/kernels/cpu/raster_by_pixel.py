@@ -16,7 +16,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from ...rendering.holdout import SAMPLES
-from ...rendering.layout import DEPTH_FROM, PROBES
+from ...rendering.layout import CORE, DEPTH_FROM, PROBES, REST
 from ...rendering.oracle import T_STOP
 from . import simd
 from .jit import inline, kernel
@@ -25,7 +25,7 @@ from .raster import CHANNEL, L11, L21, L22, LOG2_OPACITY, MEAN_X, MEAN_Y, PIXELS
 
 WAITING = 32
 """Splats for which each pixel has room at first."""
-STOP = float32(T_STOP)
+STOP, FROM, TO, LEAST = float32(T_STOP), float32(CORE[0]), float32(CORE[1]), float32(REST)
 
 
 @intrinsic
@@ -71,7 +71,7 @@ def _depth(i, x, y, plane, attributes):
 @inline
 def _hide(p, z, canvas):
     """Take the points of a pixel away that triangles cover before a depth."""
-    state, _, _, _, depths, taken, left_over, stopped = canvas
+    state, _, _, _, _, _, depths, taken, left_over, stopped = canvas
     while taken[p] < SAMPLES and depths[p, taken[p]] < z:
         lose(state, left_over, stopped, p)
         taken[p] += 1
@@ -82,7 +82,7 @@ def _settle(p, bound, waiting, hides, canvas):
     """Blend the splats that wait at a pixel up to a depth.  The equations are those of raster.blend8(), for one pixel: its neighbours
     blend other splats."""
     head, tail, near, alphas, who = waiting
-    state, attributes, channels, probes, _, _, _, _ = canvas
+    state, attributes, channels, core, end, probes, _, _, _, _ = canvas
     while head[p] < tail[p] and near[p, head[p]] <= bound:
         z, opacity, i = near[p, head[p]], alphas[p, head[p]], np.intp(who[p, head[p]])
         head[p] += 1
@@ -97,8 +97,9 @@ def _settle(p, bound, waiting, hides, canvas):
             state[p] = -before
             continue
         state[p] = after
+        inner = max(min(before, TO) - max(after, FROM), float32(0.0)) + LEAST * weight
         for c in range(channels):
-            state[PIXELS * (1 + c) + p] += weight * attributes[i, CHANNEL + c]
+            state[PIXELS * (1 + c) + p] += (inner if core <= c < end else weight) * attributes[i, CHANNEL + c]
         for k in range(len(probes)):
             at = PIXELS * (1 + channels + k) + p
             if probes[k] < float32(0.0):  # the count
@@ -125,14 +126,14 @@ def _wait(p, z, opacity, i, waiting):
 
 @kernel
 def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra, hiding,
-              held, middle_x, middle_y, plane, probes):
-    """raster.rasteriser's kernel; plane: the column of attributes with which planes begin; probes: of each that is wanted the transmittance
-    from which it takes a depth, or -1 for the count."""
+              held, middle_x, middle_y, plane, core, end, probes):
+    """raster.rasteriser's kernel; plane: the column of attributes with which planes begin; core, end: the channels that are summed over the
+    core (layout.py); probes: of each that is wanted the transmittance from which it takes a depth, or -1 for the count."""
     channels, hides, infinite = out.shape[2], len(held) > 0, float32(np.inf)
     state = np.empty((1 + channels + len(probes)) * PIXELS, np.float32)
     left_over, stopped, taken = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32), np.zeros(PIXELS, np.int64)
     depths, opacities = np.empty((PIXELS, SAMPLES), np.float32), np.empty(simd.LANES, np.float32)
-    canvas = (state, attributes, channels, probes, depths, taken, left_over, stopped)
+    canvas = (state, attributes, channels, core, end, probes, depths, taken, left_over, stopped)
     head, tail = np.empty(PIXELS, np.int64), np.empty(PIXELS, np.int64)
     near, alphas = np.empty((PIXELS, WAITING), np.float32), np.empty((PIXELS, WAITING), np.float32)
     who = np.empty((PIXELS, WAITING), np.int32)
@@ -215,7 +216,7 @@ def _sort(hiding, tile, depths):
 
 
 @cache
-def rasteriser(channels: int, probes: tuple[str, ...], plane: int):
+def rasteriser(probes: tuple[str, ...], plane: int, core: tuple[int, int]):
     """The kernel as raster.rasteriser gives it, for splats whose planes are in the channels from `plane` on."""
     wanted = np.array([DEPTH_FROM.get(name, -1.0) for name in PROBES if name in probes], np.float32)
-    return lambda *given: rasterise(*given, CHANNEL + plane, wanted)
+    return lambda *given: rasterise(*given, CHANNEL + plane, *core, wanted)

@@ -42,7 +42,8 @@ class Picture:
 
 
 def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None,
-              holdout: np.ndarray | None = None, plane: int | None = None, by_pixel: bool = False) -> Picture:
+              holdout: np.ndarray | None = None, plane: int | None = None, by_pixel: bool = False,
+              core: tuple[int, int] = (0, 0)) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
     probes   which of layout.PROBES to compute
@@ -50,6 +51,7 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     holdout  triangles [F, 3, 3] float32 that hide splats
     plane    with a holdout or by_pixel, the first of the channels of the splats' planes (layout.Layout.plane)
     by_pixel each pixel sorts its splats by the depths of these planes
+    core     from which channel to which they are summed over the core of each pixel (layout.py)
     """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
@@ -58,9 +60,9 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     occluder = None if holdout is None else Occluder.of(holdout, camera)
     held = np.zeros((height, 2 * width), np.float32) if occluder else NONE
     if by_pixel:
-        kernel = raster_by_pixel.rasteriser(channels, probes, plane)
+        kernel = raster_by_pixel.rasteriser(probes, plane, core)
     else:
-        kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None)
+        kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None, core=core)
     middle = camera.width / 2, camera.height / 2
     out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held, middle)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},

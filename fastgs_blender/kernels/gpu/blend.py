@@ -25,6 +25,7 @@ class How:
     occluder  the triangles of a holdout, or None.  It needs the splats' planes, and so does
     by_pixel  sorting in each pixel (layout.Layout)
     plane     the first channel of these
+    core      from which channel to which they are summed over the core of each pixel (layout.py)
     """
 
     probes: Sequence[str] = ()
@@ -34,6 +35,7 @@ class How:
     occluder: Occluder | None = None
     by_pixel: bool = False
     plane: int = 0
+    core: tuple[int, int] = (0, 0)
     places: dict[str, int] = field(init=False)
     """Of the probes, and of what a holdout stops, in Band.flat."""
 
@@ -106,7 +108,7 @@ def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: t
     places = {name.upper(): how.places.get(name, 0) for name in (*PROBES, "held")}
     job = [[x0, first, x0 + width, last], list(grid), [first, numbers, how.plane, 0], [camera.width / 2, camera.height / 2, 0.0, 0.0]]
     inputs = [lists.lists, piece.a, piece.b, piece.channels]
-    constants = {"QUADS": piece.quads, "HOLDOUT": how.occluder is not None, **places}
+    constants = {"QUADS": piece.quads, "HOLDOUT": how.occluder is not None, "CORE": how.core[0], "END": how.core[1], **places}
     if how.by_pixel:
         device.run("raster_by_pixel", columns * grid[3], job, *inputs, cover, channels, flat, groups=True, **constants)
     else:

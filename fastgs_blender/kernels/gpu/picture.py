@@ -76,7 +76,7 @@ def draw(device: Device, models: Models, instances: list[ViewedInstance], camera
     occluder = None if holdout is None else Occluder(device, holdout, camera)
     splats = project(device, instances, camera, layout, [models.packs(instance.model) for instance in instances])
     progress(0.3)
-    how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0)
+    how = How(tuple(probes), occluder=occluder, by_pixel=layout.by_pixel, plane=layout.plane or 0, core=layout.core)
     bands = blend_all(device, front_to_back(device, splats), splats, camera, how, lambda f: progress(0.3 + 0.6 * f))
     return DeviceBuffers.of(bands, layout, how, again)
 

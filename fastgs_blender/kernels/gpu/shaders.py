@@ -17,7 +17,7 @@ from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFS
 from ...rendering.crops import SPHERE, VOLUME
 from ...rendering.holdout import EDGE, SAMPLES
 from ...rendering.instances import LIMIT
-from ...rendering.layout import DEPTH_FROM
+from ...rendering.layout import CORE, DEPTH_FROM, REST
 from ...rendering.looks import Look
 from ...rendering.oracle import REACH, T_STOP
 
@@ -29,7 +29,7 @@ FARTHEST = 3e38
 CONSTANTS = {
     "TILE": TILE, "LIMIT": LIMIT, "T_STOP": T_STOP, "REACH": REACH, "SPHERE": SPHERE, "VOLUME": VOLUME,
     "SAMPLES": SAMPLES, "EDGE": EDGE, "FARTHEST": FARTHEST,
-    "MEDIAN_FROM": DEPTH_FROM["median"], "FIRST_FROM": DEPTH_FROM["first"],
+    "MEDIAN_FROM": DEPTH_FROM["median"], "FIRST_FROM": DEPTH_FROM["first"], "CORE_FROM": CORE[0], "CORE_TO": CORE[1], "REST": REST,
     "SH_C0": SH_C0, "SH_C1": SH_C1, **{f"SH_C{degree}_{i}": value for degree, values in ((2, SH_C2), (3, SH_C3), (4, SH_C4))
                                        for i, value in enumerate(values)},
     "SRGB_CUT": SRGB_CUT, "SRGB_GAMMA": SRGB_GAMMA, "SRGB_LINEAR_CUT": SRGB_LINEAR_CUT, "SRGB_OFFSET": SRGB_OFFSET,

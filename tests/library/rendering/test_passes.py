@@ -131,6 +131,27 @@ def test_a_turning_gaussian_moves_differently_at_each_of_its_pixels(backend, axi
     assert np.abs(out["vector"][solid] - wanted).mean() < 0.01
 
 
+@pytest.mark.parametrize("sorting", ["centre", "pixel"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_vectors_are_those_of_the_middle_half_of_the_light(backend, sorting):
+    """A sheet that goes right before an opaque one that goes left: what blocks less than a quarter of the light, or what is left a quarter,
+    does not count; alone it does."""
+    def going(way, z, alpha):
+        motion = np.array([[[way * z, 0, 0]]])
+        return of(sheet(z, np.log(alpha / (1 - alpha)), basis=fg.Polynomial(1), motion=motion, clip=fg.Clip(4)), t=0.25)
+
+    def seen(*scene):
+        settings = PassSettings(sorting=sorting)
+        return fg.render(list(scene), CAMERA, passes=("vector",), backend=backend, settings=settings)["vector"][12, 16, 2]
+
+    far = going(-1, 4.0, 0.9999)
+    right, left = seen(going(1, 2.0, 0.9999)), seen(far)
+    assert right == pytest.approx(-left) and abs(right) > 5
+    for alpha, wanted in ((0.2, left), (0.8, right), (0.5, 0.0)):
+        assert seen(going(1, 2.0, alpha), far) == pytest.approx(wanted, abs=0.02), alpha
+    assert seen(going(1, 2.0, 0.2)) == pytest.approx(right, rel=1e-4), "what is faint has a vector too"
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_object_index_and_cryptomatte(backend):
     """Twenty objects, of which more than sixteen at once do not fit into one list: each pixel knows who covers it, and how far."""

@@ -26,6 +26,7 @@ const HELD = {HELD}u; // the first place of two, with a holdout: the light that 
 const TRACE = {TRACE};
 
 //include fade
+//include core
 //include occlusion
 
 var<workgroup> batch_a: array<vec4f, 256>;
@@ -106,7 +107,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                 break;
             }
             for (var c = 0u; c < {QUADS}u; c++) {
-                sum[c] += weight * channels[row * {QUADS}u + c];
+                sum[c] += weights(c, t, weight) * channels[row * {QUADS}u + c];
             }
             if MEDIAN > 0u && t > {MEDIAN_FROM} {
                 median = depths[row];

@@ -28,6 +28,7 @@ const COUNT = {COUNT};
 const HELD = {HELD}u; // the first place of two, with a holdout: the light that it stops, and which share of the pixel it covers
 const KEPT = 16u;
 
+//include core
 //include occlusion
 
 var<workgroup> batch_a: array<vec4f, 256>;
@@ -126,7 +127,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             }
             let row = lists[entry[k]];
             for (var c = 0u; c < {QUADS}u; c++) {
-                sum[c] += weight * channels[row * {QUADS}u + c];
+                sum[c] += weights(c, t, weight) * channels[row * {QUADS}u + c];
             }
             if MEDIAN > 0u && t > {MEDIAN_FROM} {
                 median = z;
