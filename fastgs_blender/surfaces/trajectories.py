@@ -23,8 +23,10 @@ FOLLOW = 0.1
 STEP = 3e-5
 """Mean error of the motion from one frame to the next, as a share of the object's size, that more terms are spent on: the Vector pass shows
 it.  It is 0.03 pixels where the object is 1000 pixels large."""
-CHEAP = 10
-"""Number of terms that are spent on it at most, as many as the paper's models have, or twice as many as places need."""
+CHEAP = 20
+"""Number of terms that are spent on it at most, twice as many as the paper's models have, or twice as many as places need."""
+ENOUGH = 0.7
+"""More terms are worth it if they leave at most this share of that error."""
 TURN = np.radians(1.0)
 """Mean error of rotations, in radians, that the order of their basis is chosen for."""
 MARGIN = 0.97
@@ -163,8 +165,9 @@ class Turning:
 def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, frame: float, basis: str, tolerance: float,
                  tail: float, max_order: int) -> tuple[Basis, bool]:
     """The smallest basis of positions that keeps every part within the tolerances of the mean and of the percentile, else the closest one;
-    and whether it keeps to them.  Where so many terms as CHEAP says bring the steps from frame to frame within STEP, or halve what they are
-    off by, they are taken.
+    and whether it keeps to them.  Where so many terms as CHEAP says bring the steps from frame to frame within STEP, or are off by ENOUGH
+    less, they are taken.  For these steps keyframes compete too: no series follows a steady turn that is not a whole one, because it is not
+    smooth where it begins again.
 
     frame  the length of a frame, in the unit of the times t
     """
@@ -198,8 +201,9 @@ def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray,
     kept = bool((means(distance) <= MARGIN * tolerance * sizes).all() and (tails(distance) <= MARGIN * tail * sizes).all())
     off = steps(Fit.of(chosen, t)) if kept and chosen.terms else 0.0
     if off > 1:
+        families = families + (motion_families("keyframes", t) if basis == "auto" else [])
         steadier = Fit.of(choose(families, t, lambda fit: max(error(fit), steps(fit)), max_order, max(2 * chosen.terms, CHEAP)), t)
-        chosen = steadier.basis if error(steadier) <= 1 and steps(steadier) <= max(1, off / 2) else chosen
+        chosen = steadier.basis if error(steadier) <= 1 and steps(steadier) <= max(1, ENOUGH * off) else chosen
     return chosen, kept
 
 
