@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far Vector, Depth and Normal of a baked torus are from those of the mesh itself, where it is opaque.
+"""How far Vector, Depth and Normal of baked meshes are from those of the meshes themselves, where they are opaque.
 
-    python benchmarks/baked_passes.py [--gaussians 100000] [--size 320x240]
+    python benchmarks/baked_passes.py [--gaussians 100000] [--size 320x240] [--only arm]
 
-The torus turns and travels as between two keyframes of Blender, over clips of several lengths; a thinner one has more outlines.  Everything
-is baked with the defaults, sampled twice per frame, and seen at a third of the clip.
+A torus turns and travels as between two keyframes of Blender, over clips of several lengths; a thinner one also makes a quarter turn at a
+constant rate.  An arm bends.  Everything is baked with the defaults, sampled twice per frame, and seen at a third of the clip.
 """
 from __future__ import annotations
 
@@ -30,6 +30,27 @@ def torus(thin: float, along: int = 64, around: int = 16) -> tuple[np.ndarray, n
     points = np.stack([np.cos(a) * (1 + thin * np.cos(b)), np.sin(a) * (1 + thin * np.cos(b)), thin * np.sin(b)], 1)
     corner = [((i + di) % along) * around + (j + dj) % around for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1))]
     return points, np.concatenate([np.stack([corner[0], corner[1], corner[2]], 1), np.stack([corner[0], corner[2], corner[3]], 1)])
+
+
+def arm(along: int = 24, around: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a tube along z, from -1.5 to 1.5, that becomes thinner."""
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(along + 1), np.arange(around), indexing="ij"))
+    radius = 0.3 - 0.08 * i / along
+    points = np.stack([radius * np.cos(2 * np.pi * j / around), radius * np.sin(2 * np.pi * j / around), 3 * i / along - 1.5], 1)
+    a, b = (j + i * around)[i < along], ((j + 1) % around + i * around)[i < along]
+    return points, np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)])
+
+
+def bent(points: np.ndarray, share: float) -> np.ndarray:
+    """The arm's points when this share of the clip is over: it bends by 120 degrees and back, and turns by 46."""
+    angle, weight = 0.1 + 2.2 * np.sin(np.pi * share) ** 2, 1 / (1 + np.exp(-points[:, 2:] / 0.12))
+    turns = [rotations.to_matrices(rotations.exp(np.array([each])))[0] for each in ([0, angle / 2, 0], [0, 0, 0.4 * share + 0.2])]
+    return ((1 - weight) * points + weight * (points @ turns[0].T) + [-0.5, 0, 0.3]) @ turns[1].T
+
+
+def steady(points: np.ndarray, share: float) -> np.ndarray:
+    """The points when this share of a quarter turn at a constant rate is done."""
+    return points @ rotations.to_matrices(rotations.exp(np.array([[0.0, 0, np.pi / 4 * share]])))[0].T + [0.8 * share - 0.4, 0, 0]
 
 
 def moved(points: np.ndarray, share: float) -> np.ndarray:
@@ -73,28 +94,32 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=100_000)
     parser.add_argument("--size", default="320x240")
+    parser.add_argument("--only", default="", help="the meshes whose names have this in them")
     args = parser.parse_args()
     width, height = (int(side) for side in args.size.split("x"))
     pose = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 6], [0, 0, 0, 1]])
     camera = fg.Camera(width, height, 1.4 * width, 1.4 * width, width / 2, height / 2, pose)
     print(f"{args.gaussians:,} Gaussians, {width} x {height}; Vector in pixels, Depth in percent, Normal in degrees")
-    print(f"{'torus':14} {'frames':>6} {'motion':>7}   Vector: mean, median   Depth: mean   Normal: median")
-    for thin in (0.25, 0.12):
-        points, triangles = torus(thin)
+    print(f"{'mesh':24} {'frames':>6} {'motion':>7}   Vector: mean, median   Depth: mean   Normal: median")
+    meshes = {"torus": (*torus(0.25), moved), "thin torus": (*torus(0.12), moved), "thin torus, steady": (*torus(0.12), steady),
+              "bending arm": (*arm(), bent)}
+    for name, (points, triangles, place) in meshes.items():
+        if args.only not in name:
+            continue
         for frames in (12, 24, 48):
             times = np.arange(2 * frames - 1) / 2
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
-                model, _ = fg.bake(np.stack([moved(points, time / (frames - 1)) for time in times]), triangles, frames=times,
+                model, _ = fg.bake(np.stack([place(points, time / (frames - 1)) for time in times]), triangles, frames=times,
                                    frame_count=frames, count=args.gaussians)
             frame = frames // 3
             found = fg.render(model, camera, frame / frames, passes=("alpha", "depth", "normal", "vector"))
-            depth, normal, motion = truth(*(moved(points, (frame + step) / (frames - 1)) for step in (0, 1)), triangles, camera)
+            depth, normal, motion = truth(*(place(points, (frame + step) / (frames - 1)) for step in (0, 1)), triangles, camera)
             solid = (found["alpha"] > OPAQUE) & np.isfinite(depth)
             off = np.linalg.norm(found["vector"][..., 2:] * [-1, 1] - motion, axis=-1)[solid]
             angle = np.degrees(np.arccos(np.clip(np.abs((found["normal"] * normal).sum(-1))[solid], 0, 1)))
             wrong = np.abs(found["depth"][solid] / depth[solid] - 1)
-            print(f"{f'{thin} thick':14} {frames:6} {np.linalg.norm(motion[solid], axis=-1).mean():7.1f}   {off.mean():12.3f}, "
+            print(f"{name:24} {frames:6} {np.linalg.norm(motion[solid], axis=-1).mean():7.1f}   {off.mean():12.3f}, "
                   f"{np.median(off):6.3f}   {100 * wrong.mean():11.2f}   {np.median(angle):14.1f}", flush=True)
 
 
