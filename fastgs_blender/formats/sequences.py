@@ -12,6 +12,7 @@ A folder that SOG was written into, meta.json and pictures, stands for that one 
 """
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -50,6 +51,8 @@ DEPTH = 4
 SAVED = re.compile(r"(?<![^/])iteration_(\d{1,18})/")
 """The folder of one of several states of a training."""
 MOST_FRAMES = 1_000_000
+MOST_FOLDERS = 10_000
+"""After so many folders below the one that was chosen, none in them is looked into."""
 SPARSE = 100
 """Numbers whose range is this many times as long as their list are names, not times: the frames then follow each other closely."""
 RATIO = 100
@@ -169,16 +172,21 @@ def _names(folder: Path) -> list[str]:
         return sorted(entry.name for entry in os.scandir(folder))
 
 
-def _names_below(folder: Path, depth: int = DEPTH, above: str = "") -> list[str]:
-    """The names of frames in folders below one, with the folders' names before them and "/" between; MOST_FRAMES at most."""
+def _names_below(folder: Path) -> list[str]:
+    """The names of frames in folders below one, with the folders' names before them and "/" between; what cannot be read is passed over."""
     found: list[str] = []
-    for name in _names(folder) if depth else ():
-        if name.startswith(".") or len(found) > MOST_FRAMES:
-            continue
-        if (folder / name).is_dir():
-            found += _names_below(folder / name, depth - 1, f"{above}{name}/")
-        elif above and (_is_frame(name) or name == META):
-            found.append(above + name)
+    places, seen = [""], {os.path.realpath(folder)}
+    for above in places:  # which grows while it is gone through
+        names: list[str] = []
+        with contextlib.suppress(FastGSError):
+            names = [name for name in _names(folder / above) if not name.startswith(".")]
+        if above:
+            found += [above + name for name in names if _is_frame(name) or name == META]
+        for name in names if above.count("/") < DEPTH and len(places) < MOST_FOLDERS else ():
+            real = os.path.realpath(folder / above / name)  # a link may lead back
+            if real not in seen and os.path.isdir(real):
+                seen.add(real)
+                places.append(f"{above}{name}/")
     return found
 
 

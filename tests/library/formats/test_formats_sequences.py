@@ -135,6 +135,9 @@ def test_a_folder_for_each_frame(tmp_path):
     for path in (tmp_path / "run", tmp_path / "run.zip"):
         source = fg.open_source(path)
         np.testing.assert_array_equal([place(source, f) for f in range(3)], [frame(i).position[0] for i in range(3)])
+    for name in ("a", "b", "c"):
+        (tmp_path / "run" / name).symlink_to(tmp_path / "run")  # a loop is no endless work
+    assert len(fg.open_source(tmp_path / "run").at) == 3
     inside = tmp_path / "run" / "frame000001"
     with pytest.raises(fg.FastGSError, match="no numbered model files"):
         fg.open_source(inside)  # two iterations of one model are no clip
