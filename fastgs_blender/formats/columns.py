@@ -141,6 +141,14 @@ def _frame(parts: list[np.ndarray]) -> bytes:
     return min(frames, key=len)
 
 
+def promised(codes: np.ndarray) -> float:
+    """Bits that a column of whole numbers [N] needs, about: without contexts, and with the best code."""
+    zigzag = _zigzag(np.clip(codes, -MOST, MOST) - (int(np.median(codes)) if len(codes) else 0))
+    symbols = symbols_of(zigzag).astype(np.int64)
+    rest = np.where(symbols >= DIRECT, (symbols - DIRECT) // 4 + FIRST - 2, 0).sum()
+    return float(entropies(np.bincount(symbols, minlength=256)[None])[0] + rest)
+
+
 def groups(symbols: np.ndarray, order: Order) -> tuple[str, list[int]]:
     """The context that promises the fewest bits for symbols u8 [N] ("": none), and where groups of them end in its order."""
     best, cost, ends = "", entropies(np.bincount(symbols, minlength=256)[None])[0], [len(symbols)]

@@ -19,43 +19,43 @@ from ..model.gaussians import GaussianModel
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
 from .curve import hilbert_order
-from .quantising import Prepared, Steps, canonical
+from .quantising import Prepared, Steps, canonical, prepared
 from .refit import as_read, in_parts
 from .sensitivity import mean_square, pictures, sensitivity, shots
+from .thinning import NEAR as REFITTED
 from .thinning import thinned, worthy
 
 NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
 HELD_OUT = "held_out_psnr"
 """Key of the provenance: dB of the views of its capture that the model was not trained on."""
-LEVELS = {"fine": 0.058, "small": 0.2}
+LEVELS = {"fine": 0.08, "small": 0.275}
 """Losses in dB by name: they are to stay below 0.1 and 0.3 dB in views that they were not judged by.  The nearer
 views of the example lose half as much again as those that it is judged by."""
 LEAST, MOST = 0.001, 10.0
 """dB that may be lost."""
 LOWEST, HIGHEST = 15.0, 50.0
 """Range in dB in which the PSNR of a provenance is believed."""
-SHOTS, JUDGED = 64, 24
+SHOTS, JUDGED = 250, 24
 """Numbers of pictures: of those that sensitivities are measured on, and of others that the loss is measured on."""
 SHOWN = 676
 """Pixels of the longer side of the pictures that the loss is measured on and that a model is refitted to: about what a viewport or a
 print on a page shows.  Judged at 400 pixels, one model lost half as much again at 676, and another a fifth less."""
 OUTLIER = 3.0
-"""The worst picture's error counts as at most this many times the mean of the others: a camera may have come to lie inside of a Gaussian.
-Such a picture lost 25 times as much as others, and would decide alone how finely a model is kept."""
+"""A picture's error counts as at most this many times the median of all.  A few cameras may have come to lie next to a Gaussian, or
+look where the model was hardly filmed: their pictures lose up to 25 times as much as others, and would decide alone."""
 SENSING = 0.5
 """Share of the time of allotted() that measuring sensitivities takes."""
 TRIALS = 9
 HASTE = 0.6
 """For the progress bar: the share of the remaining work that remains after a trial, as the number of trials is not known."""
 NEAR, ROUGHLY = 0.95, 0.6
-"""The search ends where the error is at least this share of the allowed error: in the final search, and in the one before refitting."""
+"""The search ends where the error is at least this share of the allowed error: without refitting, and in the search before it.  The one
+after refitting ends at thinning.NEAR."""
 QUICK = 0.1
 """dB up to which a model is not refitted."""
 REFITTING = 0.85
 """Share of the time of allotted() that leaving out and refitting take."""
-COARSER = 0.4
-"""With refitting, the level begins this much higher.  What is left is refitted to the coarser steps."""
 THIN = 0.1
 """Pixels.  Thinner Gaussians look the same as this, because the rasteriser's blur is wider."""
 LASTING = 0.002
@@ -115,25 +115,28 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
         return parts, usual_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
 
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
-    level, parts = search(lambda level: tried(worthy(model, found, level), level),
-                          0.5 * float(np.log2(12 * allowed / numbers)) - 1.7, allowed, ROUGHLY if refit else NEAR,
+    def plainly(level: float) -> tuple[list, float]:
+        """tried(), without refitting, of the Gaussians that are worth their bits."""
+        keep = worthy(model, found, level)
+        return tried(prepared(model.take(keep), found.take(keep)), level)
+
+    level, parts = search(plainly, 0.5 * float(np.log2(12 * allowed / numbers)) - 1.7, allowed, ROUGHLY if refit else NEAR,
                           lambda share: progress(first * (SENSING + (1 - SENSING) * share)))
     if parts is None:
         raise FastGSError(f"its pictures would lose more than {loss.decibels:g} dB however finely it is kept; allow a greater loss.")
     if not refit:
         return parts
-    again, level = thinned(model, found, level + COARSER, segment, original, SHOTS + JUDGED, SHOWN,
+    again, level = thinned(model, found, level, segment, original, SHOTS + JUDGED, SHOWN,
                            lambda ready, level: tried(ready, level)[1] / allowed,
                            lambda share: progress(first + 0.9 * REFITTING * share))
-    return search(lambda level: tried(again, level), level, allowed, NEAR,
+    return search(lambda level: tried(again, level), level, allowed, REFITTED,
                   lambda share: progress(first + REFITTING * (0.9 + 0.1 * share)))[1] or parts
 
 
 def usual_square(first: list[np.ndarray], second: list[np.ndarray]) -> float:
-    """Mean squared difference of two series of pictures; OUTLIER bounds that of the worst picture."""
-    squares = np.sort([mean_square([one], [other]) for one, other in zip(first, second, strict=True)])
-    squares[-1] = min(squares[-1], OUTLIER * squares[:-1].mean())
-    return float(squares.mean())
+    """Mean squared difference of two series of pictures; OUTLIER bounds that of each picture."""
+    squares = np.array([mean_square([one], [other]) for one, other in zip(first, second, strict=True)])
+    return float(np.minimum(squares, OUTLIER * np.median(squares)).mean())
 
 
 def search(tried: Callable[[float], tuple[Any, float]], level: float, most: float, near: float, progress: Callable[[float], None]

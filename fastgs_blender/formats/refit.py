@@ -24,7 +24,7 @@ from .quantising import SAMPLES, Prepared, Steps, quantised, restored, scales, s
 from .rounding import TAIL
 from .sensitivity import OPAQUE, Shot, differentiable, parameters_of, pictures
 
-RATE = 0.03
+RATE = 0.015
 """Adam's learning rate at the first pictures, in quantisation steps; it falls to END times that along half a cosine."""
 END = 0.05
 EVERY = 20

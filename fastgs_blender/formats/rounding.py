@@ -10,6 +10,7 @@ TAIL log2(1 + |c|) bits.  One more bit for a parameter whose step is the one tha
 """
 from __future__ import annotations
 
+from functools import cache
 from math import floor, log1p, sqrt
 
 import numpy as np
@@ -37,19 +38,27 @@ def rounded(x: np.ndarray, pull: np.ndarray) -> np.ndarray:
 def chained(values: np.ndarray, step: np.ndarray, pull: np.ndarray) -> np.ndarray:
     """Whole numbers [N, D] whose running sums, each times its step [N, 1], stay near values [N, D]; pull [N, D]."""
     out = np.empty(values.shape, np.int64)
-    steps = step[:, 0].tolist()
-    for k, (column, pulled) in enumerate(zip(values.T.tolist(), pull.T.tolist(), strict=True)):
-        sum_, codes = 0.0, []
-        for value, own, strength in zip(column, steps, pulled, strict=True):
-            x = (value - sum_) / own
-            size = abs(x)
-            root = (size + 1) ** 2 - 2 * strength
-            code = floor(0.5 * (size + sqrt(root))) if root > 0 else 0
-            if code and strength * log1p(code) > size**2 - (size - code) ** 2:
-                code = 0
-            if code:
-                code = code if x > 0 else -code
-                sum_ += code * own
-            codes.append(code)
-        out[:, k] = codes
+    _kernel()(*(np.ascontiguousarray(array, np.float64) for array in (values, step[:, 0], pull)), out)
     return out
+
+
+@cache
+def _kernel():
+    from ..kernels.cpu.jit import kernel
+
+    return kernel(_chain)
+
+
+def _chain(values, step, pull, out):
+    """Fills out [N, D]; each number depends on the one before, so that numpy is slow at it."""
+    for k in range(values.shape[1]):
+        sum_ = 0.0
+        for i in range(len(values)):
+            x = (values[i, k] - sum_) / step[i]
+            size, strength = abs(x), pull[i, k]
+            root = (size + 1) ** 2 - 2 * strength
+            code = floor(0.5 * (size + sqrt(root))) if root > 0 else 0.0
+            if code > 0 and strength * log1p(code) > size**2 - (size - code) ** 2:
+                code = 0.0
+            out[i, k] = np.int64(code if x > 0 else -code)
+            sum_ += out[i, k] * step[i]

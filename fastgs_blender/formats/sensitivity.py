@@ -33,6 +33,9 @@ PLASTIC = 0.7548776662466927
 """Multiples of it and of its square, modulo 1, spread points evenly in a square (Roberts 2018)."""
 SIDEWAYS = 0.15
 """Largest distance of a shot from the camera's own position, divided by the distance of the scene."""
+FRAMED, FILM = 0.65, 16 / 9
+"""The part of the width of a capture's picture that half of the shots show, and their shape.  A capture's cameras keep all that moves in
+their pictures, with room around it.  A film shows more of the subject, and a loss that is judged by whole pictures is too low for it."""
 NEIGHBOURS = 4
 """Of a capture's camera: the nearest others.  A model that was refitted to pictures from near the cameras alone was worse between them."""
 WIDE = 0.54
@@ -83,7 +86,7 @@ def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = 
     is also moved sideways by a different amount, because Gaussians that are hidden from one place may be visible from a place beside it.
     """
     known = [(camera_of(view), view.distance) for view in model.surroundings.cameras]
-    eyes = [(resized(camera, width or WIDTH), away) for camera, away in known or [(eye, 0.0) for eye in guessed_cameras(model)]]
+    eyes = known or [(eye, 0.0) for eye in guessed_cameras(model)]
     places = np.array([np.linalg.inv(camera.world_to_camera)[:3, 3] for camera, _ in eyes])
     nearest = np.argsort(np.linalg.norm(places[:, None] - places, axis=2), axis=1, kind="stable")[:, 1:]
     part = _seen(model)
@@ -102,6 +105,7 @@ def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = 
             part_way = (k * PLASTIC**3) % 1
             place = place + part_way * (there[:3, 3] - pose[:3, 3])
             aim = aim + part_way * (there[:3, 3] + (away or distance) * there[:3, 2] - aim)
+        camera = resized(framed(camera) if known and k // len(BACKGROUNDS) % 2 else camera, width or WIDTH)
         moved = replace(camera, world_to_camera=np.vstack([looking(place, aim - place, pose[:3, 1]), [0, 0, 0, 1]]))
         found.append(Shot(moved, (0.5 + k * GOLDEN) % 1, BACKGROUNDS[k % len(BACKGROUNDS)]))
     return found
@@ -111,6 +115,14 @@ def _seen(model: GaussianModel) -> GaussianModel:
     """The model without its backdrop, unless it has nothing else."""
     part = without_backdrop(model)
     return part if len(part) else model
+
+
+def framed(camera: Camera) -> Camera:
+    """The middle of the picture of a capture's camera: FRAMED of its width, in the shape of a film."""
+    width = max(1, round(FRAMED * camera.width))
+    height = max(1, min(camera.height, round(width / FILM)))
+    cx, cy = camera.cx - (camera.width - width) / 2, camera.cy - (camera.height - height) / 2
+    return Camera(width, height, camera.fx, camera.fy, cx, cy, camera.world_to_camera)
 
 
 def resized(camera: Camera, width: int) -> Camera:

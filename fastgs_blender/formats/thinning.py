@@ -2,9 +2,10 @@
 """Leaves Gaussians out of a model that is being compressed, in rounds, and refits the others in each round.
 
 The harm that leaving out one Gaussian does (sensitivity.removal) does not tell what leaving out many does: a surface of several layers
-stays closed without any one Gaussian, and has holes without all of them.  So each round but the last leaves out only every second of the
-Gaussians that are not worth their bits, counted along the curve through space, on which neighbours often stand in for each other.  The
-sensitivities of the others are measured again, because what lay hidden may show now, and they are refitted.
+stays closed without any one Gaussian, and has holes without all of them.  And how much of it the others can make up for differs from model
+to model.  So a round leaves out a small share only, every second of those whose harm is least, counted along the curve through space, on
+which neighbours often stand in for each other.  The others are refitted, and it is measured how finely they must be kept then.  Rounds go
+on as long as they save bits.  Before the next one the sensitivities are measured again, because what lay hidden may show now.
 """
 from __future__ import annotations
 
@@ -13,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from .quantising import Prepared, canonical, prepared
-from .refit import refitted
+from . import columns
+from .quantising import Prepared, Steps, canonical, prepared
+from .refit import in_parts, refitted
 from .sensitivity import Sensitivity, removal, sensitivity, shots
 
 COST = 60.0
@@ -22,51 +24,92 @@ COST = 60.0
 HARM = COST * 2 * np.log(2) / 12
 """A parameter has a rounding error that is uniform over a step of 2^level / sqrt(sensitivity).  One more bit for it lowers the pictures'
 squared error by 4^level 2 ln 2 / 12.  A Gaussian is left out where this adds less error than its bits would remove elsewhere."""
-SPARED = 2.5
-"""With refitting, Gaussians are left out up to this many times that harm: the others make up for most of it."""
-ROUNDS = 3
+SHARE = 0.12
+"""Of the Gaussians that a round leaves out."""
+ROUNDS = 6
+"""At most."""
 SENSED = 24
 """Pictures that sensitivities are measured on again in a round."""
-REFITS, FINAL = 50, 110
-"""Pictures that a model is refitted to in each round, and in the last one."""
-LARGEST = 0.4
-"""After a round the level changes so that the error comes to the allowed one, but by no more than this."""
+REFITS, FINAL = 50, 90
+"""Pictures that a model is refitted to in each round, and at the end.  Refitting suits the rounding at its level alone, so that it is
+repeated at the level that it has led to."""
+FINALS, NEAR = 3, 0.85
+"""Times at most; the last is the one whose error is at least this share of the allowed error, and no more than it."""
+COARSER = 0.2
+"""The level of the first round is this much higher than without refitting: what is left is refitted to coarser steps."""
 
 
-def worthy(model: GaussianModel, found: Sensitivity, level: float) -> Prepared:
-    """The Gaussians that are worth their bits at a level, when nothing is refitted."""
-    keep = removal(model, found) > HARM * 4.0**level
-    return prepared(model.take(keep), found.take(keep))
+def worthy(model: GaussianModel, found: Sensitivity, level: float) -> np.ndarray:
+    """Which Gaussians, bool [N], are worth their bits at a level, when nothing is refitted; at least one of them."""
+    harm = removal(model, found)
+    return (harm > HARM * 4.0**level) | (harm == harm.max(initial=0))
 
 
 def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int, original: GaussianModel, first: int, width: int,
-            judged: Callable[[Prepared, float], float], progress: Callable[[float], None]) -> tuple[Prepared, float]:
-    """The Gaussians that are worth their bits at a level where they are refitted, and the level that they were last refitted at.
+            error: Callable[[Prepared, float], float], progress: Callable[[float], None]) -> tuple[Prepared, float]:
+    """The Gaussians that together need the fewest bits where they are refitted, and about the level at which they lose what is allowed.
 
     model     in its canonical form, with its sensitivities
+    level     at which it loses what is allowed without refitting
     first     number of the first shot of the original that may be used; width: pixels of the pictures that are fitted
-    judged    gives the error of a prepared model that is quantised at a level, divided by the allowed one
+    error     gives the error of a prepared model that is quantised at a level, divided by the allowed one
     progress  called with 0..1; exceptions that it raises pass through
     """
-    work, done = (ROUNDS - 1) * REFITS + FINAL + ROUNDS * SENSED, 0
+    work, done, bits = ROUNDS * (SENSED + REFITS) + FINALS * FINAL, 0, np.inf
 
-    def part_of(begin: int, count: int) -> Callable[[float], None]:
-        return lambda share: progress((begin + share * count) / work)
+    def part_of(count: int) -> Callable[[float], None]:
+        return lambda share: progress((done + share * count) / work)
 
+    def refit(ready: Prepared, level: float, count: int) -> Prepared:
+        nonlocal first, done
+        ready = refitted(ready, level, segment, original, shots(original, count, first, width), part_of(count))
+        first, done = first + count, done + count
+        return ready
+
+    keep, at = worthy(model, found, level), level + COARSER
+    model, found = model.take(keep), found.take(keep)
     for k in range(ROUNDS):
-        last = k == ROUNDS - 1
-        count = FINAL if last else REFITS
-        harm = removal(model, found)
-        keep = harm > SPARED * HARM * 4.0**level
-        keep[harm.argmax()] = True
-        if not last:
-            keep[np.flatnonzero(~keep)[k % 2::2]] = True
-        model = model.take(keep)
-        found = sensitivity(model, shots(original, SENSED, first), part_of(done, SENSED))
-        ready = refitted(prepared(model, found), level, segment, original, shots(original, count, first, width),
-                         part_of(done + SENSED, count))
-        first, done = first + count, done + SENSED + count
-        if not last:
-            level += float(np.clip(-0.5 * np.log2(max(judged(ready, level), 1e-6)), -LARGEST, LARGEST))
-            model = canonical(ready.model)
+        new = refit(prepared(model, found), at, REFITS)
+        at += allowed_change(error(new, at), error(new, at - 1))
+        needed = cost(in_parts(new, at, segment)) if np.isfinite(at) else np.inf
+        if needed >= bits:
+            break
+        ready, level, bits = new, at, needed
+        model = canonical(new.model)
+        found = sensitivity(model, shots(original, SENSED, first), part_of(SENSED))
+        first, done = first + SENSED, done + SENSED
+        keep = ~superfluous(removal(model, found), k)
+        model, found = model.take(keep), found.take(keep)
+    for k in range(FINALS):
+        done = work - (FINALS - k) * FINAL
+        ready = refit(ready, level, FINAL)
+        here = error(ready, level)
+        if NEAR <= here <= 1:
+            break
+        if here > 1 or k < FINALS - 1:
+            level += max(allowed_change(here, error(ready, level - 1)), -1.0)
     return ready, level
+
+
+def allowed_change(here: float, finer: float) -> float:
+    """By how much a level may rise so that the error becomes 1, where it is `here` at the level and `finer` one level below.
+
+    What quantisation adds is in proportion to 4^level, and what else is lost stays: `finer` tells how much that is, or somewhat too much
+    where numbers were refitted to their rounding at the level.  -inf where it is more than 1.
+    """
+    added = max(here - finer, 1e-6) / (1 - 0.25)
+    return 0.5 * float(np.log2(min(max(1 - (here - added), 0) / added, 1 / max(here, 1e-6)))) if here - added < 1 else -np.inf
+
+
+def superfluous(harm: np.ndarray, k: int) -> np.ndarray:
+    """Which Gaussians, bool [N], a round leaves out: every second of twice SHARE of them, those whose harm [N] is least."""
+    least = np.zeros(len(harm), bool)
+    least[np.argsort(harm, kind="stable")[:2 * int(SHARE * len(harm))]] = True
+    out = np.zeros(len(harm), bool)
+    out[np.flatnonzero(least)[k % 2::2]] = True
+    return out
+
+
+def cost(parts: list[tuple[dict[str, np.ndarray], Steps]]) -> float:
+    """Bits that these parts need, about: the entropies of their columns."""
+    return sum(columns.promised(column) for codes, _ in parts for array in codes.values() for column in array.reshape(len(array), -1).T)

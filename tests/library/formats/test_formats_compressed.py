@@ -109,7 +109,7 @@ def test_refitting_shows_what_was_left_out():
         arrays = refit.as_read(refit.in_parts(one, level, 400), one.model)
         return sensitivity.mean_square(truth, sensitivity.pictures(replace(one.model, **arrays), judged))
 
-    after = refit.refitted(ready, level, 400, model, sensitivity.shots(model, 40, 100), lambda share: None)
+    after = refit.refitted(ready, level, 400, model, sensitivity.shots(model, 100, 100), lambda share: None)
     assert error(after) < 0.75 * error(ready), (error(after), error(ready))
     np.testing.assert_allclose(np.linalg.norm(after.model.rotation, axis=1), 1, atol=1e-5)
 
@@ -134,25 +134,51 @@ def test_the_price_is_the_slope_of_the_cost():
         assert (cost(moved) - cost(position)) / 1e-4 == pytest.approx(refit.price("position", parts)[i, 1], rel=0.02, abs=1e-4)
 
 
-def test_layers_that_stand_in_for_each_other_are_not_left_out_together():
+def test_layers_that_stand_in_for_each_other_are_not_left_out_together(monkeypatch):
     """Of four equal layers each is worth nothing beside the others, and all of them are worth everything."""
+    monkeypatch.setattr(thinning, "SHARE", 0.3)
     layer = random_model(np.random.default_rng(2), 120, "static", "static", "always", "rgb", extent=2.0, size=0.15)
     layer = replace(layer, opacity=np.full(120, 3, np.float32))
     model = quantising.canonical(layer.take(np.repeat(np.arange(120), 4)))
     found = sensitivity.sensitivity(model, sensitivity.shots(model, 10))
     harm = sensitivity.removal(model, found)
-    least = float(np.quantile(harm, 0.7))
-    level = 0.5 * float(np.log2(least / (thinning.SPARED * thinning.HARM)))
-    ready, at = thinning.thinned(model, found, level, 1000, model, 20, 64, lambda ready, level: 1.0, lambda share: None)
     judged = sensitivity.shots(model, 4, 1000)
     truth = sensitivity.pictures(model, judged)
-    rounds, at_once = (sensitivity.mean_square(truth, sensitivity.pictures(one, judged)) for one in (ready.model, model.take(harm > least)))
-    assert at == level and len(ready.model) < 200 and rounds < 0.5 * at_once, (len(ready.model), rounds, at_once)
+
+    def error(ready, level):
+        arrays = refit.as_read(refit.in_parts(ready, level, 1000), ready.model)
+        return sensitivity.mean_square(truth, sensitivity.pictures(replace(ready.model, **arrays), judged)) / 0.002
+
+    ready, _ = thinning.thinned(model, found, -16.0, 1000, model, 20, 64, error, lambda share: None)
+    least = np.sort(harm)[-len(ready.model)]
+    at_once = model.take(harm >= least)
+    rounds, at_once = (sensitivity.mean_square(truth, sensitivity.pictures(one, judged)) for one in (ready.model, at_once))
+    assert len(ready.model) < 240 and rounds < 0.5 * at_once, (len(ready.model), rounds, at_once)
 
 
-def test_the_worst_picture_does_not_decide_alone():
-    truth, found = [np.zeros((2, 2, 3))] * 5, [np.full((2, 2, 3), error) for error in (0.1, 1.0, 0.1, 0.1, 0.1)]
-    assert rate.usual_square(truth, found) == pytest.approx(0.01 * (4 + rate.OUTLIER) / 5)
+def test_leaving_out_ends_where_it_saves_no_bits(monkeypatch):
+    """No Gaussian of a few that do not overlap can be spared: after the first round all are kept."""
+    model = quantising.canonical(random_model(np.random.default_rng(2), 30, "static", "static", "always", "rgb", extent=2.0, size=0.1))
+    found = sensitivity.sensitivity(model, sensitivity.shots(model, 10))
+    tried = []
+
+    def error(ready, level):
+        tried.append(len(ready.model))
+        return 0.9 * 4.0 ** (level + 14) if len(ready.model) == 30 else 2.0
+
+    ready, level = thinning.thinned(model, found, -14.0, 1000, model, 20, 64, error, lambda share: None)
+    assert len(ready.model) == 30 and tried[:4] == [30, 30, 27, 27] and set(tried[4:]) == {30}
+    assert level == pytest.approx(-14 + 0.5 * np.log2(1 / 0.9), abs=1e-6)
+
+
+@pytest.mark.parametrize(("here", "finer", "change"), [(1.0, 0.25, 0.0), (0.25, 0.0625, 1.0), (4.0, 1.0, -1.0), (1.3, 1.2, -np.inf)])
+def test_levels_change_with_what_quantisation_adds(here, finer, change):
+    assert thinning.allowed_change(here, finer) == pytest.approx(change)
+
+
+def test_few_pictures_do_not_decide_alone():
+    truth, found = [np.zeros((2, 2, 3))] * 5, [np.full((2, 2, 3), error) for error in (0.1, 1.0, 0.1, 2.0, 0.1)]
+    assert rate.usual_square(truth, found) == pytest.approx(0.01 * (3 + 2 * rate.OUTLIER) / 5)
     assert rate.usual_square(truth, found[:1] * 5) == pytest.approx(0.01)
 
 
