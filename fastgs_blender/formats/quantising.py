@@ -133,7 +133,7 @@ class Prepared:
     low: np.ndarray
     high: np.ndarray
 
-    def part(self, index: slice) -> Prepared:
+    def part(self, index: slice | np.ndarray) -> Prepared:
         """Some of its Gaussians."""
         own = {name: getattr(self, name)[index] for name in ("shape", "tint", "low", "high")}
         return replace(self, model=self.model.take(index), own={name: array[index] for name, array in self.own.items()}, **own)

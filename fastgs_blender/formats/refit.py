@@ -30,6 +30,8 @@ END = 0.05
 EVERY = 20
 """Pictures between two roundings."""
 BETAS = 0.9, 0.99
+OUTLIER = 3.0
+"""A picture counts less where its error is more than this many times the usual one: its camera may have come to lie next to a Gaussian."""
 MOVED = ("position", "motion", "scale", "rotation", "opacity", "features")
 """The arrays that are refitted."""
 STEEPEST = 0.02
@@ -48,7 +50,7 @@ def refitted(ready: Prepared, level: float, segment: int, original: GaussianMode
     moved, means, squares = ({name: backend.zeros(unit.shape) for name, unit in units.items()} for _ in range(3))
     counts = {name: backend.zeros((n,), np.int32) for name in units}
     rows, when = backend.rows(backend.array(np.ones(n, np.float32))), backend.zeros((n,), np.int64)
-    model, rounding, dear = start, {}, {}
+    model, rounding, dear, errors = start, {}, {}, []
     for k, shot in enumerate(series):
         if k % EVERY == 0:
             parts = in_parts(replace(ready, model=model), level, segment)
@@ -58,10 +60,12 @@ def refitted(ready: Prepared, level: float, segment: int, original: GaussianMode
                     for name, unit in units.items()}
         shown = replace(model, **{name: array + rounding[name] for name, array in model.arrays.items()})
         shown = replace(shown, opacity=np.minimum(shown.opacity, OPAQUE))
-        gradients = _gradients(backend, shown, original, shot)
+        gradients, error = _gradients(backend, shown, original, shot)
+        errors.append(error)
+        trust = min(1.0, OUTLIER * float(np.median(errors)) / max(error, 1e-12))
         rate = RATE * (END + (1 - END) * 0.5 * (1 + np.cos(np.pi * k / len(series))))
-        tensors = [(moved[name], backend.array(gradients[name].reshape(unit.shape) * unit + dear[name]), means[name], squares[name],
-                    counts[name], rate, False) for name, unit in units.items()]
+        slopes = {name: backend.array(gradients[name].reshape(unit.shape) * (trust * unit) + dear[name]) for name, unit in units.items()}
+        tensors = [(moved[name], slopes[name], means[name], squares[name], counts[name], rate, False) for name in units]
         backend.adam(rows, tensors, BETAS, when, k + 1)
         model = _after(start, {name: backend.numpy(moved[name]) * unit for name, unit in units.items()})
         progress((k + 1) / len(series))
@@ -132,15 +136,15 @@ def _reach(ready: Prepared) -> np.ndarray:
     return np.maximum(np.sqrt(np.mean(weights**2, axis=1)), 1e-9)
 
 
-def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Shot) -> dict[str, np.ndarray]:
-    """Gradients of the mean squared difference between a shot's two pictures by the model's arrays."""
+def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Shot) -> tuple[dict[str, np.ndarray], float]:
+    """Gradients of the mean squared difference between a shot's two pictures by the model's arrays, and this difference."""
     truth = pictures(original, [shot])[0]
     picture = backend.splat(parameters_of(model, backend), model, shot.camera, float(shot.t))
     rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
     seen = rgb + shot.background * (1 - alpha)[..., None]
     slope = ((seen - truth) * ((seen >= 0) & (seen <= 1)) * (2 / rgb.size)).astype(np.float32)
     found = backend.backward(picture, backend.array(slope), backend.array(-shot.background * slope.sum(2)))
-    return {name: backend.numpy(found[name]) for name in MOVED}
+    return {name: backend.numpy(found[name]) for name in MOVED}, float(np.mean((np.clip(seen, 0, 1) - truth) ** 2))
 
 
 def _after(model: GaussianModel, change: dict[str, np.ndarray]) -> GaussianModel:

@@ -33,8 +33,10 @@ SENSED = 24
 REFITS, FINAL = 50, 90
 """Pictures that a model is refitted to in each round, and at the end.  Refitting suits the rounding at its level alone, so that it is
 repeated at the level that it has led to."""
-FINALS, NEAR = 3, 0.85
+FINALS, NEAR = 3, 0.93
 """Times at most; the last is the one whose error is at least this share of the allowed error, and no more than it."""
+MOST_TRIMMED, TRIALS = 0.1, 5
+"""Share of the Gaussians that may be left out after the last refit, where the error is below the allowed one, and number of trials."""
 COARSER = 0.2
 """The level of the first round is this much higher than without refitting: what is left is refitted to coarser steps."""
 
@@ -68,6 +70,7 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
 
     keep, at = worthy(model, found, level), level + COARSER
     model, found = model.take(keep), found.take(keep)
+    ready, harm = prepared(model, found), removal(model, found)
     for k in range(ROUNDS):
         new = refit(prepared(model, found), at, REFITS)
         at += allowed_change(error(new, at), error(new, at - 1))
@@ -78,7 +81,8 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
         model = canonical(new.model)
         found = sensitivity(model, shots(original, SENSED, first), part_of(SENSED))
         first, done = first + SENSED, done + SENSED
-        keep = ~superfluous(removal(model, found), k)
+        harm = removal(model, found)
+        keep = ~superfluous(harm, k)
         model, found = model.take(keep), found.take(keep)
     for k in range(FINALS):
         done = work - (FINALS - k) * FINAL
@@ -88,7 +92,24 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
             break
         if here > 1 or k < FINALS - 1:
             level += max(allowed_change(here, error(ready, level - 1)), -1.0)
-    return ready, level
+    return trimmed(ready, harm, lambda ready: error(ready, level) <= 1), level
+
+
+def trimmed(ready: Prepared, harm: np.ndarray, allowed: Callable[[Prepared], bool]) -> Prepared:
+    """As many Gaussians left out, of those whose harm [N] is least, as is allowed without another refit: up to MOST_TRIMMED of all."""
+    order = np.argsort(-harm, kind="stable")
+    low, high = 0, int(MOST_TRIMMED * len(harm)) + 1
+    part = ready
+    for _ in range(TRIALS):
+        count = (low + high) // 2
+        if count == low:
+            break
+        fewer = ready.part(np.sort(order[:len(order) - count]))
+        if allowed(fewer):
+            low, part = count, fewer
+        else:
+            high = count
+    return part
 
 
 def allowed_change(here: float, finer: float) -> float:

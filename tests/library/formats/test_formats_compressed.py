@@ -167,8 +167,19 @@ def test_leaving_out_ends_where_it_saves_no_bits(monkeypatch):
         return 0.9 * 4.0 ** (level + 14) if len(ready.model) == 30 else 2.0
 
     ready, level = thinning.thinned(model, found, -14.0, 1000, model, 20, 64, error, lambda share: None)
-    assert len(ready.model) == 30 and tried[:4] == [30, 30, 27, 27] and set(tried[4:]) == {30}
+    assert len(ready.model) == 30 and tried[:5] == [30, 30, 27, 27, 30]
     assert level == pytest.approx(-14 + 0.5 * np.log2(1 / 0.9), abs=1e-6)
+
+
+def test_what_is_left_of_the_loss_leaves_out_more():
+    """As many as the error allows, within a few, and those of least harm, in their order."""
+    model = quantising.canonical(random_model(np.random.default_rng(2), 1000, "static", "static", "always", "rgb"))
+    ready = quantising.prepared(model, sensitivity.sensitivity(model, sensitivity.shots(model, 2)))
+    harm = np.random.default_rng(0).uniform(0, 1, 1000)
+    for most in (0, 40, 100):
+        left = thinning.trimmed(ready, harm, lambda part, most=most: len(part.model) >= 1000 - most)
+        assert 1000 - most <= len(left.model) <= 1000 - most + 4
+        np.testing.assert_array_equal(left.model.position, model.position[np.sort(np.argsort(-harm)[:len(left.model)])])
 
 
 @pytest.mark.parametrize(("here", "finer", "change"), [(1.0, 0.25, 0.0), (0.25, 0.0625, 1.0), (4.0, 1.0, -1.0), (1.3, 1.2, -np.inf)])
