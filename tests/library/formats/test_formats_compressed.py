@@ -26,6 +26,7 @@ CAMERA = fg.Camera(96, 72, 90.0, 90.0, 48.0, 36.0, np.array([[1.0, 0, 0, 0], [0,
 def few_small_pictures(monkeypatch):
     monkeypatch.setattr(sensitivity, "WIDTH", 64)
     monkeypatch.setattr(rate, "SHOTS", 10)
+    monkeypatch.setattr(rate, "FEW", 1)
     monkeypatch.setattr(rate, "JUDGED", 4)
     monkeypatch.setattr(rate, "SHOWN", 64)
     monkeypatch.setattr(thinning, "SENSED", 6)
@@ -199,6 +200,14 @@ def test_a_model_that_is_farther_from_the_truth_may_lose_more():
     assert rate.held_out(other) == rate.NOMINAL == 32
     assert rate.Loss(0.1).error(model) == pytest.approx(10 ** 0.3 * rate.Loss(0.1).error(other))
     assert 10 * np.log10(1 + rate.Loss(0.3).error(model) / 10**-2.9) == pytest.approx(0.3)
+
+
+def test_small_models_may_lose_less(monkeypatch):
+    model = random_model(np.random.default_rng(2), 60)
+    usual = rate.Loss(0.3).error(model)
+    for few, share in ((80, 0.75), (1000, 0.5)):
+        monkeypatch.setattr(rate, "FEW", few)
+        assert rate.Loss(0.3).error(model) == pytest.approx(share * usual)
 
 
 def test_sensitivities_foretell_what_an_error_does():
