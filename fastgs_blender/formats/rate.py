@@ -80,7 +80,7 @@ class Loss:
         raise FastGSError(f"a file is compressed {' or '.join(LEVELS)}, or by a loss from {LEAST:g} to {MOST:g} dB, not {value!r}.")
 
     def error(self, model: GaussianModel) -> float:
-        """The mean squared error of a model's pictures that loses them."""
+        """The mean squared error of the judged pictures at which other views lose no more, as far as BETWEEN and FEW tell."""
         share = (BETWEEN if model.surroundings.cameras else 1.0) * min(1.0, max(0.5, len(model) / FEW))
         return share * 10 ** (-held_out(model) / 10) * (10 ** (self.decibels / 10) - 1)
 

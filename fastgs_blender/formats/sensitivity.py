@@ -84,6 +84,7 @@ def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = 
 
     The cameras are those of its capture, each moved towards one of its NEIGHBOURS by another part of the way, else guessed_cameras().  Each
     is also moved sideways by a different amount, because Gaussians that are hidden from one place may be visible from a place beside it.
+    Of a capture's cameras every second four shots are framed(); guessed ones have lenses of their own.
     """
     known = [(camera_of(view), view.distance) for view in model.surroundings.cameras]
     eyes = known or [(eye, 0.0) for eye in guessed_cameras(model)]

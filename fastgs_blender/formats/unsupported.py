@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from . import ply
-from .looks import guess, look
+from .foreign import guess, look
 
 GAUSSIAN = ("x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4)))
 """The columns without which there is no Gaussian."""

@@ -13,6 +13,7 @@ from damage import Unchecked
 from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
+from fastgs_blender.cameras.viewpoints import viewpoint_of
 from fastgs_blender.formats import columns, compressed, quantising, rate, refit, rounding, sensitivity, thinning
 from fastgs_blender.model.pruning import pruned, scores
 from fastgs_blender.util.tensor_files import open_tensors
@@ -202,12 +203,23 @@ def test_a_model_that_is_farther_from_the_truth_may_lose_more():
     assert 10 * np.log10(1 + rate.Loss(0.3).error(model) / 10**-2.9) == pytest.approx(0.3)
 
 
-def test_small_models_may_lose_less(monkeypatch):
+def test_small_models_and_those_that_tell_their_cameras_may_lose_less(monkeypatch):
     model = random_model(np.random.default_rng(2), 60)
     usual = rate.Loss(0.3).error(model)
     for few, share in ((80, 0.75), (1000, 0.5)):
         monkeypatch.setattr(rate, "FEW", few)
         assert rate.Loss(0.3).error(model) == pytest.approx(share * usual)
+    filmed = replace(model, surroundings=replace(model.surroundings, cameras=(viewpoint_of(CAMERA, distance=6.0),)))
+    assert rate.Loss(0.3).error(filmed) == pytest.approx(0.5 * rate.BETWEEN * usual)
+
+
+def test_every_second_four_shots_of_a_capture_are_framed():
+    model = random_model(np.random.default_rng(2), 60, extent=1.0)
+    filmed = replace(model, surroundings=replace(model.surroundings, cameras=(viewpoint_of(CAMERA, distance=6.0),)))
+    shapes = [(shot.camera.width, shot.camera.height) for shot in sensitivity.shots(filmed, 8, width=96)]
+    assert shapes == [(96, 72)] * 4 + [(96, 54)] * 4
+    focal = [shot.camera.fx for shot in sensitivity.shots(filmed, 8, width=96)]
+    assert focal[0] == pytest.approx(90) and focal[4] == pytest.approx(90 / sensitivity.FRAMED, rel=0.02)
 
 
 def test_sensitivities_foretell_what_an_error_does():

@@ -14,7 +14,7 @@ from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender.formats import HEAD
-from fastgs_blender.formats.looks import look
+from fastgs_blender.formats.foreign import look
 from fastgs_blender.util.errors import printable
 
 
