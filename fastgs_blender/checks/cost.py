@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 
 from ..captures.pixels import decoding
+from ..captures.pixels.bounds import most_bytes
 from ..captures.pixels.framefiles import default_folder
 from ..captures.pixels.store import RESERVE
 from ..jobs import checks
@@ -34,11 +35,15 @@ def run(looked: Looked) -> Section:
         size += height * width * channels * counts[view]
         pixels = max(pixels, height * width)
     free = _free(default_folder(capture))
-    if free is not None and size + RESERVE > free:
-        section.add("wrong", f"The cache of decoded pictures needs {size / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free.", "Free some "
-                                                                                                                            "space, use "
-                                                                                                                            "--scale or "
-                    "--frames, or set FASTGS_CACHE_DIR to a folder on another disk.", (), ("cache", round(size / 1e9, 2), "GB"))
+    most = most_bytes()
+    if free is not None and min(size, most) + RESERVE > free:
+        section.add("wrong", f"The cache of decoded pictures needs {min(size, most) / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free.",
+                    "Free some space, use --scale or --frames, or set FASTGS_CACHE_DIR to a folder on another disk.", (),
+                    ("cache", round(size / 1e9, 2), "GB"))
+    elif size > most:
+        section.add("note", f"All decoded pictures need {size / 1e9:.1f} GB, and their cache takes at most {most / 1e9:g} GB: the others "
+                            "are decoded each time, which is slower.",
+                    "Use --scale or --frames, or set FASTGS_CACHE_GB to more.", (), ("cache", round(size / 1e9, 2), "GB"))
     memory = checks.available_memory()
     rows = {}
     for preset in LENGTHS:

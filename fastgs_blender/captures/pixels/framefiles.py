@@ -11,8 +11,6 @@ import math
 import os
 import re
 import secrets
-import shutil
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,8 +25,6 @@ VERSION = 1
 """Number of the decoding; to be raised when decoding gives other pixels."""
 MAGIC = b"fgsframe"
 HEADER = 24
-UNUSED = 30 * 86400
-"""Seconds after which another capture's cache that nobody used is removed."""
 
 
 def default_folder(capture: Capture) -> Path:
@@ -36,14 +32,6 @@ def default_folder(capture: Capture) -> Path:
     place = Path(capture.path).resolve()
     readable = re.sub("[^A-Za-z0-9_-]+", "-", place.name)[:40]
     return base_folder() / "frames" / f"{readable}-{hashlib.sha256(os.fsencode(place)).hexdigest()[:10]}"
-
-
-def remove_unused(own: Path) -> None:
-    """Remove the other captures' caches that have not been opened for 30 days."""
-    for other in own.parent.iterdir():
-        with contextlib.suppress(OSError):
-            if other != own and other.is_dir() and time.time() - other.stat().st_mtime > UNUSED:
-                shutil.rmtree(other, ignore_errors=True)
 
 
 def digest(shot: Shot, scale: float) -> str:

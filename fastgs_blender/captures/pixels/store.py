@@ -7,13 +7,14 @@ Files are read into memory of our own, not mapped: what the system caches of the
 """
 from __future__ import annotations
 
+import contextlib
 import errno
 import math
 import os
 import shutil
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -23,7 +24,7 @@ import numpy as np
 from ...rendering.images import remove_stale
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
-from . import decoding, framefiles, undistortion
+from . import bounds, decoding, framefiles, undistortion
 from .checks import sentence
 from .filling import fill
 from .probe import facts
@@ -53,7 +54,8 @@ class FrameStore:
     """The pixels of a capture's shots.  Safe to use from several threads.
 
     budget  bytes of pixels held in memory at most; one decoded picture a thread comes on top while the cache is filled
-    folder  where the cache lies; None: framefiles.default_folder(), where caches of other captures unused for 30 days are removed
+    folder  where the cache lies; None: framefiles.default_folder(), where it shares a bounded space with other captures (bounds.py)
+    beyond  shots for which fill() found no room there: they are decoded whenever they are needed
     """
 
     def __init__(self, capture: Capture, budget: int = 2**30, folder=None):
@@ -63,6 +65,8 @@ class FrameStore:
         self._held_bytes = 0
         self._lock = threading.Lock()
         self._paths: WeakKeyDictionary[Shot, Path] = WeakKeyDictionary()
+        self._bounded = folder is None
+        self.beyond: set[Shot] = set()
         self._valid: dict = {}
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -71,7 +75,7 @@ class FrameStore:
             raise self._cannot_write(error) from error
         remove_stale(self.folder)
         if folder is None:
-            framefiles.remove_unused(self.folder)
+            bounds.remove_unused(self.folder)
 
     @property
     def held_bytes(self) -> int:
@@ -102,6 +106,7 @@ class FrameStore:
                     todo.append(shot)
             except FastGSError as error:
                 faults.append(str(error))
+        todo = self._with_room(todo)
         self._check_space(todo)
         done = len(shots) - len(todo) - len(faults)
         report = progress or (lambda done, of: None)
@@ -141,11 +146,12 @@ class FrameStore:
         return array
 
     def _decode_now(self, shot):
-        """A shot's pixels from its files, kept in the cache as well."""
+        """A shot's pixels from its files, kept in the cache as well where there is room."""
         for _, found in decoding.decode([shot], self.capture.scale):
             if isinstance(found, FastGSError):
                 raise found
-            self._keep(shot, found)
+            if not self._bounded or self._path(shot).exists():  # else fill() has found no room, here or in another process
+                self._keep(shot, found)
             return found
         raise AssertionError
 
@@ -164,6 +170,12 @@ class FrameStore:
             path = self._paths[shot] = self.folder / f"{framefiles.digest(shot, self.capture.scale)}.frame"
         return path
 
+    def _names(self) -> Iterator[str]:
+        """Names of the files of all shots whose pictures are there."""
+        for shot in self.capture.shots:
+            with contextlib.suppress(FastGSError):
+                yield self._path(shot).name
+
     def _is_there(self, shot) -> bool:
         try:
             length = self._path(shot).stat().st_size
@@ -179,6 +191,23 @@ class FrameStore:
             framefiles.write(self._path(shot), array)
         except OSError as error:
             raise self._cannot_write(error) from error
+
+    def _with_room(self, todo: list[Shot]) -> list[Shot]:
+        """Those shots that the bounded cache has room for; the others go to `beyond`.
+
+        Frames of videos come first, because one of these alone takes long to decode; else the order is that of the digests, so that all
+        processes keep the same ones, evenly spread.
+        """
+        self.beyond.difference_update(todo)
+        lengths = {shot: self._length(shot) for shot in todo}
+        if not self._bounded or not todo:
+            return todo
+        left = bounds.room(self.folder, sum(lengths.values()), set(self._names()))
+        for shot in sorted(todo, key=lambda shot: (shot.image.frame is None, self._path(shot).name)):
+            left -= lengths[shot]
+            if left < 0:
+                self.beyond.add(shot)
+        return [shot for shot in todo if shot not in self.beyond]
 
     def _check_space(self, todo):
         need = sum(map(self._length, todo))

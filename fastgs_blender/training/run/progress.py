@@ -112,6 +112,9 @@ class Reporter(Silent):
         if missing := store.missing(shots):
             with self.stage("decoding", "picture") as report:
                 store.fill(report, missing)
+            if store.beyond:
+                self.warn(f"{len(store.beyond)} of {len(shots)} pictures find no room in the cache ({store.folder}) and are decoded each "
+                          "time, which is slower; FASTGS_CACHE_GB says how many GB it may take.")
 
     @contextlib.contextmanager
     def stage(self, what, unit="moment"):

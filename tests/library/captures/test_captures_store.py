@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,55 @@ def test_other_caches_go_after_a_month(capture, tmp_path, monkeypatch):
     os.utime(old, (0, 0))
     FrameStore(capture).fill()
     assert not old.exists() and young.exists() and len(list(folder.iterdir())) == 24
+
+
+def folders(capture, tmp_path, monkeypatch, frames: float, **opened):
+    """The capture's own cache folder where all caches may have that many of its frames, and others of eight frames: days since opened."""
+    monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path / "caches"))
+    monkeypatch.setenv("FASTGS_CACHE_GB", repr(frames * (BYTES + framefiles.HEADER) / 1e9))
+    own = framefiles.default_folder(capture)
+    for name, days in opened.items():
+        own.with_name(name).mkdir(parents=True)
+        (own.with_name(name) / "x.frame").write_bytes(bytes(8 * (BYTES + framefiles.HEADER)))
+        os.utime(own.with_name(name), (time.time() - 86400 * days,) * 2)
+    return own
+
+
+def test_the_longest_unused_caches_make_room(capture, tmp_path, monkeypatch):
+    own = folders(capture, tmp_path, monkeypatch, 40, last_week=7, two_days=2, today=0.5)
+    FrameStore(capture).fill()
+    assert {path.name for path in own.parent.iterdir()} == {own.name, "two_days", "today"} and len(list(own.iterdir())) == 24
+
+
+def test_what_finds_no_room_is_decoded_each_time(capture, tmp_path, monkeypatch):
+    own = folders(capture, tmp_path, monkeypatch, 18, two_days=2, today=0.5)
+    store = FrameStore(capture)
+    store.fill()
+    assert len(store.beyond) == 14 and len(list(own.iterdir())) == 10 and not own.with_name("two_days").exists()
+    kept = {path.name for path in own.iterdir()}
+    for other in (store, FrameStore(capture, budget=0)):  # another process of the same training has not filled it
+        assert right(other, capture.shots) and {path.name for path in own.iterdir()} == kept
+    again = FrameStore(capture)
+    again.fill()
+    assert again.beyond == store.beyond and {path.name for path in own.iterdir()} == kept
+
+
+def test_frames_of_other_scales_make_room(capture, tmp_path, monkeypatch):
+    own = folders(capture, tmp_path, monkeypatch, 26)
+    half = FrameStore(open_capture(capture.path, scale=0.5))
+    half.fill()
+    for path in own.iterdir():
+        os.utime(path, (0, 0))
+    FrameStore(capture).fill()
+    assert len(list(own.glob("*.frame"))) < 48 and not FrameStore(capture).missing()
+
+
+def test_a_size_of_the_cache_that_is_no_number(capture, tmp_path, monkeypatch):
+    monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path))
+    for text in ("much", "-1", "nan"):
+        monkeypatch.setenv("FASTGS_CACHE_GB", text)
+        with pytest.raises(FastGSError, match="FASTGS_CACHE_GB"):
+            FrameStore(capture).fill()
 
 
 # What is wrong with a capture

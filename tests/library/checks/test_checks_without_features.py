@@ -102,9 +102,11 @@ def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
     assert np.array(section.measures["channels"]["cam01"]) == pytest.approx([1, 1, 0.78], abs=0.02)
 
 
-@pytest.mark.parametrize(("free", "memory", "words"), [(1e12, 1e12, ""), (1e6, 1e12, "The cache of decoded pictures needs"),
-                                                       (1e12, 1e6, "Training with the preset standard takes about"), (None, None, "")])
-def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looked, free, memory, words):
+@pytest.mark.parametrize(("free", "most", "memory", "words"), [
+    (1e12, "", 1e12, ""), (1e6, "", 1e12, "The cache of decoded pictures needs"), (1e12, "0.0001", 1e12, "All decoded pictures need"),
+    (1e12, "", 1e6, "Training with the preset standard takes about"), (None, "", None, "")])
+def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looked, free, most, memory, words):
+    monkeypatch.setenv("FASTGS_CACHE_GB", most)
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     monkeypatch.setattr(cost, "_free", lambda folder: free)
     monkeypatch.setattr(cost.checks, "available_memory", lambda: memory)
