@@ -10,12 +10,14 @@ import numpy as np
 @dataclass(frozen=True, eq=False)
 class Points:
     """Points of the scene: xyz [P, 3], rgb [P, 3] in 0..1 (display), t [P] in [0, 1] or None where they hold for all times;
-    size [P], how far apart they stand, NaN or None where that is to be seen from their neighbours."""
+    size [P], how far apart they stand, NaN or None where that is to be seen from their neighbours; velocity [P, 3] at the time t, per
+    unit of time, or None where nothing is known of it."""
 
     xyz: np.ndarray
     rgb: np.ndarray
     t: np.ndarray | None = None
     size: np.ndarray | None = None
+    velocity: np.ndarray | None = None
 
     def __len__(self):
         return len(self.xyz)

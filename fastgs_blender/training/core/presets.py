@@ -18,6 +18,7 @@ STG: dict[str, Any] = {
     "time_rate": 1e-3, "centre_rate": 1e-4, "duration_rate": 0.03, "decoder_rate": 1e-4, "rate_decay": 1.0,
     "cool_down": 0.0,
     "backdrop": 0.0, "points": 200_000, "start_opacity": 0.1, "start_size": 1.0, "start_life": 1.0, "static_life": 1.0,
+    "start_motion": False,
     "density": "default", "max_gaussians": 500_000, "densify_from": 500 / 30_000, "densify_until": 9000 / 30_000, "densify_every": 100,
     "growths": 6, "gradient": "plain", "threshold": 2e-4, "dense_size": 0.01, "grow": 100.0, "prune_opacity": 0.005, "near_size": 1e6,
     "reset_every": 3000, "copied_time": "random", "warm_up": (), "segment_frames": 50, "segment_overlap": 2,

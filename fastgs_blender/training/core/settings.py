@@ -93,6 +93,8 @@ class Settings:
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side
       static_life     the same for points without a time
+      start_motion    whether timed points begin with the velocities that the moments beside theirs tell; else all are at rest
+      moving_life     as start_life, of points that begin with a velocity: they are right for longer
 
     Density control
       density         default (clone, split, prune, opacity reset) or mcmc (relocation and noise)
@@ -176,6 +178,8 @@ class Settings:
     start_size: float = 0.7
     start_life: float = 0.06
     static_life: float = 4.0
+    start_motion: bool = True
+    moving_life: float = 0.12
 
     density: str = "default"
     max_gaussians: int = 50_000
@@ -239,6 +243,7 @@ LIMITS = (
     ("points", 1, 10**8), ("backdrop", 0, 10),
     ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
     ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
+    ("moving_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
     ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),

@@ -67,9 +67,10 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
     xyz, rgb = centre + radius * everywhere[kept], rgb[nearest[kept]]
     t = np.full(len(points), np.nan) if points.t is None else np.asarray(points.t)
     apart = COVER * radius * np.sqrt(4 * np.pi / count)
+    velocity = None if points.velocity is None else np.concatenate([points.velocity, np.zeros_like(xyz)]).astype(np.float32)
     return Points(np.concatenate([points.xyz, xyz]).astype(np.float32), np.concatenate([points.rgb, rgb]).astype(np.float32),
                   np.concatenate([t, np.full(len(xyz), np.nan)]).astype(np.float32),
-                  np.concatenate([np.full(len(points), np.nan), np.full(len(xyz), apart)]).astype(np.float32))
+                  np.concatenate([np.full(len(points), np.nan), np.full(len(xyz), apart)]).astype(np.float32), velocity)
 
 
 def _of_each_pose(shots):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Starting points over space and time from the pictures: triangulated features bound the scene, plane sweeps add its surfaces.
 
-Points that look the same at other moments belong to all times; all others carry the moment at which they were found.
+Points that look the same at other moments belong to all times; all others carry the moment at which they were found, and a velocity.
 """
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, sweep
 from .geometry import project, sample, visible
 from .neighbours import neighbour_distance
+from .velocity import in_motion
 
 MOMENTS, FEATURE_MOMENTS, WITNESSES = 16, 4, 6
 """Moments of the clip at which surfaces, and features, are looked for; and at which it is asked whether something stays."""
@@ -42,13 +43,13 @@ agree on it for what belongs to all times."""
 
 def triangulated(capture, store, settings, progress=lambda done, of: None) -> tuple[Points, str, Any]:
     """At most settings.points points, a clause about them, and the store with colours in which cameras agree on them; calls
-    progress(done, of) for the moments whose features and whose surfaces are found and compared.
+    progress(done, of) for the moments whose features and whose surfaces are found, compared and followed.
 
     Raises FastGSError where the pictures give too few features.
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
-    of, done = len(some) + 2 * len(moments), count(1)
+    of, done = len(some) + (3 if settings.start_motion else 2) * len(moments), count(1)
 
     def tick():
         progress(next(done), of)
@@ -78,6 +79,15 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         still.append(cloud.take(steady))
         timed.append(cloud.take(~steady))
         tick()
+    if settings.start_motion:
+        def seen(cloud, k):
+            agree, against = votes(cloud, pictures[k], depths[k])
+            return agree > against
+
+        at_rest, timed = timed, []
+        for k in range(len(at_rest)):
+            timed.append(in_motion(at_rest, k, seen))
+            tick()
     still = evenly(among_others(joined(still)), settings.points // 2)
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
@@ -242,8 +252,12 @@ def depths_of(xyz, capture) -> tuple[float, float]:
 
 
 def joined(clouds: list[Points]) -> Points:
-    """All points, with their times."""
-    return Points(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("xyz", "rgb", "t")))
+    """All points, with their times, and with their velocities where one of the clouds has some."""
+    xyz, rgb, t = (np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("xyz", "rgb", "t"))
+    if all(cloud.velocity is None for cloud in clouds):
+        return Points(xyz, rgb, t)
+    velocity = [np.zeros_like(cloud.xyz) if cloud.velocity is None else cloud.velocity for cloud in clouds]
+    return Points(xyz, rgb, t, velocity=np.concatenate(velocity))
 
 
 def evenly(points: Points, most: int) -> Points:

@@ -12,6 +12,7 @@ from ...model.temporal import Radial
 from ..core.model import empty_model
 from .geometry import project, visible
 from .neighbours import neighbour_distance
+from .velocity import straight
 
 ENOUGH = 100
 """Points in pictures from which a distance is taken."""
@@ -37,7 +38,7 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     """The model that training begins with: one Gaussian per point; a point with t = NaN is visible at all times.
 
     Isotropic, as large as the point says, else start_size times the mean distance to the three nearest points of the same time
-    (3DGS, 3.1 of the recipe), not moving.
+    (3DGS, 3.1 of the recipe).  A timed point with a velocity moves along a straight line while it is seen, others are at rest.
     """
     xyz = np.asarray(points.xyz, np.float32)
     n = len(xyz)
@@ -58,6 +59,14 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     arrays["opacity"][:] = np.log(settings.start_opacity / (1 - settings.start_opacity))
     arrays["features"][:] = empty.appearance.features_of(np.asarray(points.rgb, np.float64))
     arrays["mu_tau"][:] = np.where(timed, time, 0.5)
+    moving = timed & (False if points.velocity is None or not empty.basis.terms else np.any(points.velocity, axis=1))
     if isinstance(empty.temporal_kind, Radial):
-        arrays["temporal"][:, 0] = -2 * np.log(np.where(timed, settings.start_life, settings.static_life))
+        life = np.where(moving, settings.moving_life, np.where(timed, settings.start_life, settings.static_life))
+        arrays["temporal"][:, 0] = -2 * np.log(life)
+    last = (clip.frame_count - 1) / clip.frame_count
+    for moment in np.unique(time[moving]):
+        rows = np.flatnonzero(moving & (time == moment))
+        motion = straight(empty.basis, moment, settings.moving_life, last)[:, None] * points.velocity[rows][:, None]
+        arrays["motion"][rows] = motion
+        arrays["position"][rows] -= np.einsum("k,nkd->nd", empty.basis.weights(0.0 if empty.basis.centred else moment), motion)
     return replace(empty, **arrays)

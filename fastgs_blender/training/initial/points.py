@@ -54,8 +54,8 @@ def thinned(points: Points, most: int, seed: int) -> Points:
     rows = np.arange(len(points))
     if len(rows) > most:
         rows = np.sort(generator(seed, POINTS, 1).choice(rows, most, replace=False))
-    t, size = (None if array is None else np.asarray(array, np.float32)[rows] for array in (points.t, points.size))
-    return Points(np.asarray(points.xyz, np.float32)[rows], np.clip(np.asarray(points.rgb, np.float32)[rows], 0, 1), t, size)
+    kept = {name: None if array is None else np.asarray(array, np.float32)[rows] for name, array in vars(points).items()}
+    return Points(**kept | {"rgb": np.clip(kept["rgb"], 0, 1)})
 
 
 # The sources: functions of (capture, store, settings, progress) that return points, a clause about them, and a store

@@ -140,6 +140,15 @@ def test_points_of_a_moment_follow_what_moves(found):
         assert (on_card | ~nearby).mean() > 0.95
 
 
+def test_points_of_a_moment_move_as_what_they_lie_on(found):
+    points, _ = found
+    on_card = np.isfinite(points.t) & (np.abs(points.xyz[:, 2] - CARD_DEPTH) < 0.1)
+    along, *across = np.median(points.velocity[on_card], 0)
+    assert 0.4 * (card_x(1) - card_x(0)) < along < 1.1 * (card_x(1) - card_x(0)), "it moves by most of its width from moment to moment"
+    assert np.abs(across).max() < 0.1
+    assert not points.velocity[np.isnan(points.t)].any()
+
+
 def test_points_have_the_colours_of_the_pictures(found, filmed):
     points, _ = found
     assert points.rgb.min() >= 0
