@@ -14,6 +14,8 @@ FEW = 7
 """Training cameras below which a capture has few."""
 APART, FAR = 20.0, 35.0
 """Degrees between a view and the nearest training camera above which the view becomes softer, and above which it becomes poor."""
+MUCH = 0.25
+"""Share of what few cameras film that may be filmed by a single one before this is reported as poor."""
 NARROW = 8.0
 """Degrees between the outermost cameras below which depth is uncertain."""
 MOVING = 2
@@ -21,9 +23,8 @@ MOVING = 2
 
 
 def run(looked: Looked) -> Section:
-    """Measure the angles between cameras, seen from the middle of the scene, and predict the quality of views between and beside them."""
-    section = Section("Outlook", "How far each view is from the nearest training camera, in degrees seen from the middle of the scene: "
-                                 "up to "
+    """Measure the angles between cameras, seen from what they film, and predict the quality of views between and beside them."""
+    section = Section("Outlook", "How far each view is from the nearest training camera, in degrees seen from what it films: up to "
                       f"{APART:.0f} a model holds, beyond {FAR:.0f} it has to guess.")
     capture = looked.capture
     if not capture.posed or not looked.training:
@@ -45,7 +46,7 @@ def run(looked: Looked) -> Section:
             _held_out(section, space, view, nearest[view], count)
     gaps = {view: nearest[view][1] for view in looked.training}
     if count < FEW:
-        _few(section, count, gaps)
+        _few(section, space, looked.training)
     widest = max(space.angle(a, b) for a in looked.training for b in looked.training)
     if widest < NARROW:
         section.add("poor", f"All cameras stand within {widest:.1f} degrees, seen from the scene: depth is uncertain, and views beside "
@@ -64,7 +65,7 @@ def run(looked: Looked) -> Section:
     section.pictures.append(drawing.bars_picture("Degrees from each camera to the nearest training camera.", shown, "degrees",
                                                  grades, (APART, f"{APART:.0f}"), "{:.0f}"))
     section.columns = {"Nearest camera": {view: f"{name}, {angle:.0f} degrees" for view, (name, angle) in nearest.items()}}
-    section.measures = {"training_cameras": count, "nearest_degrees": {view: round(angle, 2) for view, angle in shown.items()},
+    section.measures |= {"training_cameras": count, "nearest_degrees": {view: round(angle, 2) for view, angle in shown.items()},
                         "widest_degrees": round(widest, 2)}
     return section
 
@@ -85,12 +86,14 @@ def _held_out(section: Section, space: Space, view: str, nearest: tuple[str, flo
                 "degrees apart. Judge this model from between its training cameras.", [view], ("angle", round(angle, 2), "degrees"))
 
 
-def _few(section: Section, count: int, gaps: dict[str, float]) -> None:
-    gap = float(np.max(list(gaps.values())))
-    beside = f"the nearest neighbours are up to {gap:.0f} degrees apart"
-    grade = "poor" if gap > APART or count < ENOUGH + 1 else "note"
-    section.add(grade, f"{count} training cameras are few, and {beside}: views more than about {APART / 2:.0f} degrees beside a camera "
-                       "will show "
-                "floating pieces and wrong depth, however long it is trained.", "Add cameras; with these, put one in every 20 degrees "
-                                                                                "around what "
-                "matters, and keep the final camera near them.", (), ("training cameras", float(count), ""))
+def _few(section: Section, space: Space, training: list[str]) -> None:
+    apart = {view: space.apart(view) for view in training}
+    alone = {view: float((angles > APART).mean()) for view, angles in apart.items()}
+    share, worst = float(np.mean(list(alone.values()))), max(alone, key=lambda view: alone[view])
+    section.measures["alone"] = {view: round(value, 4) for view, value in alone.items()}
+    section.add("poor" if share > MUCH or len(training) < ENOUGH + 1 else "note",
+                f"{len(training)} training cameras are few: {share:.0%} of what they film ({alone[worst]:.0%} of the picture of {worst}) "
+                f"is filmed by no second camera within {APART:.0f} degrees. From a few degrees beside the camera on, these parts will be "
+                "soft, or float and break up, however long it is trained. Views of the cameras themselves look good and tell nothing.",
+                f"Add cameras; with these, put one in every {APART:.0f} degrees around what matters, seen from there, and keep the final "
+                "camera near them.", (), ("share filmed by one camera", round(share, 3), ""))

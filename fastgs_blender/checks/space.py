@@ -47,10 +47,15 @@ class Space:
         return np.median(self.points, 0) if self.known else self.focus
 
     def angle(self, a: str, b: str) -> float:
-        """Degrees between two cameras, seen from the middle of the filmed scene."""
-        one, other = self.centre(a) - self.middle, self.centre(b) - self.middle
-        size = np.linalg.norm(one) * np.linalg.norm(other)
-        return float(np.degrees(np.arccos(np.clip(one @ other / max(size, 1e-12), -1, 1))))
+        """Degrees between two cameras, seen from what the first one films: the median over its picture."""
+        return float(np.median(self.angles(a, b)))
+
+    def angles(self, a: str, b: str) -> np.ndarray:
+        """Degrees [rows, columns] between two cameras at each place that the first one sees."""
+        places = self.surfaces(a)
+        one, other = places - self.centre(a), places - self.centre(b)
+        size = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
+        return np.degrees(np.arccos(np.clip((one * other).sum(-1) / np.maximum(size, 1e-12), -1, 1)))
 
     def nearest(self, view: str) -> tuple[str, float]:
         """The training camera nearest to a view by its angle, another one, and that angle in degrees."""
@@ -74,25 +79,50 @@ class Space:
 
     def counts(self, view: str) -> np.ndarray:
         """How many training cameras [rows, columns] see what a view sees, itself included if it is one."""
+        world = self.surfaces(view)
+        return self.seen(world.reshape(-1, 3), without=view).reshape(world.shape[:2]) + (view in self.training)
+
+    def apart(self, view: str) -> np.ndarray:
+        """Degrees [rows, columns] at what a view sees between it and the nearest other training camera that has it in its picture; inf
+        where none has."""
+        world = self.surfaces(view)
+        least = np.full(world.shape[:2], np.inf)
+        for other in self.training:
+            if other != view:
+                seen = self.within(other, world.reshape(-1, 3)).reshape(least.shape)
+                least = np.where(seen, np.minimum(least, self.angles(view, other)), least)
+        return least
+
+    def surfaces(self, view: str) -> np.ndarray:
+        """The places [rows, columns, 3] that a view sees, at as many cells of its picture; remembered."""
+        if view not in self._surfaces:
+            self._surfaces[view] = self._unprojected(view)
+        return self._surfaces[view]
+
+    @cached_property
+    def _surfaces(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def _unprojected(self, view: str) -> np.ndarray:
         camera = self.cameras[view]
         columns, rows = CELLS, max(2, round(CELLS * camera.height / camera.width))
         x, y = np.meshgrid((np.arange(columns) + 0.5) / columns * camera.width, (np.arange(rows) + 0.5) / rows * camera.height)
         places = np.stack([x.ravel(), y.ravel()], 1)
         depth = self.depths(view, places)
         local = np.stack([(places[:, 0] - camera.cx) / camera.fx * depth, (places[:, 1] - camera.cy) / camera.fy * depth, depth], 1)
-        world = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
-        return self.seen(world, without=view).reshape(rows, columns) + (view in self.training)
+        return ((local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]).reshape(rows, columns, 3)
+
+    def within(self, view: str, xyz: np.ndarray) -> np.ndarray:
+        """Which of the points [P, 3] a view has in its picture."""
+        camera = self.cameras[view]
+        pixels = camera.pixels(xyz @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3])
+        return np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
 
     def seen(self, xyz: np.ndarray, without: str = "") -> np.ndarray:
         """How many training cameras [P] have points [P, 3] in their pictures."""
         total = np.zeros(len(xyz), int)
         for view in self.training:
-            if view == without:
-                continue
-            camera = self.cameras[view]
-            local = xyz @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-            pixels = camera.pixels(local)
-            total += np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+            total += self.within(view, xyz) if view != without else 0
         return total
 
     @cached_property

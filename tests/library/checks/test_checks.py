@@ -14,9 +14,13 @@ from PIL import Image, ImageFilter
 from uneven_captures import write_uneven
 
 from fastgs_blender import cli
+from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import CHECKS, blur, check, page, timing
+from fastgs_blender.checks.outlook import _few
+from fastgs_blender.checks.report import Section
 from fastgs_blender.checks.samples import Looked
+from fastgs_blender.checks.space import Space
 from fastgs_blender.util import rotations
 from fastgs_blender.util.errors import FastGSError
 
@@ -106,6 +110,27 @@ def test_few_cameras_and_a_held_out_view_far_away(folder):
     held = next(p for p in report.sections["coverage"].pictures if p.pixels is not None)
     assert held.caption.startswith("cam03 (held out")
     assert report.sections["coverage"].measures["seen_by_fewer_than_3"]["cam03"] > 0.25
+
+
+def test_cameras_that_agree_far_away_are_apart_for_what_is_near():
+    """Two cameras 0.4 apart: 4 degrees for a wall 6 away, which most points lie on, and 22 for what stands 1 before them."""
+    def camera(x):
+        pose = np.eye(4)
+        pose[0, 3] = -x
+        return Camera(320, 180, 200.0, 200.0, 160.0, 90.0, pose)
+
+    x, y = (values.ravel() for values in np.meshgrid(np.linspace(-6, 6, 40), np.linspace(-3, 3, 20)))
+    wall = np.stack([x, y, np.full(len(x), 6.0)], 1)[np.abs(x) > 1.5]  # the middle is hidden by what is near
+    near = np.stack([x / 20, y / 6, np.ones(len(x))], 1)[::5]
+    space = Space({"a": camera(0.0), "b": camera(0.4)}, ["a", "b"], np.concatenate([wall, near]), np.zeros(3), (0.5, 8), "RDF")
+    angles = space.apart("a")
+    assert space.angle("a", "b") < 8
+    assert 15 < angles[angles.shape[0] // 2, angles.shape[1] // 2] < 30
+    section = Section("Outlook", "")
+    _few(section, space, ["a", "b"])
+    (finding,) = section.findings
+    assert finding.severity == "poor" and "2 training cameras are few" in finding.sentence
+    assert 0.1 < section.measures["alone"]["a"] < 0.7 and abs(finding.figure[1] - np.mean(list(section.measures["alone"].values()))) < 0.002
 
 
 def test_clocks_that_differ_are_found(tmp_path):
