@@ -5,11 +5,13 @@ Points that look the same at other moments belong to all times; all others carry
 """
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
 import numpy as np
 
+from ...cameras.camera import Camera
 from ...captures.capture import Points, Shot
 from ...util.errors import FastGSError
 from ..core.evening import Evened, Evening
@@ -20,10 +22,14 @@ from .geometry import project, sample, visible
 from .neighbours import neighbour_distance
 from .velocity import in_motion
 
+SMALLEST_SIDE = 640
+"""Features are looked for in pictures of this size at least, where the files have them: in smaller ones there are few."""
 MOMENTS, FEATURE_MOMENTS, WITNESSES = 16, 4, 6
 """Moments of the clip at which surfaces, and features, are looked for; and at which it is asked whether something stays."""
 FEW = 30
 """Features at a moment, on average, with fewer than which triangulation has failed."""
+FEW_CAMERAS = 6
+"""Cameras up to which most of what they film is seen by two of them at best."""
 MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 DARK, BRIGHT = 0.04, 0.97
@@ -61,19 +67,22 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         return evenly(found, settings.points), how, store
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
+    few = few_cameras(moments)
+    centres = capture.centres() if few else None
     depths = []
     for shown in pictures:
         depths.append(sweep.swept(shown, near, far))
         tick()
     still, timed, swept = [], [], 0
     for k, shots in enumerate(moments):
-        clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t)) for xyz, rgb in sweep.surfaces(pictures[k], depths[k])]
+        clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t))
+                  for xyz, rgb in sweep.surfaces(pictures[k], depths[k], 2 if few else 3)]
         swept += sum(map(len, clouds))
         cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
-        agree, against = votes(cloud, pictures[k], depths[k])
-        cloud = among_others(cloud.take(agree > 2 * against))
+        agree, against = votes(cloud, pictures[k], depths[k], few)
+        cloud = among_others(cloud.take(agree > 2 * against), centres)
         others = spread([i for i in range(len(moments)) if i != k], WITNESSES)
-        elsewhere = [votes(cloud, pictures[i], depths[i]) for i in others]
+        elsewhere = [votes(cloud, pictures[i], depths[i], few) for i in others]
         agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
         still.append(cloud.take(steady))
@@ -81,14 +90,14 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         tick()
     if settings.start_motion:
         def seen(cloud, k):
-            agree, against = votes(cloud, pictures[k], depths[k])
+            agree, against = votes(cloud, pictures[k], depths[k], few)
             return agree > against
 
         at_rest, timed = timed, []
         for k in range(len(at_rest)):
             timed.append(in_motion(at_rest, k, seen))
             tick()
-    still = evenly(among_others(joined(still)), settings.points // 2)
+    still = evenly(among_others(joined(still), centres), settings.points // 2)
     share = (settings.points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
@@ -101,16 +110,16 @@ def _features(capture, store, settings, moments, tick):
 
     Features are found whatever the exposures are; the plane sweep compares colours.
     """
-    extract = features.extractor()
+    extract, few = features.extractor(), few_cameras(moments)
     clouds, looks = [], []
     for shots in moments:
-        pictures = [picture(capture, store, settings, shot, features.LARGEST_SIDE) for shot in shots]
+        pictures = [picture(capture, store, settings, enlarged(capture, shot) if few else shot, features.LARGEST_SIDE) for shot in shots]
         found = []
         for image, camera, inside in pictures:
             places, descriptors = extract(image)
             good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
             found.append(features.Features(places[good], descriptors[good], camera))
-        xyz, seen_by = features.triangulated(found, min(len(shots), 3))
+        xyz, seen_by = features.triangulated(found, 2 if few else min(len(shots), 3))
         for point, views in zip(xyz, seen_by):
             looks.append({shots[k].view: sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views})
         moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
@@ -164,22 +173,25 @@ def _offsets(values: np.ndarray) -> np.ndarray:
     return offsets
 
 
-def votes(cloud: Points, pictures, depths) -> np.ndarray:
+def votes(cloud: Points, pictures, depths, few: bool = False) -> np.ndarray:
     """Counts [2, P] of a moment's pictures that agree with each point, and that contradict it (they see through it, or another colour).
 
-    A picture in which something is before the point says nothing.
+    A picture in which something is before the point says nothing.  few: one whose neighbours nowhere look alike there says nothing either,
+    for with few cameras that is often because none of them shows the place.
     """
     agree, against = np.zeros((2, len(cloud)), np.int64)
     for (image, camera, _), its in zip(pictures, depths):
         if its is None:
             continue
         places, z = project(camera, cloud.xyz)
-        ratio = sample(its.depth[..., None], places)[:, 0] / np.maximum(z, 1e-12)
+        depth, cost = sample(np.stack([its.depth, its.cost], -1), places).T
+        ratio = depth / np.maximum(z, 1e-12)
         there = np.abs(ratio - 1) < sweep.AGREE
         alike = np.abs(sample(image, places) - cloud.rgb).mean(1) < STEADY
         seen = visible(camera, cloud.xyz)
         agree += seen & there & alike
-        against += seen & ((ratio > 1 + 2 * sweep.AGREE) | (there & ~alike))
+        through = (ratio > 1 + 2 * sweep.AGREE) & (cost < (sweep.ALIKE if few else np.inf))
+        against += seen & (through | (there & ~alike))
     return np.stack([agree, against])
 
 
@@ -190,11 +202,17 @@ def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
     return points.take(np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
 
 
-def among_others(points: Points) -> Points:
-    """The points without isolated ones and small isolated groups: surfaces have many neighbours."""
+def among_others(points: Points, centres=None) -> Points:
+    """The points without isolated ones and small isolated groups: surfaces have many neighbours.
+
+    centres  [V, 3] of few cameras: distances count by how far away the nearest of them is, for the same pixels are farther apart on a
+             far wall
+    """
     if len(points) <= COMPANY:
         return points
     apart = neighbour_distance(points.xyz, count=COMPANY)
+    if centres is not None:
+        apart = apart / np.maximum(np.min([np.linalg.norm(points.xyz - centre, axis=1) for centre in centres], 0), 1e-12)
     return points.take(apart <= LONELY * np.median(apart))
 
 
@@ -226,6 +244,22 @@ def picture(capture, store, settings, shot, side):
         inside = known.astype(np.float32) * (1 if inside is None else inside)
     return (np.ascontiguousarray(smaller(pixels.rgb, reduction)), small_camera(shot.camera, reduction),
             None if inside is None else smaller(inside, reduction))
+
+
+def few_cameras(moments) -> bool:
+    """Whether the moments have few pictures: two that agree are enough then, and more is asked of what contradicts them."""
+    return 1 < max(map(len, moments)) <= FEW_CAMERAS and len({shot.frame for shot in moments[0]}) == 1
+
+
+def enlarged(capture, shot):
+    """The shot with a picture of SMALLEST_SIDE pixels, or as large as its file: for runs that train on smaller ones."""
+    camera = shot.camera
+    factor = min(SMALLEST_SIDE / max(camera.width, camera.height), 1 / capture.scale)
+    if factor <= 1:
+        return shot
+    width, height = round(camera.width * factor), round(camera.height * factor)
+    x, y = width / camera.width, height / camera.height
+    return replace(shot, camera=Camera(width, height, camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y, camera.world_to_camera))
 
 
 def shown_part(capture, settings, shot, pixels):

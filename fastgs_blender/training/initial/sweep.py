@@ -87,11 +87,11 @@ def _depths(picture, others, depths) -> Depths:
     return Depths(np.where(ratio < VAGUE, 1 / inverse, farthest), least, ratio)
 
 
-def surfaces(pictures, found: list[Depths | None]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and two other pictures have the same depth
-    (one, where there is only one)."""
+def surfaces(pictures, found: list[Depths | None], witnesses: int = 3) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and so many pictures have the same depth, itself
+    included (all, where there are fewer)."""
     clouds = []
-    others_needed = min(2, sum(depths is not None for depths in found) - 1)
+    others_needed = min(witnesses - 1, sum(depths is not None for depths in found) - 1)
     for k, ((image, camera, inside), depths) in enumerate(zip(pictures, found)):
         if depths is None:
             clouds.append((np.zeros((0, 3)), np.zeros((0, 3))))

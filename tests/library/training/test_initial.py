@@ -19,6 +19,7 @@ from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
+from fastgs_blender.training.initial.dense import among_others
 from fastgs_blender.training.initial.geometry import visible
 from fastgs_blender.training.initial.points import initial_points
 from fastgs_blender.training.initial.start import Start, start
@@ -169,6 +170,35 @@ def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_
         threads.set_threads(0)
     for name in ("xyz", "rgb", "t"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found[0], name))
+
+
+class Files:
+    """Pictures of shots at any size, as a store makes them of their files."""
+
+    def pixels(self, shot):
+        return Pixels(look(shot.t, shot.camera))
+
+
+def test_few_cameras_and_small_pictures_give_points_too():
+    """Four cameras show most places in pairs; features are looked for in the files' pictures, four times as large as these."""
+    quarter = [replace(camera, width=SIZE[0] // 4, height=SIZE[1] // 4, fx=42.5, fy=42.5, cx=SIZE[0] / 8, cy=SIZE[1] / 8, window=None)
+               for camera in rig()]
+    small = [replace(shot, camera=quarter[int(shot.view[-1])]) for shot in shots() if shot.view in ("cam00", "cam01", "cam02", "cam04")]
+    capture = Capture(Path("small"), "test", small, fg.Clip(FRAMES), scale=0.25)
+    points = initial_points(capture, Files(), settings(points=4000), lambda text: None)[0]
+    still = points.xyz[np.isnan(points.t)]
+    assert len(still) > 300
+    assert (off_planes(still) < 0.15).mean() > 0.8
+
+
+def test_points_of_a_far_wall_are_no_strays_beside_a_near_thing(rng):
+    """What is ten times as far away has its points ten times as far apart, and few points between them are left out."""
+    near = np.c_[rng.uniform(-0.5, 0.5, (600, 2)), np.full(600, 1.0)]
+    far, strays = np.c_[rng.uniform(-5, 5, (600, 2)), np.full(600, 10.0)], rng.uniform((-1, -1, 3), (1, 1, 6), (12, 3))
+    xyz = np.concatenate([near, far, strays])
+    kept = among_others(Points(xyz, np.zeros_like(xyz), np.zeros(len(xyz))), np.zeros((1, 3))).xyz
+    assert (kept[:, 2] == 10).sum() > 580 and (kept[:, 2] == 1).sum() > 580
+    assert len(kept) - np.isin(kept[:, 2], (1.0, 10.0)).sum() <= 3
 
 
 def test_no_more_points_than_asked_for(filmed):
