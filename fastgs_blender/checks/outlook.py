@@ -66,7 +66,7 @@ def run(looked: Looked) -> Section:
                                                  grades, (APART, f"{APART:.0f}"), "{:.0f}"))
     section.columns = {"Nearest camera": {view: f"{name}, {angle:.0f} degrees" for view, (name, angle) in nearest.items()}}
     section.measures |= {"training_cameras": count, "nearest_degrees": {view: round(angle, 2) for view, angle in shown.items()},
-                        "widest_degrees": round(widest, 2)}
+                         "widest_degrees": round(widest, 2)}
     return section
 
 
