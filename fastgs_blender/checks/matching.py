@@ -18,8 +18,8 @@ from ..training.initial.dense import spread
 
 PICTURES = 48
 """Pictures whose features are extracted, over all moments."""
-MOMENTS, NEIGHBOURS, LEAST, LEAST_SHARE = 3, 4, 16, 0.35
-"""Moments at most; cameras with which each one is compared; matches of a pair that must agree, and their share: fewer agree by chance."""
+MOMENTS, LEAST, LEAST_SHARE = 3, 16, 0.35
+"""Moments at most; matches of a pair that must agree, and their share: fewer agree by chance."""
 AGREE = 3.0
 """Pixels within which matches agree on a fundamental matrix."""
 MOST_FEATURES = 2500
@@ -167,7 +167,7 @@ def matched(samples: Mapping[str, Sequence], posed: bool, progress: Callable[[fl
 
 
 def _pair(pycolmap, moment, a, b, one, other, posed) -> Pair | None:
-    rows = features.matches(one, other, anywhere=True)
+    rows = features.matches(one, other, np.inf)
     if len(rows) < LEAST:
         return None
     options = pycolmap.RANSACOptions()
@@ -194,19 +194,8 @@ def off_lines(matrix: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def neighbours(cameras: Mapping[str, Any], posed: bool) -> list[tuple[str, str]]:
-    """Pairs of views that may show the same: each with those that stand and look most alike, or with the next in order without poses.
-
-    Features of cameras that look in directions far apart look different: what matches there does so by chance.
-    """
+    """Pairs of views that may show the same: each with those that stand and look most alike, or with the next in order without poses."""
     views = list(cameras)
     if not posed:
-        return [(a, b) for i, a in enumerate(views) for b in views[i + 1:i + 1 + NEIGHBOURS]]
-    poses = np.array([camera.world_to_camera for camera in cameras.values()])
-    centres = -np.einsum("nij,ni->nj", poses[:, :3, :3], poses[:, :3, 3])
-    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
-    turned = np.arccos(np.clip(poses[:, 2, :3] @ poses[:, 2, :3].T, -1, 1))
-    unlike = np.where(turned < np.radians(features.MOST_ANGLE), apart / max(apart.max(), 1e-12) + turned, np.inf)
-    np.fill_diagonal(unlike, np.inf)
-    pairs = {tuple(sorted((i, j))) for i in range(len(views)) for j in np.argsort(unlike[i], kind="stable")[:NEIGHBOURS]
-             if np.isfinite(unlike[i, j])}
-    return [(views[i], views[j]) for i, j in sorted(pairs)]
+        return [(a, b) for i, a in enumerate(views) for b in views[i + 1:i + 1 + features.NEIGHBOURS]]
+    return [(views[i], views[j]) for i, j in features.neighbours(cameras.values())]

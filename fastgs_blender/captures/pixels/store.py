@@ -77,6 +77,10 @@ class FrameStore:
         if folder is None:
             bounds.remove_unused(self.folder)
 
+    def of(self, capture: Capture) -> FrameStore:
+        """A store of the same pictures by another description of the capture, such as other cameras."""
+        return FrameStore(capture, self.budget, None if self._bounded else self.folder)
+
     @property
     def held_bytes(self) -> int:
         """Bytes of pixels in memory now."""

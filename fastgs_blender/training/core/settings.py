@@ -25,6 +25,7 @@ CHOICES = {
     "gradient": ("plain", "absolute"),
     "exposures": ("auto", "on", "off"),
     "clocks": ("auto", "on", "off"),
+    "poses": ("auto", "on", "off"),
 }
 
 
@@ -63,9 +64,11 @@ class Settings:
       moving_weight   where there are no masks and cameras stand still: what moves counts so many times
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
-    Cameras that differ (evening.py)
+    Cameras that differ (evening.py, initial/refine.py)
       exposures       a gain and an offset for each camera and channel, taken out of its pictures; auto: where they are seen to differ
       clocks          a shift in time for each camera, of a frame or less; auto: where it is found to differ
+      poses           poses and focal lengths of cameras that stand still are refined before training; auto: where features that pictures
+                      have in common then fit clearly better, and not in captures that bring a model; on: where they fit better at all
 
     Learning rates (position and motion in extents)
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
@@ -148,6 +151,7 @@ class Settings:
 
     exposures: str = "auto"
     clocks: str = "auto"
+    poses: str = "auto"
 
     rate_unit: str = "reach"
     position_rate: float = 1.6e-3

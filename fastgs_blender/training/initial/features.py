@@ -26,6 +26,8 @@ ALIKE, RATIO = 0.8, 0.88
 """Least cosine of two matching descriptors, and the most that the next best may reach of the best one's distance."""
 LEAST_ANGLE, MOST_ANGLE = 2.0, 60.0
 """Degrees between the rays of a point, and between the viewing directions of two cameras that are compared."""
+NEIGHBOURS = 4
+"""Cameras with which each one is compared where not all pairs are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,19 +84,19 @@ def matrix(camera) -> np.ndarray:
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
 
 
-def matches(a: Features, b: Features, anywhere: bool = False) -> np.ndarray:
+def matches(a: Features, b: Features, within: float = ON_LINE) -> np.ndarray:
     """Pairs [M, 2] of features that are each other's best along the epipolar lines, and better than the next.
 
-    anywhere  in the whole pictures instead: what a calibration is compared with; some of these are wrong
+    within  pixels from these lines; inf: in the whole pictures, which is what a calibration is compared with; some of these are wrong
     """
     if not len(a.places) or not len(b.places):
         return np.zeros((0, 2), np.int64)
     likeness = a.descriptors @ b.descriptors.T
-    if not anywhere:
+    if np.isfinite(within):
         lines = np.c_[a.places, np.ones(len(a.places))] @ fundamental(a.camera, b.camera).T
         lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
         away = np.abs(lines @ np.c_[b.places, np.ones(len(b.places))].T)
-        likeness = np.where(away < ON_LINE, likeness, -1)
+        likeness = np.where(away < within, likeness, -1)
     best = likeness.argmax(1)
     rows = np.arange(len(best))
     top = likeness[rows, best]
@@ -109,9 +111,27 @@ def matches(a: Features, b: Features, anywhere: bool = False) -> np.ndarray:
     return np.stack([rows[good], best[good]], 1)
 
 
-def tracks(features: list[Features]) -> list[list[tuple[int, int]]]:
-    """Groups of features that show the same point: lists of (picture, feature), at most one feature per picture."""
-    looking = np.array([f.camera.world_to_camera[2, :3] for f in features])
+def neighbours(cameras, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+    """Pairs of cameras that may show the same: each with the `count` that stand and look most alike.
+
+    Features of cameras that look in directions far apart look different: what matches there does so by chance.
+    """
+    poses = np.array([camera.world_to_camera for camera in cameras])
+    centres = -np.einsum("nij,ni->nj", poses[:, :3, :3], poses[:, :3, 3])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
+    turned = np.arccos(np.clip(poses[:, 2, :3] @ poses[:, 2, :3].T, -1, 1))
+    unlike = np.where(turned < np.radians(MOST_ANGLE), apart / max(apart.max(), 1e-12) + turned, np.inf)
+    np.fill_diagonal(unlike, np.inf)
+    pairs = {(min(i, j), max(i, j)) for i in range(len(poses)) for j in np.argsort(unlike[i], kind="stable")[:count].tolist()
+             if np.isfinite(unlike[i, j])}
+    return sorted(pairs)
+
+
+def tracks(features: list[Features], within: float = ON_LINE, count: int | None = None) -> list[list[tuple[int, int]]]:
+    """Groups of features that show the same point: lists of (picture, feature), at most one feature per picture.
+
+    within  see matches();  count: each picture is compared with so many neighbours; None: with all
+    """
     starts = np.cumsum([0, *(len(f.places) for f in features)])
     parent = np.arange(starts[-1])
 
@@ -121,13 +141,10 @@ def tracks(features: list[Features]) -> list[list[tuple[int, int]]]:
             i = parent[i]
         return i
 
-    for i in range(len(features)):
-        for j in range(i + 1, len(features)):
-            if looking[i] @ looking[j] < np.cos(np.radians(MOST_ANGLE)):
-                continue
-            for p, q in matches(features[i], features[j]):
-                one, other = root(starts[i] + p), root(starts[j] + q)
-                parent[max(one, other)] = min(one, other)
+    for i, j in neighbours([f.camera for f in features], len(features) if count is None else count):
+        for p, q in matches(features[i], features[j], within):
+            one, other = root(starts[i] + p), root(starts[j] + q)
+            parent[max(one, other)] = min(one, other)
     groups: dict[int, list[tuple[int, int]]] = {}
     for picture, feature in ((k, n) for k, f in enumerate(features) for n in range(len(f.places))):
         groups.setdefault(root(starts[picture] + feature), []).append((picture, feature))

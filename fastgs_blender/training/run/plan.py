@@ -19,7 +19,7 @@ from ...util.reading import read_json
 from ..core.presets import KNOWN
 from ..core.settings import Settings, from_dict
 from . import checkpoint
-from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
+from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REFINED, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
 
 DAMAGED = "delete it to train from the beginning"
 
@@ -170,7 +170,7 @@ def write(out: str | Path, plan: Plan) -> None:
     """Record the plan, and remove from the folder what an earlier run left there if this one starts from the beginning."""
     out = Path(out)
     if plan.fresh:
-        for name in (CHECKPOINT, MODEL, SO_FAR, REPORT, LOG, STATUS, PLOT):
+        for name in (CHECKPOINT, MODEL, SO_FAR, REFINED, REPORT, LOG, STATUS, PLOT):
             (out / name).unlink(missing_ok=True)
         for name in (SEGMENTS, PREVIEWS):
             shutil.rmtree(out / name, ignore_errors=True)

@@ -26,7 +26,7 @@ from ..core.settings import Settings
 from ..core.state import is_duration
 from . import checkpoint
 from . import plan as plans
-from .files import CHECKPOINT, MODEL, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
+from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
 from .folder import release, take
 from .plan import NOTHING, Plan, Source
 from .progress import Reporter, Silent
@@ -101,6 +101,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
     from .segments import joined_model, part
 
     reporter.status("preparing")
+    capture, store = _refined(capture, store, settings, out, group, reporter)
     group.first_does(lambda: reporter.fill(store, capture.shots))
     about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
              "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
@@ -120,6 +121,19 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
         model = joined_model(models, cuts, capture.clip, {})
     about |= training_record.evened_entry(evened)
     return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
+
+
+def _refined(capture, store, settings, out, group, reporter):
+    """Capture and store with cameras that fit the pictures; with those that were given where none fit clearly better."""
+    from ..initial.refine import refined, refinement
+
+    if settings.poses == "off":
+        return capture, store
+    begun = (out / CHECKPOINT).exists() or any((out / SEGMENTS).glob("*/*"))
+    with reporter.stage("refining cameras", "picture") as report:
+        found = group.share(group.first_does(lambda: refinement(capture, store, settings, out / REFINED, begun, reporter.say, report)))
+    better = refined(capture, found)
+    return (capture, store) if better is capture else (better, store.of(better))
 
 
 def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number, backend):

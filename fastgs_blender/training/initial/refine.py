@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Refines the given poses and focal lengths of a rig that stands still, by features that its pictures have in common (bundle.py).
+
+Every fifth track is held back.  The refined cameras are taken where these tracks fit them clearly better; else all stays as it was given.
+Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
+"""
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import count, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ...cameras import poses
+from ...captures.capture import Capture
+from ...util.errors import FastGSError
+from ...util.outputs import replacing
+from ...util.reading import read_json, reading
+from . import bundle, features
+from .dense import FEW_CAMERAS, enlarged, picture, spread
+from .geometry import sample
+
+PICTURES, MOMENTS = 96, 3
+"""Pictures that are compared, over all moments; moments at most."""
+WIDE = 5.0
+"""Pixels from the epipolar lines of the given cameras within which a match is looked for, and within which a point fits its track."""
+NEIGHBOURS = 8
+"""Cameras with which each one is compared."""
+MOST_FEATURES = 2500
+"""In one picture."""
+LEAST_VIEWS, ENOUGH, MOST = 3, 100, 6000
+"""Cameras to be trained on, and tracks, with fewer of which nothing is refined; tracks that are used at most."""
+HELD_BACK = 5
+"""Every so many tracks, one is held back."""
+BETTER, BY = 0.9, 0.05
+"""Where the error of the held-back tracks falls below this share of what it was, and by so many pixels, refined cameras are taken."""
+NOTHING: dict = {"cameras": {}}
+"""What is known of a run whose cameras stay as they were given."""
+
+
+def refinement(capture: Capture, store, settings, path, begun: bool, say=print, progress=lambda done, of: None) -> dict:
+    """What is to be changed in the cameras of a run, which the file `path` keeps: a resumed run changes the same.
+
+    begun  the run has a checkpoint: without that file it goes on with the cameras that were given
+    Returns {"cameras": {view: {"turn": [3], "shift": [3], "focal": factor}}, "before": pixels, "after": pixels}, see refined(); no
+    cameras where these stay.  Raises FastGSError where the folder's file is damaged.
+    """
+    if path.exists() and (known := kept(path, capture)) is not None:
+        return known
+    if begun or settings.poses == "off" or (settings.poses == "auto" and capture.model is not None):  # a bake knows its cameras
+        return NOTHING
+    try:
+        found = found_by_tracks(capture, store, settings, say, progress)
+    except FastGSError as error:
+        if settings.poses == "on":
+            raise
+        say(f"cameras: as they were given ({str(error).rstrip('.')})")
+        found = NOTHING
+    with replacing([path]) as (part,):
+        part.write_text(json.dumps({"capture": _name(capture), **found}, indent=1), "utf-8")
+    return found
+
+
+def kept(path, capture) -> dict | None:
+    """What a file says is to be changed, None if it is of another capture; raises FastGSError."""
+    again = "delete it to refine the cameras again"
+    with reading(path, again):
+        values = read_json(path, advice=again)
+        if values["capture"] != _name(capture):
+            return None
+        cameras = {}
+        for view, entry in values["cameras"].items():
+            where = f"{path}: the camera of {view}"
+            cameras[view] = {"turn": poses.numbers(entry["turn"], (3,), where).tolist(),
+                             "shift": poses.numbers(entry["shift"], (3,), where).tolist(),
+                             "focal": poses.number(entry["focal"], where, 0.5, 2.0)}
+        return {"cameras": cameras, **{name: poses.number(values[name], f"{path}: {name}")
+                                    for name in ("before", "after") if name in values}}
+
+
+def refined(capture: Capture, found: dict) -> Capture:
+    """The capture with its cameras changed: `turn`, a rotation vector in radians in the camera's axes; `shift`, a move of the camera in
+    the world; `focal`, a factor on its focal lengths.  The capture itself where nothing is to be changed."""
+    changes = found["cameras"]
+    if not changes:
+        return capture
+    shots = []
+    for shot in capture.shots:
+        change = changes.get(shot.view)
+        if change is not None and not shot.held_out:
+            pose, focal = np.array(shot.camera.world_to_camera), change["focal"]
+            centre = -pose[:3, :3].T @ pose[:3, 3] + change["shift"]
+            pose[:3, :3] = bundle.turned_by(pose[None, :3, :3], np.array([change["turn"]]))[0]
+            pose[:3, 3] = -pose[:3, :3] @ centre
+            camera, image = replace(shot.camera, fx=shot.camera.fx * focal, fy=shot.camera.fy * focal, world_to_camera=pose), shot.image
+            if image is not None and image.intrinsics is not None:  # a lens keeps its coefficients
+                lens = image.intrinsics
+                image = replace(image, intrinsics=lens._replace(fx=lens.fx * focal, fy=lens.fy * focal))
+            shot = replace(shot, camera=camera, image=image)
+        shots.append(shot)
+    return replace(capture, shots=shots)
+
+
+def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambda done, of: None) -> dict:
+    """See refinement(); raises FastGSError where pycolmap is missing, or pictures cannot be read."""
+    shots = {view: [shot for shot in capture.training if shot.view == view] for view in dict.fromkeys(s.view for s in capture.training)}
+    if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
+        return NOTHING
+    first = {view: each[0] for view, each in shots.items()}
+    tracks, sizes = tracked(capture, store, settings, list(shots), progress)
+    if len(tracks) < ENOUGH:
+        say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
+        return NOTHING
+    rig = rig_of([shot.camera for shot in first.values()], [_lens(shot) for shot in first.values()], sizes)
+    better, before, after, used = compared(rig, tracks)
+    if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):
+        say(f"cameras: as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
+        return NOTHING
+    turns, focal = bundle.turned(better, rig), 1 / better.shrink
+    say(f"cameras: {int(used.sum())} refined by features that they see together, which now fit to {after:.2f} pixels instead of "
+        f"{before:.2f}; turned by up to {np.degrees(np.linalg.norm(turns, axis=1)).max():.2f} degrees, focal lengths changed by up to "
+        f"{100 * np.abs(focal - 1).max():.2f} %")
+    changes = {view: {"turn": np.round(turns[k], 10).tolist(), "shift": np.round(better.centres[k] - rig.centres[k], 10).tolist(),
+                      "focal": round(float(focal[k]), 10)} for k, view in enumerate(first) if used[k]}
+    return {"cameras": changes, "before": round(before, 4), "after": round(after, 4)}
+
+
+def tracked(capture, store, settings, views, progress=lambda done, of: None) -> tuple[bundle.Tracks, np.ndarray]:
+    """The tracks of features in the views' pictures of some moments, and the focal lengths [V, 2] of these pictures in pixels.
+
+    progress(done, of) is called for each picture and for each moment's matches.
+    """
+    by_frame: dict = {}
+    for shot in capture.training:
+        by_frame.setdefault(shot.frame, []).append(shot)
+    most = max(map(len, by_frame.values()))
+    frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) == most]
+    moments = [by_frame[frame] for frame in spread(frames, int(np.clip(PICTURES // most, 1, MOMENTS)))]
+    moments = [[enlarged(capture, shot) for shot in shots] for shots in moments]
+    of, done = sum(map(len, moments)) + len(moments), count(1)
+    progress(0, of)
+    store.fill(shots=[shot for shots in moments for shot in shots])
+    extract = features.extractor()
+    pixels, camera, point, rays, slopes, points = np.ones((len(views), 2)), [], [], [], [], 0
+    for shots in moments:
+        found = []
+        for shot in shots:
+            image, small, inside = picture(capture, store, settings, shot, features.LARGEST_SIDE)
+            places, descriptors = extract(image)
+            if inside is not None:
+                good = sample(inside[..., None], places)[:, 0] > 0.5
+                places, descriptors = places[good], descriptors[good]
+            step = max(1, -(-len(places) // MOST_FEATURES))
+            found.append(features.Features(places[::step], descriptors[::step], small))
+            pixels[views.index(shot.view)] = small.fx, small.fy
+            progress(next(done), of)
+        planes = [(f.places - (f.camera.cx, f.camera.cy)) / (f.camera.fx, f.camera.fy) for f in found]
+        tilts = [_by_shrink(shot, plane) for shot, plane in zip(shots, planes)]
+        for track in features.tracks(found, WIDE, NEIGHBOURS):
+            if len(track) < (2 if most <= FEW_CAMERAS else 3):
+                continue
+            camera += [views.index(shots[k].view) for k, _ in track]
+            rays += [planes[k][n] for k, n in track]
+            slopes += [tilts[k][n] for k, n in track]
+            point += [points] * len(track)
+            points += 1
+        progress(next(done), of)
+    tracks = bundle.Tracks(np.array(camera, np.int64), np.array(point, np.int64), np.reshape(rays, (-1, 2)), np.reshape(slopes, (-1, 2)))
+    known = np.isfinite(tracks.slopes).all(1)
+    whole = tracks.by_point(known * 1.0) == tracks.by_point(np.ones(len(known))) if len(tracks) else np.zeros(0, bool)
+    return tracks.take(whole), pixels
+
+
+def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float, float, np.ndarray]:
+    """The rig that fits tracks better, the errors in pixels of held-back tracks by the given one and by that one, and which cameras [V]
+    the others tell about."""
+    points = bundle.placed(rig, tracks)
+    good = (bundle.track_errors(rig, tracks, points) < WIDE) & _wide_enough(rig, tracks, points)
+    good &= np.cumsum(good) % max(1, -(-int(good.sum()) // MOST)) == 0
+    if good.sum() < ENOUGH:
+        return rig, np.nan, np.nan, np.zeros(len(rig.lens), bool)
+    tracks, points = tracks.take(good), points[good]
+    back = np.arange(len(tracks)) % HELD_BACK == HELD_BACK - 1
+    rest = tracks.take(~back)
+    better, _ = bundle.adjusted(rig, rest, points[~back])
+    held = tracks.take(back)
+    before, after = (float(np.median(bundle.track_errors(each, held, bundle.placed(each, held)))) for each in (rig, better))
+    return better, before, after, np.isin(np.arange(len(rig.lens)), rest.camera)
+
+
+def rig_of(cameras, lenses, pixels) -> bundle.Rig:
+    """The rig of V cameras; those with equal intrinsics and equal `lenses` (any values) have one focal length.  pixels: see bundle.Rig."""
+    matrices = np.array([camera.world_to_camera for camera in cameras])
+    kinds = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy, lens) for c, lens in zip(cameras, lenses)]
+    known = list(dict.fromkeys(kinds))
+    turns = matrices[:, :3, :3]
+    return bundle.Rig(turns, -np.einsum("vji,vj->vi", turns, matrices[:, :3, 3]), np.asarray(pixels, np.float64), np.ones(len(cameras)),
+                      np.array([known.index(kind) for kind in kinds]))
+
+
+def _stands(shots) -> bool:
+    """Whether a view has one perspective camera at all times."""
+    first = shots[0].camera
+    same = {(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in (shot.camera for shot in shots)}
+    turn = first.world_to_camera[:3, :3]
+    return len(same) == 1 and not first.orthographic and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
+
+
+def _lens(shot):
+    return None if shot.image is None else (shot.image.lens, shot.image.intrinsics)
+
+
+def _by_shrink(shot, plane, step=1e-3):
+    """Derivative [F, 2] of places on the image plane by the factor between the given focal length and the true one.
+
+    The lens' picture stays where it is: with a pinhole the places grow by that factor, else it is undistorted with another focal length.
+    """
+    lens = None if shot.image is None else shot.image.lens
+    if lens is None or lens.is_pinhole:
+        return plane
+    distorted = lens.distort(plane)
+    return (lens.undistort(distorted * (1 + step)) - lens.undistort(distorted * (1 - step))) / (2 * step)
+
+
+def _wide_enough(rig, tracks, points):
+    """Whether the rays of each point [P] are LEAST_ANGLE degrees apart, as seen from the first one that tells."""
+    rays = points[tracks.point] - rig.centres[tracks.camera]
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    ends = np.append(np.searchsorted(tracks.point, np.arange(len(tracks))), len(tracks.point))
+    return np.array([features.widest_angle(rays[a:b]) > features.LEAST_ANGLE for a, b in pairwise(ends)])
+
+
+def _name(capture) -> str:
+    return str(Path(capture.path).resolve())
