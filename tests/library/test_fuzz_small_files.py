@@ -20,8 +20,8 @@ from fastgs_blender.jobs import checks
 from fastgs_blender.kernels.gpu import choice
 from fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from fastgs_blender.training.core.settings import settings
-from fastgs_blender.training.initial import calibrate
-from fastgs_blender.training.run.files import RUN, STATUS
+from fastgs_blender.training.initial import calibrate, refine
+from fastgs_blender.training.run.files import REFINED, RUN, STATUS
 from fastgs_blender.training.run.plan import Plan, Source, read_plan
 from fastgs_blender.util import outputs
 from fastgs_blender.util.errors import FastGSError, printable
@@ -56,6 +56,21 @@ def test_poses_that_were_found(tmp_path):
                 assert np.isfinite(shot.camera.world_to_camera).all() and shot.camera.fx > 0 and shot.camera.fy > 0
 
     told = mutations.campaign("poses", read, {"two": {calibrate.FILE: (tmp_path / calibrate.FILE).read_bytes()}}, tmp_path / "seeds")
+    assert min(told.values(), default=1) > 0
+
+
+def test_what_was_refined(tmp_path):
+    tiny_captures.pictures(tmp_path / "capture")
+    capture = open_capture(tmp_path / "capture")
+    changes = {view: {"turn": [0.001, -0.002, 0.0], "shift": [0.0, 0.01, 0.02], "focal": 1.004} for view in capture.views}
+    values = {"capture": str(capture.path.resolve()), "cameras": changes, "before": 1.2, "after": 0.4}
+
+    def read(folder):
+        known = refine.kept(folder / REFINED, capture)
+        assert known is None or all(0.5 <= change["focal"] <= 2 and np.isfinite(change["turn"] + change["shift"]).all()
+                                    for change in known["cameras"].values())
+
+    told = mutations.campaign("refined", read, {"all": {REFINED: json.dumps(values).encode()}}, tmp_path / "seeds")
     assert min(told.values(), default=1) > 0
 
 
