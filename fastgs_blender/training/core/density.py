@@ -11,6 +11,7 @@ import numpy as np
 from ...model.appearance import Features
 from ...model.slicing import sigmoid
 from ...util import rotations
+from .hold import HELD
 from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 
@@ -93,8 +94,13 @@ class Default(Strategy):
         return changed
 
     def _prune(self, optimiser, statistics):
-        keep = sigmoid(optimiser.arrays["opacity"]) >= self.settings.prune_opacity
-        keep &= np.exp(optimiser.arrays["scale"].max(1)) <= np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
+        arrays = optimiser.arrays
+        largest = np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
+        if HELD in arrays:  # a hole in the backdrop makes its neighbours grow until they are removed too
+            held = np.flatnonzero(np.isfinite(arrays[HELD]).all(1))
+            arrays["scale"][held] = np.minimum(arrays["scale"][held], np.log(largest[held])[:, None] - 1e-3)
+        keep = sigmoid(arrays["opacity"]) >= self.settings.prune_opacity
+        keep &= np.exp(arrays["scale"].max(1)) <= largest
         if keep.all() or not keep.any():
             return
         rows = np.flatnonzero(keep)

@@ -110,7 +110,8 @@ class Settings:
       grow            largest share of Gaussians that is added at once
       growths         how often Gaussians are added at most, 0: until densify_until; transparent ones are removed until then anyway
       prune_opacity   Gaussians below this opacity are removed
-      near_size       Gaussians larger than this times their distance to the nearest camera are removed too
+      near_size       Gaussians larger than this times their distance to the nearest camera are removed too, those of the backdrop
+                      made smaller
       reset_every     steps between opacity resets, 0: none
       copied_time     temporal centre of copies: the original's, or random
       noise, opacity_weight, scale_weight    mcmc: strength of the random moves; weights of the penalties on opacity and on scale

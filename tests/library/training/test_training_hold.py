@@ -89,3 +89,22 @@ def test_a_trained_model_knows_its_backdrop_and_cameras():
     arrays["position"][np.flatnonzero(np.isfinite(arrays[hold.HELD][:, 0]))[0]] = capture.focus  # one of them astray
     least = hold.INNERMOST * np.linalg.norm(capture.centres() - capture.focus, axis=1).max()
     assert np.isclose(trainer.final_model({}).surroundings.backdrop.radius, least)
+
+
+def test_density_control_leaves_the_backdrop_whole():
+    """Its Gaussians fill the sky together: where one went, those beside it would grow until they were removed too."""
+    capture, store, points = toy_capture()
+    chosen = settings.settings(near_size=0.2, prune_opacity=0.0, grow=0)
+    around = np.linspace(0, 2 * np.pi, FRINGE, endpoint=False)
+    xyz = np.concatenate([points.xyz, np.stack([9 * np.cos(around), 9 * np.sin(around), np.full(FRINGE, 5.0)], 1)]).astype(np.float32)
+    sizes = np.concatenate([np.full(len(points), np.nan), np.full(FRINGE, 50.0)])
+    points = Points(xyz, np.concatenate([points.rgb, np.full((FRINGE, 3), 0.5)]), None, sizes)
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    trainer = Trainer(capture, store, chosen, first, sizes=points.size)
+    trainer.optimiser.arrays["scale"][0] = np.log(50.0)  # fog
+    with trainer.optimiser.on_host() as rows:
+        trainer.strategy.after_step(trainer.strategy.first // 100 * 100 + 100, rows, trainer.statistics.on_host(trainer.backend), {})
+    arrays = trainer.optimiser.arrays
+    assert np.isfinite(arrays[hold.HELD]).all(1).sum() == FRINGE
+    assert len(trainer) == len(points) - 1
+    assert np.exp(arrays["scale"].max()) <= capture.extent
