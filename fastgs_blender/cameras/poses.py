@@ -107,6 +107,13 @@ def inverse(pose: np.ndarray) -> np.ndarray:
     return out
 
 
+def turned(world_to_camera: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The pose [4, 4] of a camera before which the world is turned by a rotation vector [3], in radians, in the camera's own axes."""
+    motion = np.eye(4)
+    motion[:3, :3] = rotations.to_matrices(rotations.exp(turn / 2))
+    return motion @ world_to_camera
+
+
 def from_opengl(camera_to_world: np.ndarray) -> np.ndarray:
     """World-to-camera in OpenCV axes of a camera-to-world matrix whose camera looks along -z with y up."""
     return inverse(camera_to_world @ OPENGL)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import groupby
 from numbers import Integral
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.poses import turned
 from ..captures.capture import Capture, Shot
 from ..captures.pixels.store import FrameStore
 from ..model.gaussians import GaussianModel
@@ -64,6 +66,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     fit_colours = "exposures" in evened(model) if fit_colours is None else fit_colours
     shots = chosen(capture, views, frames, known)
     store = _filled(FrameStore(capture, 0), shots) if store is None else store
+    turns = {view: np.radians(turn) for view, turn in evened(model).get("poses", {}).items()}
     clock, notes = _clock(model, capture, beyond=frames is not None)
     times = {id(shot): t for shot in shots if (t := clock(shot)[0]) is not None}
     covered = [shot for shot in shots if id(shot) in times]
@@ -101,7 +104,10 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 truth, foreground, valid = _truth(capture, store, shot)
                 began = time.perf_counter()
                 t = times[id(shot)]
-                picture = _picture(model, shot.camera, t, backend)
+                camera = shot.camera
+                if view in turns:
+                    camera = replace(camera, world_to_camera=turned(camera.world_to_camera, turns[view]))
+                picture = _picture(model, camera, t, backend)
                 spent = time.perf_counter() - began
                 seconds += spent
                 picture = _judged(picture, truth, valid, fit_colours)
@@ -118,6 +124,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 progress(len(rows), len(covered), row)
     if fit_colours:
         notes.append(halves.NOTE)
+    if any(row["view"] in turns for row in rows):
+        notes.append("views that were trained on are shown from the poses that training refined")
     notes += _remarks(rows, known)
     seen, unseen = ([row for row in rows if row["trained_on"] is which] for which in (True, False))
     return {

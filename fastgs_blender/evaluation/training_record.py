@@ -24,12 +24,13 @@ class TrainingRecord:
 
 
 EVENED = "evened"
-"""The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames} and "exposures"
-{view: {"gain": [3], "bias": [3], "fade": [3]}}, each only where cameras differed; "fade" only where an exposure changed over the clip."""
+"""The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames}, "exposures"
+{view: {"gain": [3], "bias": [3], "fade": [3]}} and "poses" {view: [3], a rotation vector in degrees in the camera's axes}, each only where
+cameras differed; "fade" only where an exposure changed over the clip."""
 
 
 def evened_entry(facts: dict) -> dict[str, str]:
-    """The provenance entry of a model trained from cameras that differed (training/core/evening.py); none where they did not."""
+    """The provenance entry of a model trained from cameras that differed (training/core/evening.py, poses.py); none where they did not."""
     return {EVENED: json.dumps(facts)} if facts else {}
 
 
@@ -43,7 +44,9 @@ def evened(model) -> dict:
         facts = parse_json(model.provenance[EVENED])
         exposures = facts.get("exposures", {}).values()
         numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for values in _rows(each) for value in values)]
-        shapes = [len(values) for each in exposures for values in _rows(each)]
+        turns = facts.get("poses", {}).values()
+        numbers += [value for turn in turns for value in turn]
+        shapes = [len(values) for values in (*(row for each in exposures for row in _rows(each)), *turns)]
     except (KeyError, TypeError, AttributeError, ValueError):
         return {}
     usable = all(type(value) in (int, float) and abs(value) <= MOST for value in numbers) and set(shapes) <= {3}
@@ -67,6 +70,9 @@ def sentence(found: dict) -> str:
             f"{view} {value:.2f}" for view, value in sorted(middle.items(), key=lambda item: -abs(item[1] - 1))[:6]))
         if changing := [view for view, each in exposures.items() if "fade" in each]:
             parts.append(f"exposures change over the clip, and were evened: {', '.join(changing)}")
+    if turns := found.get("poses"):
+        sizes = sorted(((sum(value**2 for value in turn) ** 0.5, view) for view, turn in turns.items()), reverse=True)
+        parts.append("poses were refined, by degrees: " + ", ".join(f"{view} {size:.2f}" for size, view in sizes[:6]))
     return "; ".join(parts)
 
 

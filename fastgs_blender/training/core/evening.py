@@ -86,6 +86,8 @@ class Evening:
     clock: np.ndarray
     apart: np.ndarray | None = None
 
+    SUMS = ("colour", "clock")
+
     @classmethod
     def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
               fades: np.ndarray | None = None) -> Evening:

@@ -64,11 +64,13 @@ class Settings:
       moving_weight   where there are no masks and cameras stand still: what moves counts so many times
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
-    Cameras that differ (evening.py, initial/refine.py)
+    Cameras that differ (evening.py, poses.py, initial/refine.py)
       exposures       a gain and an offset for each camera and channel, taken out of its pictures; auto: where they are seen to differ
       clocks          a shift in time for each camera, of a frame or less; auto: where it is found to differ
       poses           poses and focal lengths of cameras that stand still are refined before training; auto: where features that pictures
-                      have in common then fit clearly better, and not in captures that bring a model; on: where they fit better at all
+                      have in common then fit clearly better, and not in captures that bring a model; on: where they fit better at all.
+                      While training each camera is turned until its pictures agree with the model's; auto: where one is off by
+                      0.4 of a pixel
 
     Learning rates (position and motion in extents)
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the

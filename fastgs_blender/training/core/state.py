@@ -7,8 +7,10 @@ import numpy as np
 from ...model.appearance import Features
 from ...model.gaussians import Clip, GaussianModel
 from ...util.errors import FastGSError
+from .evening import AWAITED
 from .evening import shapes as evening_shapes
 from .hold import HELD
+from .poses import shapes as poses_shapes
 
 DECODER = ("w1", "w2")
 STATISTICS = ("gradient", "absolute", "seen", "radius")
@@ -87,6 +89,9 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
     if late is not None and late.ndim == 1:  # earlier versions had none
         expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()
                      if name not in NEWER or f"evening.{name}" in arrays}
+    turns = arrays.get("poses.turns")
+    if turns is not None and turns.ndim == 2:  # nor these
+        expected |= {f"poses.{name}": (np.float64, shape) for name, shape in poses_shapes(len(turns), AWAITED).items()}
     expected |= {f"statistics.{name}": (np.float32, (count,)) for name in STATISTICS}
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 
@@ -100,6 +105,8 @@ def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
         return bool(((array > 0.01) & (array < 100)).all())
     if name == "evening.fades":
         return bool((np.abs(array) < 5).all())
+    if name == "poses.turns":
+        return bool((np.abs(array) < 0.1).all())
     if part == "steps":
         return int(array[0]) == iteration
     if part == "betas":

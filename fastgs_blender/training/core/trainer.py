@@ -27,6 +27,7 @@ from .losses import motion_factor, motion_norm
 from .model import empty_model, lasting, with_arrays
 from .moving import Moving
 from .optimiser import Optimiser
+from .poses import Poses
 from .state import check_state
 from .statistics import Statistics
 from .targets import cover_of, target, use_of_mask
@@ -68,6 +69,7 @@ class Trainer:
         self.template = empty_model(settings, capture.clip, capture.axes)
         views = tuple(dict.fromkeys(shot.view for shot in self.shots))
         self.awaited = Awaited(Evening.begun(views, capture.clip.frame_count, settings, gains, fades))
+        self.awaited_poses = Awaited(Poses.begun(self.shots, settings.poses))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         if model is not None:
@@ -85,7 +87,12 @@ class Trainer:
     @property
     def evening(self) -> Evening:
         """The cameras' exposures and clocks, as they are known now."""
-        return self.awaited.evening
+        return self.awaited.known
+
+    @property
+    def poses(self) -> Poses:
+        """The cameras' corrections, as they are known now."""
+        return self.awaited_poses.known
 
     def step(self) -> dict:
         """One step, to its end; returns its values for the log."""
@@ -102,10 +109,11 @@ class Trainer:
         done = [] if guess else self.settle()  # what others are sent has to be right at once
         if self.iteration < i:
             return done
-        self.awaited.lead = ahead = self.backend.begin_step() if guess else 0
+        self.awaited.lead = self.awaited_poses.lead = ahead = self.backend.begin_step() if guess else 0
         rates = schedule.learning_rates(s, i, self.extent, self.reach, self.template.basis, self.known)
         rates |= dict.fromkeys(self.fixed, 0.0)
-        self._begun.append((i, len(self), (self.evening, self.awaited.learnt), self._begin(rates)))
+        before = [(awaited.known, awaited.learnt) for awaited in (self.awaited, self.awaited_poses)]
+        self._begun.append((i, len(self), before, self._begin(rates)))
         self.iteration += 1
         acts = self.strategy.acts(self.iteration)
         done += self.settle(0 if acts else ahead)
@@ -124,7 +132,8 @@ class Trainer:
             if found is None:
                 self.optimiser.steps -= 1 + len(self._begun)
                 self.iteration, self._ahead = i, (-1, [])
-                self.awaited.evening, self.awaited.learnt = before
+                for awaited, (known, learnt) in zip((self.awaited, self.awaited_poses), before, strict=True):
+                    awaited.known, awaited.learnt = known, learnt
                 self._begun.clear()
             else:
                 done.append(self._values(i, count, *found))
@@ -148,6 +157,7 @@ class Trainer:
         statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
         seen, gradients, views = backend.zeros((n,)), None, []
         look, sums = self.evening.looks(i, s.iterations), []
+        posed, turned = self.poses.looks(i, s.iterations), []
         for shot, goal, *arrays in self._targets(i):
             rgb, weight, least = arrays
             picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
@@ -161,6 +171,8 @@ class Trainer:
             if look:
                 sides = self._sides(goal) if self.evening.times(i, s.iterations) else None
                 sums.append((shot, self.evening.compared(backend, shot, picture, *arrays, goal.background, sides)))
+            if posed:
+                turned.append((shot, self.poses.compared(shot, goal, backend.numpy(picture.rgb), backend.numpy(picture.alpha))))
         values = [difference.values for *_, difference in views]
         if group.size > 1:
             gradients, seen, values = self._join(gradients, seen, values, statistics)
@@ -169,7 +181,10 @@ class Trainer:
         self.optimiser.step(gradients, rows, rates)
         ending = backend.end_step(backend.count(rows), penalty, *values, *(array for _, array in sums))
         ending = self.awaited.listening(i, ending, [shot for shot, _ in sums], group.total)
+        ending = _followed(ending, [found for _, found in turned])
+        ending = self.awaited_poses.listening(i, ending, [shot for shot, _ in turned], group.total)
         self.awaited.learn(i)
+        self.awaited_poses.learn(i)
         if i + 1 < s.iterations:
             self._targets(i + 1)  # while the device works
         return ending
@@ -185,7 +200,7 @@ class Trainer:
                 filmed = self.store.pixels(shot)
                 moving = self.moving.share(shot, filmed) if self.moving else None
                 goal = target(self.capture, self.evening.pixels(shot, filmed), shot, s, reduction, i, place, moving=moving)
-                goal = replace(goal, t=self.evening.moment(shot))
+                goal = replace(goal, t=self.evening.moment(shot), camera=self.poses.camera(shot.view, goal.camera))
                 rest = (None if values is None else array(values) for values in (goal.weight, goal.least))
                 found.append((shot, goal, self.backend.picture(goal.rgb, goal.stored), *rest))
             self._ahead = i, found
@@ -239,7 +254,7 @@ class Trainer:
         """The model without the Gaussians that can never be seen, and what the capture says of its surroundings."""
         host = {name: self.backend.numpy(self.optimiser.arrays[name]) for name in ("position", HELD) if name in self.optimiser.arrays}
         around = Surroundings(backdrop_of(host, self.around), viewpoints(self.capture))
-        return replace(lasting(self.model(provenance | evened_entry(self.evening.facts()))), surroundings=around)
+        return replace(lasting(self.model(provenance | evened_entry(self.evening.facts() | self.poses.facts()))), surroundings=around)
 
     def measure(self, shots):
         """measure() of the model as it is now."""
@@ -250,6 +265,7 @@ class Trainer:
         arrays = {f"optimiser.{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {f"statistics.{name}": array for name, array in self.statistics.state(self.backend).items()}
         arrays |= {f"evening.{name}": array for name, array in self.awaited.state(self.iteration).items()}
+        arrays |= {f"poses.{name}": array for name, array in self.awaited_poses.state(self.iteration).items()}
         clip = self.capture.clip
         return arrays, {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                         "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
@@ -270,8 +286,18 @@ class Trainer:
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.awaited.restore(part("evening"), self.iteration)
+        self.awaited_poses.restore(part("poses"), self.iteration)
         self._ahead = -1, []
         self._begun.clear()
+
+
+def _followed(ending, more: list):
+    """What end_step() gives, with more values at its end."""
+    def end():
+        values = ending()
+        return None if values is None else [*values, *more]
+
+    return end
 
 
 def measure(model, capture, store, settings, shots, backend: str = "cpu", fit_colours: bool = False):

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Refines where each camera looks during training.
+
+A camera is turned by a small rotation w [3] in radians, in its own axes, so that a camera that moves in the clip has one correction too.
+It is found as clocks are (evening.py), in closed form, by Gauss-Newton steps over the latest pictures of each camera.  The change of a
+picture with the turn needs no further render: what lies in the direction (a, b, 1) moves by
+
+    da = -a b wx + (1 + a^2) wy - b wz
+    db = -(1 + b^2) wx + a b wy + a wz
+
+and the picture changes by its own slope times that (Lucas and Kanade 1981).  Every backend can do it, as it takes a picture alone.
+Shifts are not estimated: they look so much like turns that a model which is not exact makes both wrong.
+
+A turn of all cameras together cannot be told from one of the model, so it stays zero on average: held-out cameras stay where they are.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...cameras.poses import turned
+from ...util.errors import FastGSError
+from .evening import ALIKE_PIXELS, KEEP, OUTLIER, SETTLED, SOLID
+
+FIRST, LAST = 0.05, 0.9
+"""The part of a run, by its share of steps, in which poses are estimated: from small pictures on, where a turn is a small part of what they
+show, until the model needs its last steps to settle."""
+EVERY = 4
+"""Steps between two estimates."""
+FARTHER = 1.7
+"""Over-relaxation of a correction: the model has already followed the camera's wrong pose a part of the way."""
+PRIOR = np.radians(0.2)
+"""Standard deviation of a camera's turn about each axis, as a prior."""
+FARTHEST = np.radians(2.0)
+"""The largest turn that training corrects."""
+NOTICED = 0.4
+"""Pixels by which a turn moves a picture, below which poses count as right where the settings say auto."""
+LOOKED_AT = 20_000
+"""Pixels of a picture that are compared, about: enough for three numbers, and little work."""
+
+
+@dataclass(eq=False)
+class Poses:
+    """The turns of V cameras, and the sums that they are estimated from.
+
+    views    their names;  setting: the setting `poses`;  focal [V] in pixels
+    axes     [V, 3, 3] world to camera, of each view's first camera
+    turns    [V, 3] as estimated
+    sums     [V, 14] over pixels and channels: w J J' [3, 3], w J (r + J turn) [3], w r^2, w; J the change of the picture with the turn,
+             r the target minus the picture
+    """
+
+    views: tuple[str, ...]
+    setting: str
+    focal: np.ndarray
+    axes: np.ndarray
+    turns: np.ndarray
+    sums: np.ndarray
+
+    SUMS = ("sums",)
+
+    @classmethod
+    def begun(cls, shots: list, setting: str) -> Poses:
+        """The state at the first step of training on these shots: no turns.  Parallel projections are left as they are."""
+        first = {shot.view: shot.camera for shot in reversed(shots)}
+        views = tuple(dict.fromkeys(shot.view for shot in shots))
+        possible = len(views) > 1 and not any(camera.orthographic for camera in first.values())
+        return cls(views, setting if possible else "off", np.array([abs(first[view].fx) for view in views]),
+                   np.array([first[view].world_to_camera[:3, :3] for view in views]), np.zeros((len(views), 3)), np.zeros((len(views), 14)))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The arrays that a checkpoint holds."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Restore the arrays of state(); a checkpoint of an earlier version has none.  Raises FastGSError for other cameras."""
+        if arrays and len(arrays["turns"]) != len(self.views):
+            raise FastGSError(f"the checkpoint is of a run with {len(arrays['turns'])} cameras, not {len(self.views)}; delete it to train "
+                              "from the beginning.")
+        for name, array in arrays.items():
+            setattr(self, name, np.array(array))
+
+    # what it does to cameras
+
+    @property
+    def differ(self) -> bool:
+        """Whether cameras are turned: always, never, or (auto) where a turn moves a camera's picture by more than NOTICED."""
+        return self.setting == "on" or (self.setting == "auto" and bool((self.focal * np.linalg.norm(self.turns, axis=1)).max() > NOTICED))
+
+    def camera(self, view: str, camera: Camera) -> Camera:
+        """A view's camera as it is believed to look."""
+        if not self.differ or view not in self.views:
+            return camera
+        return replace(camera, world_to_camera=turned(camera.world_to_camera, self.turns[self.views.index(view)]))
+
+    # how it is found
+
+    def looks(self, iteration: int, iterations: int) -> bool:
+        """Whether this step's pictures are used to estimate poses; with auto it ends at SETTLED if none has been noticeably wrong."""
+        if self.setting == "off" or iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
+            return False
+        return self.setting == "on" or self.differ or iteration < SETTLED * iterations
+
+    def compared(self, shot, target, picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """The sums [14] over a shot's pixels that said() takes.
+
+        target   a Target, whose camera made the picture
+        picture  [h, w, 3] and its alpha [h, w], as splat() gives them
+        """
+        camera, (h, w) = target.camera, alpha.shape
+        step = max(1, round(np.sqrt(h * w / LOOKED_AT)))
+        y, x = np.ix_(np.arange(1, h - 1, step), np.arange(1, w - 1, step))
+        if target.background is not None:
+            picture = picture + (1 - alpha[..., None]) * target.background
+        error = target.rgb[y, x] - picture[y, x]
+        weight = (alpha[y, x] > SOLID)[..., None] / (1 + (error / OUTLIER) ** 2)
+        if target.weight is not None:
+            weight = weight * np.minimum(target.weight[y, x], 1)[..., None]
+        if target.least is not None:
+            weight = weight * ~target.least[y, x]
+        across, down = camera.from_middle()
+        a = ((across + camera.width / 2 - camera.cx) / camera.fx)[x]
+        b = ((down + camera.height / 2 - camera.cy) / camera.fy)[y]
+        a, b = (each[..., None] for each in np.broadcast_arrays(a, b))
+        right = 0.5 * camera.fx * (picture[y, x + 1] - picture[y, x - 1])
+        below = 0.5 * camera.fy * (picture[y + 1, x] - picture[y - 1, x])
+        change = np.stack([right * a * b + below * (1 + b * b), -right * (1 + a * a) - below * a * b, right * b - below * a])
+        change, weight, error = (each.reshape(-1, weight.size).astype(np.float64) for each in (change, weight, error))
+        square, missing = (weight * change) @ change.T, change @ (weight * error)[0]
+        if self.differ:
+            missing = missing + square @ self.turns[self.views.index(shot.view)]
+        return np.concatenate([square.ravel(), missing, [(weight * error**2).sum(), weight.sum()]])
+
+    def said(self, found) -> tuple[np.ndarray]:
+        """What a step's pictures say [V, 14]; found: (shot, its sums [14]) of each."""
+        sums = np.zeros_like(self.sums)
+        for shot, each in found:
+            sums[self.views.index(shot.view)] += each
+        return (sums,)
+
+    def learn(self, new: np.ndarray) -> None:
+        """Add the sums of a step's pictures, over all processes, and update the estimates."""
+        for k in np.flatnonzero(new[:, 13] > 0):
+            self.sums[k] = sums = KEEP * self.sums[k] + new[k]
+            pull = ALIKE_PIXELS * sums[12] / sums[13] / PRIOR**2 + 1e-9
+            told = np.linalg.solve(sums[:9].reshape(3, 3) + pull * np.eye(3), sums[9:12])
+            turn = self.turns[k] + FARTHER * (told - self.turns[k])
+            self.turns[k] = turn * min(1, FARTHEST / max(float(np.linalg.norm(turn)), FARTHEST))
+        known = self.sums[:, 13] > 0
+        if 2 * known.sum() > len(known):
+            self._hold(known)
+
+    def _hold(self, known: np.ndarray) -> None:
+        """Take the turn that the known cameras [V] share out of theirs; those that are turned much farther than others count less."""
+        turns = np.einsum("vji,vj->vi", self.axes[known], self.turns[known])
+        shared = np.median(turns, axis=0)
+        for _ in range(3):
+            weights = 1 / (1 + ((turns - shared) ** 2).sum(1) / PRIOR**2)
+            shared = np.average(turns, axis=0, weights=weights)
+        self.turns[known] -= self.axes[known] @ shared
+
+    def facts(self) -> dict:
+        """JSON values of what was found, empty where poses are right."""
+        if not self.differ:
+            return {}
+        return {"poses": {view: np.round(np.degrees(turn), 4).tolist() for view, turn in zip(self.views, self.turns)}}
+
+
+ARRAYS = ("turns", "sums")
+
+
+def shapes(views: int, awaited: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of Poses.state() by name, and of what it awaits of so many steps; all are float64."""
+    return {"turns": (views, 3), "sums": (views, 14), "awaited_sums": (awaited, views, 14)}
