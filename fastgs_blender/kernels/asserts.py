@@ -58,6 +58,11 @@ def agreement(picture, target, weight, least, background, gain, bias, sides) -> 
     shapes((gain, "3"), (bias, "3"), (target, "h w 3"), *((side.rgb, "h w 3") for side in sides or ()))
 
 
+def over(picture, background) -> None:
+    """TrainingBackend.over()."""
+    shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (background, "3"))
+
+
 def backward(picture, rgb, alpha, depth, into, statistics, seen) -> None:
     """TrainingBackend.backward()."""
     sums = () if statistics is None else (statistics.gradient, statistics.absolute, statistics.seen, statistics.radius)

@@ -3,8 +3,8 @@
 
 Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
 them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a
-training step but a few numbers, which end_step() need not wait for, and the pictures of steps that look at how cameras differ
-(training/core/evening.py).
+training step but what end_step() need not wait for: a few numbers, and the pictures of steps that refine poses
+(training/core/poses.py).
 
 Rendering and viewports use PictureBackend, which the oracle (rendering/oracle.py) implements too; training uses TrainingBackend.
 Same inputs, same bytes: on one device, for any number of threads, without atomic sums of floats.
@@ -186,6 +186,12 @@ class TrainingBackend(PictureBackend, Protocol):
         weight      [h, w], or None: 1
         least       [h, w, 3] bool, or None: nowhere
         background  [3] on the host, or None for black;  gain [3], bias [3]
+        """
+
+    def over(self, picture: Splatted, background: np.ndarray | None) -> tuple[Array, Array]:
+        """A picture [h, w, 3] over its background, and its alpha [h, w], as end_step() brings them back (training/core/poses.py).
+
+        background  [3] on the host, or None for black
         """
 
     def backward(self, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,

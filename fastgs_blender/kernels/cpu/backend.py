@@ -74,6 +74,7 @@ class CPU:
 
     compare = staticmethod(training.compare)
     agreement = staticmethod(training.agreement)
+    over = staticmethod(training.over)
     backward = staticmethod(training.backward)
 
     def rows(self, seen):

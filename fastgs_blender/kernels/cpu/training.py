@@ -79,6 +79,12 @@ def _over(picture: Splatted, background: np.ndarray | None) -> np.ndarray:
     return picture.rgb if background is None else picture.rgb + (1 - picture.alpha)[..., None] * background
 
 
+def over(picture: Splatted, background: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """TrainingBackend.over()."""
+    asserts.over(picture, background)
+    return _over(picture, background), picture.alpha
+
+
 def agreement(picture: Splatted, target: np.ndarray, weight, least, background, gain, bias, sides, apart, solid, outlier) -> np.ndarray:
     """TrainingBackend.agreement()."""
     asserts.agreement(picture, target, weight, least, background, gain, bias, sides)

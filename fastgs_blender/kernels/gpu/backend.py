@@ -129,6 +129,9 @@ class GPU(CPU):
     def agreement(self, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier):
         return training.agreement(self.device, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier)
 
+    def over(self, picture, background):
+        return training.over(self.device, picture, background)
+
     def backward(self, picture, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
         return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)
 

@@ -132,6 +132,12 @@ def _over(device: Device, picture: Splatted, background: np.ndarray | None, shap
     return whole, cover
 
 
+def over(device: Device, picture: Splatted, background: np.ndarray | None) -> tuple[Array, Array]:
+    """TrainingBackend.over()."""
+    asserts.over(picture, background)
+    return _over(device, picture, background, picture.rgb.shape)
+
+
 def agreement(device: Device, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background, gain, bias, sides,
               apart: float, solid: float, outlier: float) -> Array:
     """TrainingBackend.agreement()."""

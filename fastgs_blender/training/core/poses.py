@@ -107,13 +107,11 @@ class Poses:
         """The sums [14] over a shot's pixels that said() takes.
 
         target   a Target, whose camera made the picture
-        picture  [h, w, 3] and its alpha [h, w], as splat() gives them
+        picture  [h, w, 3] over its background, and alpha [h, w], as TrainingBackend.over() gives them
         """
         camera, (h, w) = target.camera, alpha.shape
         step = max(1, round(np.sqrt(h * w / LOOKED_AT)))
         y, x = np.ix_(np.arange(1, h - 1, step), np.arange(1, w - 1, step))
-        if target.background is not None:
-            picture = picture + (1 - alpha[..., None]) * target.background
         error = target.rgb[y, x] - picture[y, x]
         weight = (alpha[y, x] > SOLID)[..., None] / (1 + (error / OUTLIER) ** 2)
         if target.weight is not None:

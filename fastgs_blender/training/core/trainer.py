@@ -157,7 +157,7 @@ class Trainer:
         statistics = self.statistics if group.size == 1 else Statistics.empty(backend, n)
         seen, gradients, views = backend.zeros((n,)), None, []
         look, sums = self.evening.looks(i, s.iterations), []
-        posed, turned = self.poses.looks(i, s.iterations), []
+        posed, pictures = self.poses.looks(i, s.iterations), []
         for shot, goal, *arrays in self._targets(i):
             rgb, weight, least = arrays
             picture = backend.splat(self.optimiser.arrays, self.template, goal.camera, goal.t)
@@ -172,17 +172,17 @@ class Trainer:
                 sides = self._sides(goal) if self.evening.times(i, s.iterations) else None
                 sums.append((shot, self.evening.compared(backend, shot, picture, *arrays, goal.background, sides)))
             if posed:
-                turned.append((shot, self.poses.compared(shot, goal, backend.numpy(picture.rgb), backend.numpy(picture.alpha))))
+                pictures.append((shot, goal, backend.over(picture, goal.background)))
         values = [difference.values for *_, difference in views]
         if group.size > 1:
             gradients, seen, values = self._join(gradients, seen, values, statistics)
         rows = backend.rows(seen)
         penalty = self._penalise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
-        ending = backend.end_step(backend.count(rows), penalty, *values, *(array for _, array in sums))
+        told = [*(array for _, array in sums), *(array for *_, both in pictures for array in both)]
+        ending = backend.end_step(backend.count(rows), penalty, *values, *told)
+        ending = self.awaited_poses.listening(i, _looking(ending, self.poses, pictures), [shot for shot, *_ in pictures], group.total)
         ending = self.awaited.listening(i, ending, [shot for shot, _ in sums], group.total)
-        ending = _followed(ending, [found for _, found in turned])
-        ending = self.awaited_poses.listening(i, ending, [shot for shot, _ in turned], group.total)
         self.awaited.learn(i)
         self.awaited_poses.learn(i)
         if i + 1 < s.iterations:
@@ -291,11 +291,15 @@ class Trainer:
         self._begun.clear()
 
 
-def _followed(ending, more: list):
-    """What end_step() gives, with more values at its end."""
+def _looking(ending, poses: Poses, pictures: list):
+    """What end_step() gives, with Poses.compared() of the last arrays, which are those pictures with their alpha, in their place."""
     def end():
         values = ending()
-        return None if values is None else [*values, *more]
+        if values is None or not pictures:
+            return values
+        first = len(values) - 2 * len(pictures)
+        return [*values[:first], *(poses.compared(shot, goal, *values[first + 2 * k:first + 2 * k + 2])
+                                   for k, (shot, goal, _) in enumerate(pictures))]
 
     return end
 

@@ -68,8 +68,8 @@ def test_a_turn_is_found_from_the_slopes_of_one_picture():
         for shot in capture.training:
             camera = found.camera(shot.view, shot.camera)
             picture = backend.splat(arrays, truth, camera, 0.0)
-            goal = SimpleNamespace(camera=camera, rgb=store.pixels(shot).rgb, weight=None, least=None, background=None)
-            found.learn(*found.said([(shot, found.compared(shot, goal, picture.rgb, picture.alpha))]))
+            goal = SimpleNamespace(camera=camera, rgb=store.pixels(shot).rgb, weight=None, least=None)
+            found.learn(*found.said([(shot, found.compared(shot, goal, *backend.over(picture, None)))]))
     right = np.array([-WRONG.get(view, np.zeros(3)) for view in found.views])
     np.testing.assert_allclose(found.turns * FOCAL, right * FOCAL, atol=0.1)
 

@@ -231,9 +231,9 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
 
 def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkeypatch):
     """The same values and the same model as from steps that are waited for one by one, and from a run that is continued; cameras'
-    exposures and clocks are estimated meanwhile."""
+    exposures, clocks and poses are estimated meanwhile."""
     capture, store, points = toy_capture(frames=2, views=3)
-    chosen = settings.settings(iterations=14, preview_every=0, exposures="on", clocks="on", density="mcmc", densify_from=0.9)
+    chosen = settings.settings(iterations=14, preview_every=0, exposures="on", clocks="on", poses="on", density="mcmc", densify_from=0.9)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     model = replace(model, opacity=np.full(len(model), 4.0), scale=model.scale + 1)  # solid, so that exposures are compared
     slow, fast = (Trainer(capture, store, chosen, model, backend=f"gpu:{adapter.name}") for _ in range(2))
@@ -251,6 +251,7 @@ def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkey
     resumed.restore(*middle)
     assert [resumed.step() for _ in range(5)] == wanted[7:]
     assert middle[0]["evening.awaited_colour"].any() and slow.evening.colour.any(), "exposures were compared"
+    assert middle[0]["poses.awaited_sums"].any(), "poses were compared"
     for name, array in slow.state()[0].items():
         for other in (fast, resumed):
             assert np.array_equal(array, other.state()[0][name], equal_nan=True), name
