@@ -40,6 +40,8 @@ def wrapped(value):
         buffer = Buffer(())
         buffer._values = value
         return buffer
+    if isinstance(value, tuple):
+        return tuple(wrapped(each) for each in value)
     if isinstance(value, dict):
         return {key: wrapped(each) for key, each in value.items()}
     if isinstance(value, (Splatted, Comparison, Buffers)):
