@@ -4,10 +4,11 @@
     python benchmarks/make_capture.py --scene procedural --out captures/procedural --size 240x180 --cameras 18 --frames 24
     python benchmarks/ablation.py captures/procedural
 
-All runs on a capture have the same starting points, steps and most Gaussians.  Each row of a table gets the same search over the rate of
-its motion: three times as high or as low, and on in the direction that gains, judged by the moving pixels (masks) of the camera VALIDATION.
-The best rate is repeated with two more seeds, and measured in the camera TEST and in pictures that were trained on.  Results go into
-benchmarks/results/ablation.json as they come, and what is in there is not run again; --table prints the tables and draws ablation.png.
+All runs on a capture have the same starting points, steps and most Gaussians.  Each row of a table gets the same search over its RATES, one
+after the other: three times as high or as low, and on in the direction that gains, judged by the moving pixels (masks) of the camera
+VALIDATION.  The best rates are repeated with two more seeds, and measured in the camera TEST and in pictures that were trained on.  Results
+go into benchmarks/results/ablation.json as they come, and what is in there is not run again; --table prints the tables and draws
+ablation.png.
 """
 from __future__ import annotations
 
@@ -28,6 +29,8 @@ sys.path.insert(0, str(ROOT))
 RESULTS = ROOT / "benchmarks" / "results" / "ablation.json"
 
 SEEDS = (0, 1, 2)
+RATES = ("motion_rate", "position_rate")
+"""The settings that the search changes, in this order; the first one is that of a basis's coefficients."""
 STEP, MOST = 3.0, 27.0
 """Factor between two rates of the search, and the farthest factor on the default."""
 TEST, VALIDATION = "cam00", "cam06"
@@ -78,26 +81,33 @@ def main():
 
 
 def searched(capture: Path, common: dict, results: dict, path: Path, seeds: tuple[int, ...], row: dict) -> None:
-    """The search over one row's rate, and these seeds of the best one."""
+    """The search over one row's rates, and these seeds of the best ones."""
     from fastgs_blender.training.core.settings import settings as make
 
-    usual = make(**common, **{k: v for k, v in row.items() if k not in common}).motion_rate
+    usual = vars(make(**{**common, **row}))
 
-    def judged(factor: float, seed: int = SEEDS[0]) -> float:
-        settings = {**common, **row, "motion_rate": usual * factor, "seed": seed}
-        name = key(capture.name, row, factor, seed)
+    def judged(factors: dict[str, float], seed: int = SEEDS[0]) -> float:
+        settings = {**common, **row, **{rate: usual[rate] * factor for rate, factor in factors.items()}, "seed": seed}
+        name = key(capture.name, row, factors, seed)
         if results.get(name, {}).get("settings") != settings:
-            results[name] = {**launch(capture, settings), "factor": factor}
+            results[name] = {**launch(capture, settings), "factors": factors}
             write(path, results)
-            print(f"{name:70} {results[name]['validation']} {results[name]['seconds']:.0f} s", flush=True)
+            print(f"{name:90} {results[name]['validation']} {results[name]['seconds']:.0f} s", flush=True)
         return results[name]["validation"][1]
 
-    best = max((1.0, STEP), key=judged)
-    onward = STEP if best > 1 else 1 / STEP
-    while max(best * onward, 1 / (best * onward)) <= MOST and judged(best * onward) > judged(best):
-        best *= onward
+    found: dict[str, float] = {}
+    for rate in RATES:
+        def at(factor: float, rate=rate) -> float:
+            return judged({**found, rate: factor} if factor != 1 or not found else found)
+
+        best = max((1.0, STEP), key=at)
+        onward = STEP if best > 1 else 1 / STEP
+        while max(best * onward, 1 / (best * onward)) <= MOST and at(best * onward) > at(best):
+            best *= onward
+        if best != 1 or not found:
+            found[rate] = best
     for seed in seeds:
-        judged(best, seed)
+        judged(found, seed)
 
 
 def name_of(settings) -> str:
@@ -106,8 +116,12 @@ def name_of(settings) -> str:
         {"motion_weight": COMMON["motion_weight"], **settings}.items()))
 
 
-def key(capture: str, row: dict, factor: float, seed: int) -> str:
-    return f"{capture} | {name_of(row)} | motion_rate x {factor:.3g} | seed {seed}"
+def key(capture: str, row: dict, factors: dict[str, float], seed: int) -> str:
+    return f"{capture} | {name_of(row)} | {told(factors)} | seed {seed}"
+
+
+def told(factors: dict[str, float]) -> str:
+    return ", ".join(f"{rate} x {factor:.3g}" for rate, factor in factors.items())
 
 
 # One run, in a process of its own
@@ -202,8 +216,8 @@ def best_runs(results, capture: str, row: dict) -> list[dict]:
     runs = [run for name, run in results.items() if name.startswith(f"{capture} | {name_of(row)} | ")]
     if not runs:
         return []
-    best = max((run for run in runs if run["settings"]["seed"] == SEEDS[0]), key=lambda run: run["validation"][1])["factor"]
-    return [run for run in runs if run["factor"] == best]
+    best = max((run for run in runs if run["settings"]["seed"] == SEEDS[0]), key=lambda run: run["validation"][1])["factors"]
+    return [run for run in runs if run["factors"] == best]
 
 
 def show(results, picture: Path):
@@ -211,13 +225,13 @@ def show(results, picture: Path):
     captures = sorted({k.split(" | ")[0] for k in results}, reverse=True)
     for capture in captures:
         for title, rows in TABLES.items():
-            print(f"\n**{capture}: {title}**\n\n| | motion_rate x | test camera: whole, subject (dB) | pictures trained on | seeds |"
+            print(f"\n**{capture}: {title}**\n\n| | best rates | test camera: whole, subject (dB) | pictures trained on | seeds |"
                   "\n|---|---|---|---|---|")
             for label, row in rows.items():
                 runs = best_runs(results, capture, row)
                 if runs:
                     test, trained = (", ".join(spread([run[name][k] for run in runs]) for k in (0, 1)) for name in ("test", "training"))
-                    print(f"| {label} | {runs[0]['factor']:.2g} | {test} | {trained} | {len(runs)} |")
+                    print(f"| {label} | {told(runs[0]['factors'])} | {test} | {trained} | {len(runs)} |")
     if results:
         draw(results, captures, picture)
         print(f"\n{picture}")

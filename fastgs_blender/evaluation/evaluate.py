@@ -17,6 +17,7 @@ from ..cameras.camera import Camera
 from ..cameras.poses import turned
 from ..captures.capture import Capture, Shot
 from ..captures.pixels.store import FrameStore
+from ..captures.refined import refined
 from ..model.gaussians import GaussianModel
 from ..rendering import colour
 from ..rendering.api import render
@@ -62,11 +63,13 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     progress, out = listener(progress), None if out is None else file_path(out, "the folder of the pictures")
     if store is not None and not hasattr(store, "pixels"):
         raise FastGSError(f"pictures are given by a FrameStore, not by {shown(store)}.")
-    known = recorded(model)
-    fit_colours = "exposures" in evened(model) if fit_colours is None else fit_colours
+    known, differed = recorded(model), evened(model)
+    fit_colours = "exposures" in differed if fit_colours is None else fit_colours
+    given, capture = capture, refined(capture, differed.get("cameras", {}))
+    store = store if store is None or capture is given else store.of(capture)
     shots = chosen(capture, views, frames, known)
     store = _filled(FrameStore(capture, 0), shots) if store is None else store
-    turns = {view: np.radians(turn) for view, turn in evened(model).get("poses", {}).items()}
+    turns = {view: np.radians(turn) for view, turn in differed.get("poses", {}).items()}
     clock, notes = _clock(model, capture, beyond=frames is not None)
     times = {id(shot): t for shot in shots if (t := clock(shot)[0]) is not None}
     covered = [shot for shot in shots if id(shot) in times]
@@ -124,8 +127,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 progress(len(rows), len(covered), row)
     if fit_colours:
         notes.append(halves.NOTE)
-    if any(row["view"] in turns for row in rows):
-        notes.append("views that were trained on are shown from the poses that training refined")
+    if any(row["view"] in turns or row["view"] in differed.get("cameras", {}) for row in rows):
+        notes.append("views that were trained on are shown by the cameras that training refined")
     notes += _remarks(rows, known)
     seen, unseen = ([row for row in rows if row["trained_on"] is which] for which in (True, False))
     return {

@@ -25,8 +25,9 @@ class TrainingRecord:
 
 EVENED = "evened"
 """The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames}, "exposures"
-{view: {"gain": [3], "bias": [3], "fade": [3]}} and "poses" {view: [3], a rotation vector in degrees in the camera's axes}, each only where
-cameras differed; "fade" only where an exposure changed over the clip."""
+{view: {"gain": [3], "bias": [3], "fade": [3]}}, "cameras" {view: what was changed before training, as captures/refined.py takes it} and
+"poses" {view: [3], a rotation vector in degrees in the camera's axes, by which it was turned while training}, each only where cameras
+differed; "fade" only where an exposure changed over the clip."""
 
 
 def evened_entry(facts: dict) -> dict[str, str]:
@@ -45,11 +46,15 @@ def evened(model) -> dict:
         exposures = facts.get("exposures", {}).values()
         numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for values in _rows(each) for value in values)]
         turns = facts.get("poses", {}).values()
-        numbers += [value for turn in turns for value in turn]
-        shapes = [len(values) for values in (*(row for each in exposures for row in _rows(each)), *turns)]
+        changes = facts.get("cameras", {}).values()
+        vectors = [*turns, *(change[name] for change in changes for name in ("turn", "shift"))]
+        numbers += [value for vector in vectors for value in vector]
+        factors = [change["focal"] for change in changes]
+        shapes = [len(values) for values in (*(row for each in exposures for row in _rows(each)), *vectors)]
     except (KeyError, TypeError, AttributeError, ValueError):
         return {}
-    usable = all(type(value) in (int, float) and abs(value) <= MOST for value in numbers) and set(shapes) <= {3}
+    usable = all(type(value) in (int, float) and abs(value) <= MOST for value in numbers + factors) and set(shapes) <= {3}
+    usable = usable and all(value >= 1 / MOST for value in factors)
     return facts if usable else {}
 
 
@@ -70,9 +75,11 @@ def sentence(found: dict) -> str:
             f"{view} {value:.2f}" for view, value in sorted(middle.items(), key=lambda item: -abs(item[1] - 1))[:6]))
         if changing := [view for view, each in exposures.items() if "fade" in each]:
             parts.append(f"exposures change over the clip, and were evened: {', '.join(changing)}")
+    if changes := found.get("cameras"):
+        parts.append(f"the cameras of {len(changes)} views were refined before training")
     if turns := found.get("poses"):
         sizes = sorted(((sum(value**2 for value in turn) ** 0.5, view) for view, turn in turns.items()), reverse=True)
-        parts.append("poses were refined, by degrees: " + ", ".join(f"{view} {size:.2f}" for size, view in sizes[:6]))
+        parts.append("poses were refined while training, by degrees: " + ", ".join(f"{view} {size:.2f}" for size, view in sizes[:6]))
     return "; ".join(parts)
 
 

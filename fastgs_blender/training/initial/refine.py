@@ -7,7 +7,6 @@ Cameras that are held out are neither looked at nor changed: the prior keeps the
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
 
@@ -44,8 +43,8 @@ def refinement(capture: Capture, store, settings, path, begun: bool, say=print, 
     """What is to be changed in the cameras of a run, which the file `path` keeps: a resumed run changes the same.
 
     begun  the run has a checkpoint: without that file it goes on with the cameras that were given
-    Returns {"cameras": {view: {"turn": [3], "shift": [3], "focal": factor}}, "before": pixels, "after": pixels}, see refined(); no
-    cameras where these stay.  Raises FastGSError where the folder's file is damaged.
+    Returns {"cameras": {view: {"turn": [3], "shift": [3], "focal": factor}}, "before": pixels, "after": pixels}, see
+    captures/refined.py; no cameras where these stay.  Raises FastGSError where the folder's file is damaged.
     """
     if path.exists() and (known := kept(path, capture)) is not None:
         return known
@@ -78,29 +77,6 @@ def kept(path, capture) -> dict | None:
                              "focal": poses.number(entry["focal"], where, 0.5, 2.0)}
         return {"cameras": cameras, **{name: poses.number(values[name], f"{path}: {name}")
                                     for name in ("before", "after") if name in values}}
-
-
-def refined(capture: Capture, found: dict) -> Capture:
-    """The capture with its cameras changed: `turn`, a rotation vector in radians in the camera's axes; `shift`, a move of the camera in
-    the world; `focal`, a factor on its focal lengths.  The capture itself where nothing is to be changed."""
-    changes = found["cameras"]
-    if not changes:
-        return capture
-    shots = []
-    for shot in capture.shots:
-        change = changes.get(shot.view)
-        if change is not None and not shot.held_out:
-            pose, focal = np.array(shot.camera.world_to_camera), change["focal"]
-            centre = -pose[:3, :3].T @ pose[:3, 3] + change["shift"]
-            pose[:3, :3] = bundle.turned_by(pose[None, :3, :3], np.array([change["turn"]]))[0]
-            pose[:3, 3] = -pose[:3, :3] @ centre
-            camera, image = replace(shot.camera, fx=shot.camera.fx * focal, fy=shot.camera.fy * focal, world_to_camera=pose), shot.image
-            if image is not None and image.intrinsics is not None:  # a lens keeps its coefficients
-                lens = image.intrinsics
-                image = replace(image, intrinsics=lens._replace(fx=lens.fx * focal, fy=lens.fy * focal))
-            shot = replace(shot, camera=camera, image=image)
-        shots.append(shot)
-    return replace(capture, shots=shots)
 
 
 def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambda done, of: None) -> dict:

@@ -101,7 +101,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
     from .segments import joined_model, part
 
     reporter.status("preparing")
-    capture, store = _refined(capture, store, settings, out, group, reporter)
+    capture, store, cameras = _refined(capture, store, settings, out, group, reporter)
     group.first_does(lambda: reporter.fill(store, capture.shots))
     about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
              "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
@@ -119,21 +119,22 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
                                    backend))
         evened = training_record.evened(models[0])  # exposures stay, and clocks run on
         model = joined_model(models, cuts, capture.clip, {})
-    about |= training_record.evened_entry(evened)
+    about |= training_record.evened_entry(evened | ({"cameras": cameras} if cameras else {}))
     return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
 
 
 def _refined(capture, store, settings, out, group, reporter):
-    """Capture and store with cameras that fit the pictures; with those that were given where none fit clearly better."""
-    from ..initial.refine import refined, refinement
+    """Capture and store with cameras that fit the pictures, and what was changed; nothing where none fit clearly better."""
+    from ...captures.refined import refined
+    from ..initial.refine import refinement
 
     if settings.poses == "off":
-        return capture, store
+        return capture, store, {}
     begun = (out / CHECKPOINT).exists() or any((out / SEGMENTS).glob("*/*"))
     with reporter.stage("refining cameras", "picture") as report:
         found = group.share(group.first_does(lambda: refinement(capture, store, settings, out / REFINED, begun, reporter.say, report)))
-    better = refined(capture, found)
-    return (capture, store) if better is capture else (better, store.of(better))
+    better = refined(capture, found["cameras"])
+    return better, store if better is capture else store.of(better), found["cameras"]
 
 
 def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number, backend):

@@ -125,7 +125,8 @@ def test_everything_that_a_header_may_say(tmp_path):
     """What `fastgs info` shows of it, and what evaluation and training believe of it."""
     view = Viewpoint(width=640, height=360, fx=500.0, fy=500.0, cx=320.0, cy=180.0, position=(1.0, 2.0, 3.0), distance=4.0, name="first")
     around = Surroundings(Backdrop((0.5, 0.0, 1.0), 4.0), (view, replace(view, name="second")), view)
-    facts = {"clocks": {"a": 0.5}, "exposures": {"a": {"gain": [1.0, 1.1, 0.9], "bias": [0.0, 0.01, 0.0]}}}
+    facts = {"clocks": {"a": 0.5}, "exposures": {"a": {"gain": [1.0, 1.1, 0.9], "bias": [0.0, 0.01, 0.0]}},
+             "cameras": {"a": {"turn": [0.0, 0.01, 0.0], "shift": [0.0, 0.0, 0.1], "focal": 1.01}}}
     origin = {"settings": "{}", "trained_on": '{"views": ["a", "b"], "scale": 0.5}', **training_record.evened_entry(facts)}
     model = replace(random_model(np.random.default_rng(3), N, "keys", "smooth keys", "radial-window", "changing sh1"),
                     surroundings=around, provenance=origin)

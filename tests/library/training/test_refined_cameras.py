@@ -13,6 +13,7 @@ import fastgs_blender as fg
 from fastgs_blender.cameras.lens import Intrinsics, Lens
 from fastgs_blender.captures.capture import Capture, Shot
 from fastgs_blender.captures.generated import look_at
+from fastgs_blender.captures.refined import refined
 from fastgs_blender.captures.sources import Source
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.initial import bundle, refine
@@ -140,8 +141,8 @@ def test_a_run_keeps_what_was_found(tmp_path, monkeypatch):
     found = refine.refinement(capture, None, settings(), path, False, said.append)
     assert "8 refined" in said[0] and found["after"] < 0.3 and found["before"] > 0.8
     again = refine.refinement(capture, None, settings(), path, True, said.append)
-    assert again == found and pictures.asked == len(said) == 1
-    better = refine.refined(capture, again)
+    assert again == found and pictures.asked == len(said) == 1 and not found["cameras"].keys() & set(capture.held_out_views)
+    better = refined(capture, again["cameras"])
     for shot, camera in zip(better.shots, 2 * true):
         assert shot.camera.fx == pytest.approx(camera.fx, rel=0.3 * FOCAL)
         assert shot.image.intrinsics.fx / 500 == pytest.approx(shot.camera.fx / given[int(shot.view[3:])].fx)
@@ -160,10 +161,12 @@ def test_a_run_keeps_what_was_found(tmp_path, monkeypatch):
 def test_cameras_that_are_held_out_stay(tmp_path):
     capture = capture_of(arc(), held_out=(3,))
     change = {"turn": [0.01, 0, 0], "shift": [0, 0, 0.1], "focal": 1.01}
-    better = refine.refined(capture, {"cameras": dict.fromkeys(capture.views, change)})
+    better = refined(capture, {view: change for view in capture.views if view not in capture.held_out_views})
     for before, after in zip(capture.shots, better.shots):
         assert (after.camera is before.camera) == before.held_out
-    assert refine.refined(capture, refine.NOTHING) is capture
+    assert refined(capture, {}) is capture and refined(capture, {"of another capture": change}) is capture
+    blind = replace(capture, shots=[replace(shot, camera=None) for shot in capture.shots])
+    assert refined(blind, {"cam00": change}).shots == blind.shots
 
 
 @pytest.mark.parametrize("why", ["true", "moving", "two", "off", "begun", "model", "few"])

@@ -14,7 +14,7 @@ import fastgs_blender as fg
 from fastgs_blender.cameras.poses import turned
 from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.evaluation.evaluate import evaluate
-from fastgs_blender.evaluation.training_record import evened, sentence
+from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
 from fastgs_blender.training.core.poses import Poses
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.trainer import Trainer
@@ -146,3 +146,15 @@ def test_parallel_projections_and_single_cameras_are_left_alone():
     capture, *_ = cloud()
     flat = [replace(shot, camera=replace(shot.camera, orthographic=True)) for shot in capture.training]
     assert Poses.begun(flat, "on").setting == "off" and Poses.begun(capture.training[:1], "on").setting == "off"
+
+
+def test_evaluation_shows_trained_views_by_refined_cameras():
+    """The model is the truth, and its file says what training changed in a capture that believes something else."""
+    capture, store, _, truth = cloud()
+    change = {"turn": (-WRONG["cam03"]).tolist(), "shift": [0.0, 0.0, 0.0], "focal": 1.0}
+    told = replace(truth, provenance={**truth.provenance, **evened_entry({"cameras": {"cam03": change}})})
+    assert evened(told)["cameras"] == {"cam03": change} and "cameras of 1 views" in sentence(evened(told))
+    right, wrong = (evaluate(model, capture, store, views=["cam03"], lpips=False) for model in (told, truth))
+    assert (right["average"]["psnr"] or 99) > wrong["average"]["psnr"] + 20 and any("refined" in note for note in right["notes"])
+    for damage in ({"focal": 0.0}, {"focal": "1"}, {"turn": [0.0]}, {"shift": None}):
+        assert evened(replace(truth, provenance=evened_entry({"cameras": {"cam03": {**change, **damage}}}))) == {}
