@@ -275,7 +275,8 @@ def draw(results, captures, path: Path):
                 for value in match:
                     x = left + (wide - 110) * (value - low) / max(high - low, 1e-9)
                     pen.line((x, y + 2, x, y + line - 8), fill="black")
-                pen.text((end + 6, y), f"{match.mean():.2f} dB", "black")
+                farthest = left + (wide - 110) * (max(match.max(), match.mean()) - low) / max(high - low, 1e-9)
+                pen.text((farthest + 6, y), f"{match.mean():.2f} dB", "black")
         top += height
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing([path]) as (part,), part.open("wb") as file:
