@@ -115,9 +115,9 @@ def project_points(xyz) -> None:
     shapes((xyz, "p 3"))
 
 
-def sweep(image, others, depths) -> None:
+def sweep(image, others, planes) -> None:
     """TrainingBackend.sweep()."""
-    shapes((image, "h w 3"), (depths, "d"))
+    shapes((image, "h w 3"), (planes, "d 3"))
     for other, turn, shift in others:
         shapes((other, "a b 3"), (turn, "3 3"), (shift, "3"))
 

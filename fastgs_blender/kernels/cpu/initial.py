@@ -82,36 +82,36 @@ def among_leaves(points, count, leaf, best):
             best[row] = min(best[row], np.sqrt(near[:found].mean()))
 
 
-def sweep(image: np.ndarray, others, depths: np.ndarray, outside: float, reach: int) -> np.ndarray:
+def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: int) -> np.ndarray:
     """TrainingBackend.sweep()."""
-    asserts.sweep(image, others, depths)
-    costs = np.empty((len(others), len(depths), *image.shape[:2]), np.float32)
+    asserts.sweep(image, others, planes)
+    costs = np.empty((len(others), len(planes), *image.shape[:2]), np.float32)
     for cost, (other, turn, shift) in zip(costs, others):
-        differences(image, other, turn, shift, depths, np.float32(outside), cost)
+        differences(image, other, turn, shift, planes, np.float32(outside), cost)
         averaged(cost, reach, np.empty(image.shape[:2], np.float32))
     return costs
 
 
 @kernel
-def differences(image, other, turn, shift, depths, outside, out):
-    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface at each depth [D].
+def differences(image, other, turn, shift, planes, outside, out):
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface on each plane [D, 3].
 
-    turn [3, 3], shift [3]: the pixel (u, v) at depth z is seen by the other camera at turn @ (u, v, 1) z + shift (homogeneous).
-    outside: the difference where the other picture ends.
+    The pixel (u, v) has the inverse depth plane @ (u, v, 1); turn [3, 3], shift [3]: at depth z it is seen by the other camera at
+    turn @ (u, v, 1) z + shift (homogeneous).  outside: the difference where the other picture ends, or the plane lies behind a camera.
     """
     height, width = image.shape[:2]
     other_height, other_width = other.shape[:2]
-    for d in range(len(depths)):
-        z = depths[d]
+    for d in range(len(planes)):
         for i in range(height):
             for j in range(width):
                 u, v = j + 0.5, i + 0.5
-                w = (turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * z + shift[2]
+                near = planes[d, 0] * u + planes[d, 1] * v + planes[d, 2]
+                w = turn[2, 0] * u + turn[2, 1] * v + turn[2, 2] + shift[2] * near
                 out[d, i, j] = outside
-                if w <= 0:
+                if w <= 0 or near <= 0:
                     continue
-                x = ((turn[0, 0] * u + turn[0, 1] * v + turn[0, 2]) * z + shift[0]) / w - 0.5
-                y = ((turn[1, 0] * u + turn[1, 1] * v + turn[1, 2]) * z + shift[1]) / w - 0.5
+                x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] + shift[0] * near) / w - 0.5
+                y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] + shift[1] * near) / w - 0.5
                 if not (x >= 0 and y >= 0 and x < other_width - 1 and y < other_height - 1):
                     continue
                 a, b = int(x), int(y)

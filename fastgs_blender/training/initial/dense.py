@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting points over space and time from the pictures: triangulated features bound the scene, plane sweeps add its surfaces.
+"""Starting points over space and time from the pictures: triangulated features bound the scene, plane sweeps add its surfaces, once more
+along large planes.
 
 Points that look the same at other moments belong to all times; all others carry the moment at which they were found, and a velocity.
 """
@@ -17,7 +18,7 @@ from ...util.errors import FastGSError
 from ..core.evening import Evened, Evening
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
-from . import features, sweep
+from . import features, planes, sweep
 from .geometry import project, sample, visible
 from .neighbours import neighbour_distance
 from .velocity import in_motion
@@ -55,7 +56,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
-    of, done = len(some) + (3 if settings.start_motion else 2) * len(moments), count(1)
+    of, done = len(some) + (4 if settings.start_motion else 3) * len(moments), count(1)
 
     def tick():
         progress(next(done), of)
@@ -73,10 +74,16 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
     for shown in pictures:
         depths.append(sweep.swept(shown, near, far))
         tick()
+    witnesses = 2 if few else 3
+    known = [xyz for k in spread(range(len(moments)), FEATURE_MOMENTS) for xyz, _ in sweep.surfaces(pictures[k], depths[k], witnesses)]
+    large = planes.large(np.concatenate(known), settings.seed)
+    for k, shown in enumerate(pictures):
+        depths[k] = planes.laid(shown, depths[k], large, near, far)
+        tick()
     still, timed, swept = [], [], 0
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t))
-                  for xyz, rgb in sweep.surfaces(pictures[k], depths[k], 2 if few else 3)]
+                  for xyz, rgb in sweep.surfaces(pictures[k], depths[k], witnesses)]
         swept += sum(map(len, clouds))
         cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
         agree, against = votes(cloud, pictures[k], depths[k], few)

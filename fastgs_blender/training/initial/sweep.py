@@ -49,6 +49,12 @@ class Depths:
 def swept(pictures, near: float, far: float) -> list[Depths | None]:
     """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment; None for one without neighbours."""
     depths = 1 / np.linspace(1 / near, 1 / far, DEPTHS)
+    planes = np.stack([0 * depths, 0 * depths, 1 / depths], 1)
+    return for_each(pictures, near, far, lambda k, others: _depths(differences(pictures[k], others, planes), depths))
+
+
+def for_each(pictures, near: float, far: float, found) -> list[Depths | None]:
+    """found(k, the pictures that the k-th is compared with) of each picture of a moment, in threads; None for one without neighbours."""
     looking = np.array([camera.world_to_camera[2, :3] for _, camera, _ in pictures])
     centres = np.array([-c.world_to_camera[:3, :3].T @ c.world_to_camera[:3, 3] for _, c, _ in pictures])
     degrees = np.degrees(np.arccos(np.clip(looking @ looking.T, -1, 1)))
@@ -59,20 +65,25 @@ def swept(pictures, near: float, far: float) -> list[Depths | None]:
         angle = np.maximum(degrees[k], np.degrees(apart[k] / np.sqrt(near * far)))
         usable = (angle >= LEAST_ANGLE) & (degrees[k] <= MOST_ANGLE) & (apart[k] > 0)
         others = [i for i in np.lexsort((apart[k], degrees[k])) if usable[i]][:NEIGHBOURS]
-        return _depths(pictures[k], [pictures[i] for i in others], depths) if others else None
+        return found(k, [pictures[i] for i in others]) if others else None
 
     return threads.run(one, [(k,) for k in range(len(pictures))])
 
 
-def _depths(picture, others, depths) -> Depths:
+def differences(picture, others, planes: np.ndarray) -> np.ndarray:
+    """Differences of colour [D, h, w] between a picture and the better half of the others, were its surface on each plane [D, 3], by which
+    the pixel (u, v) has the inverse depth plane @ (u, v, 1)."""
     image, camera, _ = picture
     views = []
     for other, its, _ in others:
         between = its.world_to_camera @ np.linalg.inv(camera.world_to_camera)
         views.append((other, matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera)), matrix(its) @ between[:3, 3]))
-    costs = load_backend("cpu").sweep(image, views, depths, OUTSIDE, WINDOW)
+    costs = load_backend("cpu").sweep(image, views, planes, OUTSIDE, WINDOW)
     half = max(1, (len(others) + 1) // 2)
-    cost = np.partition(costs, half - 1, axis=0)[:half].mean(0)
+    return np.partition(costs, half - 1, axis=0)[:half].mean(0)
+
+
+def _depths(cost: np.ndarray, depths: np.ndarray) -> Depths:
     best = cost.argmin(0)
     least = np.take_along_axis(cost, best[None], 0)[0]
     # Between planes: the bottom of the parabola through three of them.
