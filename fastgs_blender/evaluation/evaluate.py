@@ -32,8 +32,9 @@ from .perceptual import Lpips, Unavailable
 from .pictures import comparison
 from .training_record import TrainingRecord, evened, recorded
 
-MEASURES = ("psnr", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
-"""What is measured of each frame, and averaged; None where a measure does not apply."""
+MEASURES = ("psnr", "psnr_right", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
+"""What is measured of each frame, and averaged; None where a measure does not apply.  psnr_right is that of the right half,
+where colours are fitted."""
 
 
 def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = None, *, views: Sequence[str] | None = None,
@@ -116,7 +117,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 picture = _judged(picture, truth, valid, fit_colours)
                 told = None if known is None else known.saw(view, clock(shot)[1], model.clip.frame_count)
                 row = {"view": view, "frame": shot.frame, "t": t, "trained_on": told,
-                       "milliseconds": round(1000 * spent, 3), **_measures(picture, truth, foreground, valid, perceptual, flip)}
+                       "milliseconds": round(1000 * spent, 3),
+                       **_measures(picture, truth, foreground, valid, perceptual, flip, fit_colours)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:
                     both = None if valid is None or before[3] is None else valid & before[3]
                     row["flicker"] = _finite(metrics.temporal_error(picture, before[1], truth, before[2], both))
@@ -270,9 +272,12 @@ def _judged(picture: np.ndarray, truth: np.ndarray, valid: np.ndarray | None, fi
 
 
 def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | None, valid: np.ndarray | None, perceptual: Any,
-              flip: Any) -> dict:
+              flip: Any, fitted: bool) -> dict:
     values = dict.fromkeys(MEASURES)
     values["psnr"] = metrics.psnr(picture, truth, valid)
+    if fitted:
+        values["psnr_right"] = metrics.psnr(*(None if image is None else image[:, halves.middle(picture):]
+                                              for image in (picture, truth, valid)))
     if foreground is not None:
         values["psnr_foreground"] = metrics.psnr(picture, truth, foreground)
     values["dssim1"], values["dssim2"] = metrics.dssim1(picture, truth, valid), metrics.dssim2(picture, truth, valid)

@@ -2,8 +2,9 @@
 """Evaluates a model whose training compensated for exposures: the exposure of a held-out camera is fitted on one half of each picture.
 
 As in NeRF in the Wild (Martin-Brualla et al. 2021, section 5), the appearance, here a gain and an offset for each channel, is fitted on one
-half of each picture and measured on the other one.  Both halves are measured so, each with the fit of the other: half a picture can be
-several dB easier than the whole, and could be compared with no other figure.  The fit is robust: where the model shows something else than
+half of each picture and measured on the other one.  They fit on the left half and measure the right one, and evaluate() gives that figure
+(psnr_right).  For all others both halves are measured, each with the fit of the other: half a picture can be several dB easier than the
+whole, so that its figure cannot be compared with that of a whole picture.  The fit is robust: where the model shows something else than
 the picture does, nothing is told of exposures, and plain least squares would make the gain too small.
 """
 from __future__ import annotations
@@ -26,13 +27,18 @@ def fitted(picture: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = N
 
     counts  [h, w], the pixels that are compared; None: all.  A half with too few of them changes nothing in the other
     """
-    middle = picture.shape[1] // 2
+    half = middle(picture)
     result = picture.copy()
-    for told, changed in ((np.s_[:, :middle], np.s_[:, middle:]), (np.s_[:, middle:], np.s_[:, :middle])):
+    for told, changed in ((np.s_[:, :half], np.s_[:, half:]), (np.s_[:, half:], np.s_[:, :half])):
         found = _fit(picture[told], truth[told], None if counts is None else np.asarray(counts)[told])
         if found:
             result[changed] = picture[changed] * found[0] + found[1]
     return result
+
+
+def middle(picture: np.ndarray) -> int:
+    """The first column of the right half of a picture [h, w, ...]."""
+    return picture.shape[1] // 2
 
 
 def _fit(picture: np.ndarray, truth: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, np.ndarray] | None:

@@ -14,6 +14,7 @@ import fastgs_blender as fg
 from fastgs_blender.evaluation import halves
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.metrics import psnr
+from fastgs_blender.evaluation.report import table
 from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
 from fastgs_blender.kernels.protocol import Splatted
 from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
@@ -208,7 +209,20 @@ def test_evaluation_fits_colours_of_such_a_model_and_says_so(uneven):
     result = evaluate(with_it.final_model({}), capture, store, lpips=False)
     assert result["fit_colours"] and halves.NOTE in result["notes"]
     assert result["average"]["psnr"] == pytest.approx(with_it.measure(capture.held_out)[0], abs=0.01)
-    assert not evaluate(without.final_model({}), capture, store, lpips=False)["fit_colours"]
+    plain = evaluate(without.final_model({}), capture, store, lpips=False)
+    assert not plain["fit_colours"] and plain["average"]["psnr_right"] is None
+
+
+def test_right_halves_are_measured_after_a_fit_on_left_ones(uneven):
+    with_it, _ = uneven
+    model, right = with_it.final_model({}), []
+    result = evaluate(model, with_it.capture, with_it.store, lpips=False)
+    for shot in with_it.capture.held_out:
+        picture, truth = fg.render(model, shot.camera, shot.t)["rgb"], with_it.store.pixels(shot).rgb
+        half = truth.shape[1] // 2
+        right.append(psnr(halves.fitted(picture, truth)[:, half:], truth[:, half:]))
+    assert result["average"]["psnr_right"] == pytest.approx(np.mean(right), abs=1e-3) != result["average"]["psnr"]
+    assert "right half" in table(result)
 
 
 def test_each_half_is_judged_by_a_fit_on_the_other_one():
