@@ -128,7 +128,7 @@ class Settings:
       checkpoint_seconds, log_every, preview_every (0: none)
     """
 
-    iterations: int = 10_000
+    iterations: int = 7000
     batch: int = 1
     seed: int = 0
     preset: str = "standard"
