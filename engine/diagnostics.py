@@ -10,7 +10,7 @@ import bpy
 
 from ..fastgs_blender import __version__
 from ..fastgs_blender.kernels.cpu import cache
-from ..fastgs_blender.util.errors import printable
+from ..fastgs_blender.util.errors import printable, printable_lines
 from ..fastgs_blender.util.threads import thread_count
 from ..scene import devices, objects, settings
 from . import compiling
@@ -35,7 +35,7 @@ def text() -> str:
             state = objects.error_of(obj) or f"{obj.fastgs.gaussian_count:,} Gaussians"
             lines.append(f'object "{obj.name}": {obj.fastgs.filepath}: {state}')
     lines += _stages()
-    return printable("\n".join([*lines, "log:", *(settings.recent.lines or ["(empty)"])]) + "\n")
+    return "\n".join([*map(printable, lines), "log:", *map(printable_lines, settings.recent.lines or ["(empty)"]), ""])
 
 
 def _version(name: str) -> str:

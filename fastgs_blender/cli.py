@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 from . import __version__
 from .commands import COMMANDS
 from .commands.shared import FAILED, PROBLEMS, STOPPED, complain, note
-from .util.errors import FastGSError, LossWarning, printable
+from .util.errors import FastGSError, LossWarning, printable_lines
 from .util.remarks import be_quiet
 
 EPILOG = f"""\
@@ -120,6 +120,6 @@ def _losses_as_remarks() -> Iterator[None]:
 
 def _tell(sentence: str, code: int, debug: bool) -> int:
     if debug:
-        sys.stderr.write(printable(traceback.format_exc()))
+        sys.stderr.write(printable_lines(traceback.format_exc()))
     complain(sentence)
     return code

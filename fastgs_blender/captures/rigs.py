@@ -121,7 +121,7 @@ def from_entries(
 
 def _name(view: str) -> str:
     """A view's name as it is shown, and asked for: printable, on one line."""
-    return printable(view).replace("\n", "\\n")
+    return printable(view)
 
 
 def _whole(offset: float) -> int:

@@ -10,7 +10,7 @@ import statistics
 import time
 
 from ..util.errors import FastGSError
-from .shared import add_backend, chosen_backend, image_size, print_json, use_threads
+from .shared import add_backend, chosen_backend, image_size, print_json, say, use_threads
 
 
 def add_arguments(parser):
@@ -41,13 +41,13 @@ def run(args):
     if args.json:
         print_json(result)
         return
-    print(f"{result['gaussians']} Gaussians, {size[0]} x {size[1]} pixels, {result['threads']} threads, backend {result['backend']}")
+    say(f"{result['gaussians']} Gaussians, {size[0]} x {size[1]} pixels, {result['threads']} threads, backend {result['backend']}")
     if "visible" in result:
-        print(f"{result['visible']} visible")
-    print(f"first frame {result['first_frame_ms']:.0f} ms\n")
+        say(f"{result['visible']} visible")
+    say(f"first frame {result['first_frame_ms']:.0f} ms")
     whole = result["milliseconds"]["whole frame"]
     for stage, value in result["milliseconds"].items():
-        print(f"{stage:<22}{value:9.1f} ms {100 * value / whole:6.0f} %")
+        say(f"{stage:<22}{value:9.1f} ms {100 * value / whole:6.0f} %")
 
 
 def synthetic(count: int):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
-from .shared import PROBLEMS, print_json, say, use_threads
+from .shared import PROBLEMS, print_json, say, say_table, use_threads
 
 STEPS = 1000
 """Parts of the whole that progress counts."""
@@ -51,8 +51,8 @@ def run(args):
     if args.json:
         print_json({**report.values(), "page": str(paths[0])})
     else:
-        say(report.text())
-        say(f"\nThe page with pictures: {paths[0]}")
+        say_table(f"{report.text()}\n")
+        say(f"The page with pictures: {paths[0]}")
     return PROBLEMS if report.bad else 0
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from ..util.errors import FastGSError, printable
 from ..util.progress import progress
 from ..util.screen import COLUMNS
-from .shared import add_backend, chosen_backend, human_bytes, model_file, note, print_json, say, use_threads
+from .shared import add_backend, chosen_backend, human_bytes, model_file, note, print_json, say_table, use_threads
 
 
 def add_arguments(parser):
@@ -84,9 +84,9 @@ def run(args):
     if args.json:
         print_json(result)
     else:
-        say(report.table(result))
+        say_table(report.table(result))
         for line in (facts(result), _files(out, result["files"])):
-            say("\n" + textwrap.fill(line, COLUMNS, break_long_words=False, break_on_hyphens=False))
+            say_table("\n" + textwrap.fill(printable(line), COLUMNS, break_long_words=False, break_on_hyphens=False))
 
 
 def _capture(args) -> tuple[str, str | None]:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.screen import screen
-from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say
+from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say, say_table
 
 CHUNK = 65_536
 LONG = 100
@@ -53,7 +53,7 @@ def run(args):
     if args.json:
         print_json(facts)
     else:
-        print(text(facts, args.all))
+        say_table(text(facts, args.all))
     return PROBLEMS if wrong else 0
 
 
@@ -66,10 +66,10 @@ def _devices(args):
         print_json(found)
         return 0
     for each in found["devices"]:
-        print(screen([(name, value) for name, value in (
+        say_table(screen([(name, value) for name, value in (
             ("device", each["name"]), ("kind", f"{each['kind']}, through {each['interface']}"), ("driver", each["driver"]),
             ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"))], True, 0))
-        print()
+        say("")
     say(f"--device auto means {found['auto'] or 'cpu'}." + (f"  {found['reason']}" if found["reason"] else ""))
     return 0
 

@@ -83,7 +83,6 @@ def run(args):
 
     out = Path(args.out)
     _make_folder(out)
-    images.remove_stale(out)
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}

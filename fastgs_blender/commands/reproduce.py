@@ -12,8 +12,8 @@ import json
 from pathlib import Path
 
 from ..training.core.presets import PRESETS
-from ..util.errors import FastGSError
-from .shared import add_device, note, print_json, say, use_threads
+from ..util.errors import FastGSError, printable
+from .shared import add_device, note, print_json, say_table, use_threads
 from .train import frames_slice
 
 DATA_SETS = ("n3v", "immersive", "technicolor")
@@ -51,7 +51,7 @@ def run(args):
     if args.json:
         print_json(rows)
     else:
-        say(table(rows))
+        say_table(table(rows))
 
 
 def _measured(args, protocol, part, out: Path) -> list[dict]:
@@ -94,11 +94,11 @@ def _measured(args, protocol, part, out: Path) -> list[dict]:
 
 def table(rows: list[dict]) -> str:
     """The rows for people: of each scene what was measured, and below what the paper prints."""
+    leads = [printable(f"{row['scene']} {row['view']}") for row in rows]
     names = [name for name in MEASURES if any(name in row[who] for row in rows for who in ("measured", "paper", "stg"))]
-    width = max(len("scene"), *(len(f"{row['scene']} {row['view']}") for row in rows)) + 2
+    width = max(len("scene"), *map(len, leads)) + 2
     lines = ["scene".ljust(width) + " " * 20 + "".join(f"{MEASURES[name][0]:>9}" for name in names)]
-    for row in rows:
-        lead = f"{row['scene']} {row['view']}"
+    for row, lead in zip(rows, leads, strict=True):
         for who, title in (("measured", "measured"), ("paper", "the paper"), ("stg", "STG, by the paper")):
             if row[who] or who == "measured":
                 cells = (f"{row[who][name]:{MEASURES[name][1]}}" if name in row[who] else "-" for name in names)

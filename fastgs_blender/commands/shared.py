@@ -83,6 +83,12 @@ def say(text: str):
     tell(text, sys.stdout)
 
 
+def say_table(text: str):
+    """Print a result of several lines; names from outside in it are printable() already, else they could add lines."""
+    for line in text.split("\n"):
+        say(line)
+
+
 def note(text: str):
     """Print a remark on standard error, unless the command is quiet: standard output is for results."""
     remark(f"fastgs: {text}")

@@ -13,7 +13,7 @@ from __future__ import annotations
 from ..util.errors import FastGSError
 from ..util.progress import progress
 from ..util.screen import screen
-from .shared import note, print_json, say, use_threads
+from .shared import note, print_json, say_table, use_threads
 
 
 def add_arguments(parser):
@@ -77,4 +77,4 @@ def run(args):
         spread = clocks.uncertainty.get(view)
         sure = "not found" if view in lost else "" if spread is None else f"+- {spread:.2f}"
         rows.append((view, f"{offset:+.2f} frames, {1000 * offset / fps:+.0f} ms  {sure}".rstrip()))
-    say(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))
+    say_table(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))

@@ -7,7 +7,7 @@ import io
 import json
 from pathlib import Path
 
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, printable
 from ..util.outputs import replacing
 from .evaluate import MEASURES
 
@@ -21,8 +21,8 @@ COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_right": ("right half", ".2f"), "psn
 def table(result: dict) -> str:
     """Every frame, then the averages of each view and of all; measures that no frame has are left out."""
     names = [name for name in MEASURES if result["average"][name] is not None]
-    rows = [(row["view"], str(row["frame"]), row) for row in result["rows"]]
-    averages = [(view, f"mean of {means['frames']}", means) for view, means in result["views"].items()]
+    rows = [(printable(row["view"]), str(row["frame"]), row) for row in result["rows"]]
+    averages = [(printable(view), f"mean of {means['frames']}", means) for view, means in result["views"].items()]
     if len(averages) > 1:
         averages.append(("all", f"mean of {result['average']['frames']}", result["average"]))
     averages += [(name, f"mean of {result[name]['frames']}", result[name]) for name in ("unseen", "seen") if name in result]

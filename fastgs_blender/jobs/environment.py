@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..util.errors import FastGSError
+from ..util.outputs import appending
+from ..util.reading import LARGEST_JSON, read_bytes
 
 NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm": "tqdm", "numpy": "numpy"}
 """Modules without which training does not run, and the packages that have them."""
@@ -140,7 +142,7 @@ class Maker:
             return False
         command = self._steps.pop(0)
         self.log.parent.mkdir(parents=True, exist_ok=True)
-        with self.log.open("ab") as out:
+        with appending(self.log) as out:
             out.write(f"$ {' '.join(command)}\n".encode())
             out.flush()
             try:
@@ -161,8 +163,8 @@ class Maker:
     def last_line(self) -> str:
         """The last line of the process' output."""
         try:
-            lines = self.log.read_text("utf-8", "replace").strip().splitlines()
-        except OSError:
+            lines = read_bytes(self.log, LARGEST_JSON).decode("utf-8", "replace").strip().splitlines()
+        except FastGSError:
             return ""
         errors = [line for line in lines if line.lower().startswith("error")] if self.failed else []
         return (errors or lines or [""])[-1][:200]

@@ -27,8 +27,8 @@ from typing import BinaryIO
 
 from ..training.run.files import CONSOLE, LOCK, RUN, STATUS
 from ..util import locks
-from ..util.errors import FastGSError, printable
-from ..util.outputs import replacing
+from ..util.errors import FastGSError, printable_lines
+from ..util.outputs import appending, replacing
 from ..util.reading import open_file
 from . import causes
 from .environment import environment
@@ -190,7 +190,7 @@ class Jobs:
         with contextlib.suppress(OSError, FastGSError), open_file(Path(job.out) / CONSOLE) as file:
             file.seek(0, os.SEEK_END)
             file.seek(max(min(job.console, file.tell()), file.tell() - limit))
-            return printable(file.read(limit).decode(errors="replace"))
+            return printable_lines(file.read(limit).decode(errors="replace"))
         return ""
 
     def command(self, job: Job, more=()) -> list[str]:
@@ -213,7 +213,7 @@ class Jobs:
                 out.mkdir(parents=True, exist_ok=True)
                 (out / STATUS).unlink(missing_ok=True)  # that of an earlier process says nothing about this one
                 self._file(job.id, ".stop").unlink(missing_ok=True)
-                console = (out / CONSOLE).open("ab")
+                console = appending(out / CONSOLE)
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error
                 raise FastGSError(f"{out}: the training job cannot write there ({reason}); choose another folder.") from error

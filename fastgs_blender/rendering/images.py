@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,6 @@ from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from . import colour
 from .passes import PASSES
-
-STALE = 600.0
-"""Seconds after which a file left aside belongs to nobody: writing a frame takes far less."""
 
 
 def write_png(path, image: dict, colour_space: str):
@@ -58,11 +54,3 @@ def _written_aside(path):
     except (FastGSError, OSError) as error:
         reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
         raise FastGSError(f"{path} could not be written: {reason}; free space on its disk or choose another folder.") from error
-
-
-def remove_stale(folder):
-    """Remove the half-written files that killed runs have left aside in a folder."""
-    for part in Path(folder).glob(".fastgs-*.tmp"):
-        with contextlib.suppress(OSError):
-            if time.time() - part.stat().st_mtime > STALE:
-                part.unlink()

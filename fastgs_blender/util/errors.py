@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """FastGSError, the one error that users see; LossWarning, the one warning; printable(), which both go through."""
+from __future__ import annotations
 
 
 def printable(text: object) -> str:
-    """The text with control characters and lone surrogates written as escapes: safe for a terminal, a log and Blender's reports.
+    """The text as one line: line ends, other control characters and lone surrogates are written as escapes.
 
-    Names of files and fields come from outside; an escape sequence in one must not reach the terminal, and UTF-8 has no surrogates.
+    It is safe for a terminal, a log and Blender's reports.  Names of files and fields come from outside: an escape sequence must not
+    reach the terminal, a line end must not begin a sentence of its own, and UTF-8 has no surrogates.
     """
-    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode("ascii") for c in str(text))
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
+
+
+def printable_lines(text: str) -> str:
+    """A text of several lines, such as a log, each printable(); tabs become spaces."""
+    return "\n".join(printable(line.expandtabs(4)) for line in text.split("\n"))
 
 
 class FastGSError(Exception):

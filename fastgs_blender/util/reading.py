@@ -8,6 +8,7 @@ Every reader of models, captures, cameras, checkpoints, job and status files goe
 """
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -19,6 +20,7 @@ from typing import Any, BinaryIO
 from .errors import FastGSError
 
 log = logging.getLogger(__name__)
+NOT_ORDINARY = "this is a pipe or a device, not an ordinary file; copy what it gives into a file first"
 LARGEST_JSON = 512 * 2**20
 """Bytes of the largest JSON file that is read."""
 DAMAGED = "the file is damaged or of another kind, so copy or export it again"
@@ -59,17 +61,27 @@ def open_file(path: str | os.PathLike) -> BinaryIO:
     A pipe or a device would make its reader wait for ever; opening it without blocking, and looking before reading, does not.
     """
     with reading(path):
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0))
-        try:
-            mode = os.fstat(handle).st_mode
-            if stat.S_ISDIR(mode):
-                raise FastGSError(f"{path}: this is a folder, not a file; give the name of a file in it.")
-            if not stat.S_ISREG(mode):
-                raise FastGSError(f"{path}: this is a pipe or a device, not an ordinary file; copy what it gives into a file first.")
-            return os.fdopen(handle, "rb")
-        except BaseException:
-            os.close(handle)
-            raise
+        return os.fdopen(regular_file(path, os.O_RDONLY | getattr(os, "O_BINARY", 0)), "rb")
+
+
+def regular_file(path: str | os.PathLike, flags: int) -> int:
+    """A handle of a regular file, opened with os.open()'s flags; raises FastGSError for anything else, and OSError."""
+    try:
+        handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0), 0o666)
+    except OSError as error:
+        if error.errno == errno.ENXIO:  # a pipe that nobody reads, opened to be written
+            raise FastGSError(f"{path}: {NOT_ORDINARY}.") from error
+        raise
+    try:
+        mode = os.fstat(handle).st_mode
+        if stat.S_ISDIR(mode):
+            raise FastGSError(f"{path}: this is a folder, not a file; give the name of a file in it.")
+        if not stat.S_ISREG(mode):
+            raise FastGSError(f"{path}: {NOT_ORDINARY}.")
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
 
 
 def read_bytes(path: str | os.PathLike, limit: int) -> bytes:

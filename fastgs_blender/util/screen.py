@@ -22,7 +22,7 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
     everything  all lines of all values; else what fits on a screen, and a last line that says how much is left out
     hidden      rows that the caller has left out already
     """
-    texts = [(printable(name).replace("\n", " "), str(value)) for name, value in rows]
+    texts = [(printable(name), str(value)) for name, value in rows]
     width = max((len(name) for name, _ in texts), default=0)
     lines: list[str] = []
     left_out = hidden
@@ -39,16 +39,14 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
 
 
 def tell(text: str, stream: TextIO) -> None:
-    """Print lines on a terminal, cut between words where they are wider than it; a file or a log gets each of them whole.
+    """Print one printable() line on a terminal, cut between words where it is wider; a file or a log gets it whole.
 
     $COLUMNS says how wide, else the terminal; words that are longer, such as paths, stay whole.
     """
-    width = _width(stream)
-    lines = printable(text).split("\n")
-    if width:
-        lines = [line if len(line) <= width else
-                 textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False) for line in lines]
-    print("\n".join(lines), file=stream, flush=True)
+    line, width = printable(text), _width(stream)
+    if 0 < width < len(line):
+        line = textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    print(line, file=stream, flush=True)
 
 
 def _width(stream: TextIO) -> int:
@@ -61,5 +59,4 @@ def _width(stream: TextIO) -> int:
 
 
 def _wrapped(value: str, width: int) -> list[str]:
-    return [part for line in printable(value).splitlines() or [""]
-            for part in textwrap.wrap(line, max(width, 20), break_long_words=False, break_on_hyphens=False, tabsize=4) or [""]]
+    return textwrap.wrap(printable(value), max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]

@@ -14,8 +14,9 @@ import numpy as np
 
 from ...fastgs_blender.jobs.job import Job
 from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
-from ...fastgs_blender.util.errors import FastGSError, printable
+from ...fastgs_blender.util.errors import FastGSError, printable_lines
 from ...fastgs_blender.util.identity import FileIdentity
+from ...fastgs_blender.util.reading import open_file
 
 PREVIEW, LOSS, LOG = "FAST-GS Training", "FAST-GS Training Loss", "FAST-GS Training Log"
 MOST_TEXT = 200_000
@@ -106,6 +107,6 @@ def _show_text(name, content: str):
 
 def _end_of(path: Path) -> str:
     """The last MOST_TEXT bytes of a file as text."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         file.seek(max(file.seek(0, os.SEEK_END) - MOST_TEXT, 0))
-        return printable(file.read(MOST_TEXT).decode("utf-8", "replace").replace("\r", "\n"))
+        return printable_lines(file.read(MOST_TEXT).decode("utf-8", "replace").replace("\r", "\n"))

@@ -24,7 +24,7 @@ from fastgs_blender.training.initial import calibrate, refine
 from fastgs_blender.training.run.files import REFINED, RUN, STATUS
 from fastgs_blender.training.run.plan import Plan, Source, read_plan
 from fastgs_blender.util import outputs
-from fastgs_blender.util.errors import FastGSError, printable
+from fastgs_blender.util.errors import FastGSError, printable_lines
 
 
 def test_the_plan_of_a_run(tmp_path):
@@ -38,7 +38,7 @@ def test_the_plan_of_a_run(tmp_path):
         assert plan.settings.iterations >= 1 and (plan.source.scale is None or 0 < plan.source.scale <= 1)
         facts = describe_run(folder)
         json.dumps(facts, allow_nan=False)
-        assert all(printable(text) == text for text in (run_text(facts, True), run_text(facts, False)))
+        assert all(printable_lines(text) == text for text in (run_text(facts, True), run_text(facts, False)))
 
     mutations.campaign("plan", read, {"run": seed}, tmp_path)
 
@@ -93,19 +93,22 @@ def test_journals(tmp_path):
     """A journal replaces and removes what it is of, and nothing else, whatever it says."""
     model = tmp_path / "made" / "m.pt"
     model.parent.mkdir()
-    aside = outputs._aside(model)
-    files = {"m.pt": b"old", "kept.txt": b"kept", aside.name: b"new"}
+    aside = ".fastgs-000000000000.tmp"
+    files = {"m.pt": b"old", "kept.txt": b"kept", f"{aside}/m.pt": b"new"}
     for name, content in files.items():
+        (model.parent / name).parent.mkdir(exist_ok=True)
         (model.parent / name).write_bytes(content)
     journal = outputs._journal(model)
-    steps = {"steps": [[aside.name, "m.pt", outputs._state(model)]], "leftovers": [aside.name]}
+    steps = {"steps": [["m.pt", "m.pt", outputs._state(model)]], "aside": aside, "undo": False}
     seed = {**files, journal.name: json.dumps(steps).encode()}
 
     def read(folder):
         work = tmp_path / "work"
         shutil.rmtree(work, ignore_errors=True)
         shutil.copytree(folder, work)
-        outputs.complete(work / "m.pt")
+        outputs.check_whole(work / "m.pt")
+        assert outputs._journal(work / "m.pt").exists() and (work / "m.pt").read_bytes() == b"old"
+        outputs.complete([work / "m.pt"])
         assert (work / "kept.txt").read_bytes() == b"kept" and (work / "m.pt").read_bytes() in (b"old", b"new")
         assert not outputs._journal(work / "m.pt").exists()
 

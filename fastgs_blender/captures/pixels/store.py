@@ -21,8 +21,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ...rendering.images import remove_stale
 from ...util.errors import FastGSError
+from ...util.outputs import remove_leftovers
 from ..capture import Capture, Shot
 from . import bounds, decoding, framefiles, undistortion
 from .checks import sentence
@@ -73,7 +73,7 @@ class FrameStore:
             os.utime(self.folder)
         except OSError as error:
             raise self._cannot_write(error) from error
-        remove_stale(self.folder)
+        remove_leftovers(self.folder)
         if folder is None:
             bounds.remove_unused(self.folder)
 

@@ -67,9 +67,3 @@ def write_aside(path: Path, write) -> None:
 def write_json(path: Path, values) -> None:
     """A small JSON file, all of it or what was there before."""
     write_aside(path, lambda part: part.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", "utf-8"))
-
-
-def remove_leftovers(folder) -> None:
-    """Remove the temporary files of killed runs from a folder; the caller holds the lock of the run, so that no other writes there."""
-    for part in Path(folder).glob(".fastgs-*.tmp"):
-        part.unlink(missing_ok=True)

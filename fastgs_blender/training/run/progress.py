@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ...util.errors import FastGSError
+from ...util.outputs import appending
 from ...util.progress import progress
 from ...util.reading import parse_json, read_bytes
 from . import barrier, checkpoint
@@ -84,7 +85,7 @@ class Reporter(Silent):
         self.quiet = quiet
         self.bar = progress(iterations, "step", "training", quiet=quiet, done=begin, rate=lambda: self.speed, clock=clock)
         self._drop_log_after(begin)
-        self.log = self._safely("the log", lambda: open(self.folder / LOG, "a", encoding="utf-8", buffering=1))  # noqa: SIM115
+        self.log = self._safely("the log", lambda: appending(self.folder / LOG, "a", encoding="utf-8", buffering=1))
         self.board = self._board()
 
     @property

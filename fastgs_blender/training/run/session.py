@@ -21,6 +21,7 @@ from ...formats.base import generator
 from ...kernels.protocol import DeviceError
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
+from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
 from ..core.settings import Settings
 from ..core.state import is_duration
@@ -51,7 +52,7 @@ def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, ove
     take(out)
     try:
         for folder in (out, *(out / SEGMENTS).glob("*")):
-            checkpoint.remove_leftovers(folder)
+            remove_leftovers(folder)
         return plans.begin(out, wanted, source, make, resume, overwrite)
     except BaseException:
         release(out)

@@ -18,7 +18,7 @@ from fastgs_blender.captures.describe import describe, text
 from fastgs_blender.captures.pixels import decoding, pictures, probe, video
 from fastgs_blender.captures.points import load_points
 from fastgs_blender.captures.sources import PICTURES, VIDEOS, Source
-from fastgs_blender.util.errors import FastGSError, printable
+from fastgs_blender.util.errors import FastGSError, printable_lines
 
 
 def check_capture(folder: Path, layout: str):
@@ -30,7 +30,7 @@ def check_capture(folder: Path, layout: str):
         shot.view.encode()
     found = describe(capture)
     json.dumps(found, allow_nan=False)
-    assert text(found) == printable(text(found))
+    assert text(found) == printable_lines(text(found))
     for shot in (capture.shots[0], capture.shots[-1]):
         for _, pixels in decoding.decode([shot], capture.scale):
             if isinstance(pixels, FastGSError):

@@ -21,7 +21,7 @@ from fastgs_blender.commands.info import describe, model_text
 from fastgs_blender.evaluation import training_record
 from fastgs_blender.formats import compressed_v2, torch_zip
 from fastgs_blender.model.surroundings import Backdrop, Surroundings, Viewpoint
-from fastgs_blender.util.errors import printable
+from fastgs_blender.util.errors import printable_lines
 
 N = 5
 pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
@@ -135,7 +135,7 @@ def test_everything_that_a_header_may_say(tmp_path):
     def read(folder):
         found = describe(folder / "m.safetensors")
         json.dumps(found, allow_nan=False)
-        assert all(printable(text) == text for text in (model_text(found, True), model_text(found, False)))
+        assert all(printable_lines(text) == text for text in (model_text(found, True), model_text(found, False)))
         with warnings.catch_warnings():
             model = fg.load(folder / "m.safetensors")
         known, evened = training_record.recorded(model), training_record.evened(model)

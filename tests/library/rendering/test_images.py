@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import time
 
 import numpy as np
 import OpenEXR
@@ -121,14 +120,3 @@ def test_a_folder_that_is_gone_is_one_sentence(picture, tmp_path, write):
     with pytest.raises(fg.FastGSError, match="could not be written") as error:
         write(path, picture[0], "srgb")
     assert str(path) in str(error.value)
-
-
-def test_what_killed_runs_left_aside_is_removed_but_not_what_is_in_use(tmp_path):
-    names = (".fastgs-1.tmp", ".fastgs-2.tmp", "a.png")
-    for name in names:
-        (tmp_path / name).touch()
-    long_ago = time.time() - 3600
-    for name in (names[0], names[2]):
-        os.utime(tmp_path / name, (long_ago, long_ago))
-    images.remove_stale(tmp_path)
-    assert sorted(os.listdir(tmp_path)) == [".fastgs-2.tmp", "a.png"]

@@ -363,9 +363,3 @@ def test_a_broken_checkpoint_is_told(tmp_path, content):
     (tmp_path / CHECKPOINT).write_bytes(content)
     with pytest.raises(fg.FastGSError, match="delete it"):
         checkpoint.load(tmp_path)
-
-
-def test_leftovers_go(tmp_path):
-    (tmp_path / ".fastgs-0011.tmp").write_bytes(b"half")
-    checkpoint.remove_leftovers(tmp_path)
-    assert not list(tmp_path.iterdir())

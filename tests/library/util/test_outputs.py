@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -13,9 +14,9 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.util import outputs
-from fastgs_blender.util.outputs import complete, replacing
+from fastgs_blender.util.outputs import check_whole, complete, remove_leftovers, replacing
 
-CALLS = ("replace", "unlink")
+CALLS = ("mkdir", "replace", "unlink", "rmdir")
 FILES = ("m.pt", "m.ply")
 JOURNAL = re.compile(r"\.fastgs-\w+\.journal")
 
@@ -27,7 +28,8 @@ def write_pair(folder, text: str) -> None:
 
 
 def pair(folder) -> set[str]:
-    complete(folder / FILES[-1])
+    """What the files hold when the next writer has completed what was begun."""
+    complete(folder / name for name in FILES)
     return {(folder / name).read_text() if (folder / name).exists() else "" for name in FILES}
 
 
@@ -55,7 +57,7 @@ def killed_at(step: int, work) -> bool:
 
 
 BETWEEN = 3
-"""The step between the two renames: before it the journal is renamed, its temporary file removed, the first file renamed."""
+"""The step between the two renames: before it the hidden folder is made, the journal renamed, the first file renamed."""
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the process that is killed is forked")
 
 
@@ -89,7 +91,7 @@ def test_a_kill_while_the_rest_is_done_is_survived_too(tmp_path):
         if not killed_at(BETWEEN, lambda folder=folder: write_pair(folder, "new")):
             raise AssertionError("there are fewer steps than this test thinks")
         assert {(folder / name).read_text() for name in FILES} == {"old", "new"}, "this is the moment that is tested"
-        hit = killed_at(step, lambda folder=folder: complete(folder / FILES[-1]))
+        hit = killed_at(step, lambda folder=folder: complete(folder / name for name in FILES))
         assert pair(folder) == {"new"}
         if not hit:
             assert step > 2
@@ -125,20 +127,26 @@ def test_a_kill_while_a_failure_is_undone_is_survived_too(tmp_path):
 
 @needs_fork
 @pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
-def test_a_model_and_its_decoder_stay_together(tmp_path, rng, make_model):
+def test_a_model_and_its_decoder_stay_together(tmp_path, rng, make_model, monkeypatch):
     kinds = {"basis": "cubic", "rotation_basis": "line", "temporal": "radial", "appearance": "sigmoid"}
     models = [make_model(rng, 5, **kinds), make_model(rng, 7, **kinds)]
+    told = []
+    monkeypatch.setattr(outputs, "PATIENCE", 0)
     for step in range(20):
         path = tmp_path / f"{step}" / "m.ply"
         path.parent.mkdir()
         fg.save(models[0], path)
         hit = killed_at(step, lambda path=path: fg.save(models[1], path))
-        loaded = fg.load(path)
+        try:
+            loaded = fg.load(path)
+        except fg.FastGSError as error:
+            told.append(str(error))
+            continue
         which = models[0] if len(loaded) == 5 else models[1]
         np.testing.assert_array_equal(loaded.appearance.w1, which.appearance.w1)
         np.testing.assert_array_equal(loaded.features, which.features)
         if not hit:
-            assert which is models[1] and step >= 3
+            assert which is models[1] and len(told) == 1 and "stopped halfway" in told[0] and "save it there again" in told[0]
             return
 
 
@@ -147,42 +155,160 @@ def test_what_was_changed_by_hand_meanwhile_stays(tmp_path):
     write_pair(tmp_path, "old")
     assert killed_at(BETWEEN, lambda: write_pair(tmp_path, "new"))
     (tmp_path / "m.ply").write_text("mine, and longer")
-    complete(tmp_path / "m.ply")
+    complete(tmp_path / name for name in FILES)
     assert (tmp_path / "m.ply").read_text() == "mine, and longer"
     assert sorted(os.listdir(tmp_path)) == sorted(FILES)
 
 
-@pytest.mark.parametrize("journal", [
-    "", "[]", "{", '{"steps": [[null, "../victim", null]], "leftovers": []}', '{"steps": [], "leftovers": ["../victim"]}',
-    '{"steps": [["victim", "m.ply", null]], "leftovers": []}', '{"steps": [[".fastgs-000000000000.tmp", "..", null]], "leftovers": []}',
-    '{"steps": [1], "leftovers": []}', '{"steps": [[null, "C:\\\\victim", null]], "leftovers": [3]}'])
-def test_a_journal_from_a_stranger_touches_nothing_else(tmp_path, journal):
+ASIDE = ".fastgs-000000000000.tmp"
+
+
+def journal(folder, *steps, aside=ASIDE, undo=False) -> Path:
+    """A journal of m.ply, beside a hidden folder with the file "new" in it."""
+    (folder / ASIDE).mkdir(parents=True, exist_ok=True)
+    (folder / ASIDE / "new").write_text("new")
+    path = outputs._journal(folder / "m.ply")
+    path.write_text(json.dumps({"steps": steps, "aside": aside, "undo": undo}))
+    return path
+
+
+def listing(folder) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("steps", [
+    ["new", "../victim"], ["../victim", "m.ply"], [None, "../victim"], [None, "victim"], ["new", "victim"], ["new", ".."], ["victim", ""],
+    [None, "C:\\victim"], [None, 3]])
+@pytest.mark.parametrize("aside", [ASIDE, "..", ".", "victim", 3, None])
+def test_a_journal_from_a_stranger_touches_nothing_else(tmp_path, steps, aside):
     folder = tmp_path / "folder"
     folder.mkdir()
-    for path in (tmp_path / "victim", folder / "victim", folder / ".fastgs-000000000000.tmp"):
+    for path in (tmp_path / "victim", folder / "victim", folder / "m.ply"):
         path.write_text("precious")
-    outputs._journal(folder / "m.ply").write_text(journal)
-    complete(folder / "m.ply")
-    assert (tmp_path / "victim").read_text() == (folder / "victim").read_text() == "precious"
-    assert sorted(os.listdir(folder)) == [".fastgs-000000000000.tmp", "victim"]
+    state = outputs._state(folder / "victim")
+    made = journal(folder, [*steps, state], [None, "m.ply", outputs._state(folder / "m.ply")], aside=aside)
+    before = listing(tmp_path)
+    check_whole(folder / "m.ply")
+    assert listing(tmp_path) == before, "reading changes nothing"
+    complete([folder / "m.ply"])
+    made_name = str(made.relative_to(tmp_path))
+    assert listing(tmp_path) == {name: text for name, text in before.items() if name != made_name}
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"steps": [1], "aside": 1, "undo": 2}', "[" * 5000])
+def test_a_damaged_journal_is_removed_by_who_writes(tmp_path, content):
+    made = outputs._journal(tmp_path / "m.ply")
+    made.write_text(content)
+    check_whole(tmp_path / "m.ply")
+    assert made.exists()
+    with replacing([tmp_path / "m.ply"]) as (part,):
+        part.write_text("new")
+    assert listing(tmp_path) == {"m.ply": "new"}
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owners there")
+@pytest.mark.parametrize("what", ["journal", "aside"])
+def test_a_journal_of_another_user_is_not_followed(tmp_path, monkeypatch, what):
+    (tmp_path / "m.ply").write_text("old")
+    made = journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    strange = {"journal": made, "aside": tmp_path / ASIDE}[what]
+    really = outputs._ours
+    monkeypatch.setattr(outputs, "_ours", lambda path: really(path) and path != strange)
+    complete([tmp_path / "m.ply"])
+    assert (tmp_path / "m.ply").read_text() == "old"
+
+
+def test_reading_waits_for_who_is_renaming(tmp_path, monkeypatch):
+    for name in FILES:
+        (tmp_path / name).write_text("old")
+    made = journal(tmp_path, ["gone", "m.pt", [0, 0]], ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    looks = []
+    monkeypatch.setattr(outputs.time, "sleep", lambda seconds: looks.append(seconds) or (len(looks) == 3 and made.unlink()))
+    check_whole(tmp_path / "m.ply")
+    assert len(looks) == 3 and (tmp_path / "m.ply").read_text() == "old"
 
 
 def test_a_rest_that_cannot_be_done_is_a_sentence(tmp_path, monkeypatch):
     (tmp_path / "m.ply").write_text("old")
-    part = tmp_path / ".fastgs-000000000000.tmp"
-    part.write_text("new")
-    step = [part.name, "m.ply", outputs._state(tmp_path / "m.ply")]
-    outputs._journal(tmp_path / "m.ply").write_text(json.dumps({"steps": [step], "leftovers": []}))
+    journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
 
     def refused(*_):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "replace", refused)
     with pytest.raises(fg.FastGSError, match="stopped halfway.*Permission denied.*writable"):
-        complete(tmp_path / "m.ply")
+        complete([tmp_path / "m.ply"])
     monkeypatch.undo()
-    complete(tmp_path / "m.ply")
-    assert os.listdir(tmp_path) == ["m.ply"] and (tmp_path / "m.ply").read_text() == "new"
+    complete([tmp_path / "m.ply"])
+    assert listing(tmp_path) == {"m.ply": "new"} and os.listdir(tmp_path) == ["m.ply"]
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from fastgs_blender.util.outputs import replacing
+from fastgs_blender.util.tensor_files import write_tensors
+with replacing([Path(sys.argv[1])]) as (part,):
+    write_tensors(part, {"a": np.zeros(1000, np.float32)}, {})
+    (part.parent / ".tmpAbCd").write_bytes(bytes(4000))  # of the library that writes
+    print("there", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path, monkeypatch):
+    killed, living = (subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path / name)], stdin=subprocess.PIPE,
+                                       stdout=subprocess.PIPE) for name in ("a.safetensors", "b.safetensors"))
+    with killed, living:
+        assert killed.stdout.readline() == living.stdout.readline() == b"there\n"
+        killed.kill()
+        killed.wait()
+        assert len(os.listdir(tmp_path)) == 2
+        monkeypatch.setattr(outputs, "_cleared", set())
+        with replacing([tmp_path / "c"]) as (part,):
+            part.write_text("c")
+        assert len(os.listdir(tmp_path)) == 2, "c, and what is being written"
+        living.communicate()
+    assert sorted(os.listdir(tmp_path)) == ["b.safetensors", "c"]
+
+
+def test_leftovers_of_others_stay(tmp_path, monkeypatch):
+    """Files whose writer may live, those that a journal needs, those of another user, and links."""
+    long_ago = outputs.time.time() - 2 * outputs.STALE
+    for name, age in ((".fastgs-1.tmp", None), (".fastgs-2.tmp", long_ago), ("a.png", long_ago)):
+        (tmp_path / name).touch()
+        if age:
+            os.utime(tmp_path / name, (age, age))
+    (tmp_path / "m.ply").write_text("old")
+    journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    (tmp_path / ASIDE / outputs.LOCK).touch()
+    (tmp_path / ".fastgs-111111111111.tmp").symlink_to(tmp_path / ASIDE)
+    remove_leftovers(tmp_path)
+    kept = {ASIDE, ".fastgs-1.tmp", ".fastgs-111111111111.tmp", "a.png", "m.ply"}
+    assert {name for name in os.listdir(tmp_path) if not JOURNAL.fullmatch(name)} == kept
+    outputs._journal(tmp_path / "m.ply").unlink()
+    monkeypatch.setattr(outputs, "_ours", lambda path: False)
+    remove_leftovers(tmp_path)
+    assert (tmp_path / ASIDE).exists()
+    monkeypatch.undo()
+    remove_leftovers(tmp_path)
+    assert not (tmp_path / ASIDE).exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
+def test_a_pipe_is_not_appended_to(tmp_path):
+    os.mkfifo(tmp_path / "log")
+    with pytest.raises(fg.FastGSError, match="pipe"):
+        outputs.appending(tmp_path / "log")
+    reader = os.open(tmp_path / "log", os.O_RDONLY | os.O_NONBLOCK)
+    with pytest.raises(fg.FastGSError, match="pipe"):
+        outputs.appending(tmp_path / "log")
+    os.close(reader)
+    for _ in range(2):
+        with outputs.appending(tmp_path / "text", "a", encoding="utf-8") as file:
+            file.write("é")
+    assert (tmp_path / "text").read_text("utf-8") == "éé"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")

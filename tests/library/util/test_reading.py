@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from fastgs_blender.util.errors import FastGSError, printable
+from fastgs_blender.util.errors import FastGSError, printable, printable_lines
 from fastgs_blender.util.reading import open_file, read_bytes, read_json, reading
 
 
@@ -59,5 +59,6 @@ def test_no_more_is_read_than_allowed(tmp_path):
 
 
 def test_messages_hold_nothing_that_a_terminal_obeys_or_utf8_lacks():
-    assert printable("a\x1b[31mb\udcff é 漢\n") == "a\\x1b[31mb\\udcff é 漢\n"
+    assert printable("a\x1b[31mb\udcff é 漢\n\t") == "a\\x1b[31mb\\udcff é 漢\\n\\t"
+    assert printable_lines("a\tb\n\rc\u202e") == "a   b\n\\rc\\u202e"
     assert str(FastGSError("x\x07\ud800")).encode() == b"x\\x07\\ud800"
