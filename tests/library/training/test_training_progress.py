@@ -2,8 +2,10 @@
 """The time left, in status.json and on the terminal: from the pace of steps, not from the compiling before them."""
 import io
 import json
+import os
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fastgs_blender.jobs.job import read_status
@@ -42,6 +44,19 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch)
     assert f"<{3 * steps // 60:02d}:{3 * steps % 60:02d}" in str(reporter.bar.bar)
     assert reporter.elapsed == pytest.approx(7 * begin + 90 + 378), "what has passed is told in full"
     reporter.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
+@pytest.mark.parametrize("name", [progress.LOG, progress.STATUS, progress.PLOT])
+def test_a_pipe_in_the_folder_does_not_stop_a_run(tmp_path, clock, capsys, name):
+    os.mkfifo(tmp_path / name)
+    reporter = progress.Reporter(tmp_path, 100, begin=2, log_every=1, clock=lambda: clock.now)
+    for iteration in (3, 4, 5):
+        reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
+    reporter.preview(5, np.zeros((2, 2, 3)), {})
+    reporter.close()
+    assert "could not be written" in capsys.readouterr().err
+    assert (tmp_path / name).is_fifo() and (tmp_path / progress.STATUS).exists()
 
 
 def test_plain_lines_where_nobody_looks(tmp_path, clock, capsys):

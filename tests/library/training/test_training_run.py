@@ -223,7 +223,7 @@ def test_a_folder_in_training_is_locked(files, tmp_path, barrier, monkeypatch):
     try:
         barrier.wait(lambda: process.poll() is None)
         before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-        assert any(path.name.startswith(".fastgs-") for path in before), "the first trainer is writing a checkpoint"
+        assert any(path.parent.name.startswith(".fastgs-") for path in before), "the first trainer is writing a checkpoint"
         for choice in ("--resume", "--overwrite"):
             second = fastgs(*arguments(files, out, choice))
             assert second.returncode == 2 and "another process is training in this folder" in second.stderr
