@@ -55,13 +55,14 @@ def _stages() -> list[str]:
 
 
 def _gpus() -> str:
-    """The GPUs of this machine on one line, each with the result of its self-test."""
+    """The GPUs of this machine on one line, each with the result of its self-test, and which one `auto` means."""
     known = devices.found()
     if known is None:
         return "not looked for yet"
     said = {None: "not tested", "": "passed"}
-    return ", ".join(f"{each['name']} ({each['interface']}, {each['driver']}): {said.get(each['self_test'], each['self_test'])}"
-                     for each in known["devices"]) or known["reason"]
+    each = [f"{each['name']} ({each['interface']}, {each['driver']}): {said.get(each['self_test'], each['self_test'])}"
+            for each in known["devices"]]
+    return ", ".join([*each, f"automatic: {known['reason']}"])
 
 
 def _graphics() -> str:

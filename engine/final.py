@@ -86,7 +86,7 @@ def _render_layer(engine, depsgraph):
 
 
 def _backend(engine, device: str, status) -> str:
-    """The name of the backend that renders; says in a line why it is not the GPU that was asked for."""
+    """The name of the backend that renders; says in a line which `auto` has taken and why, or why it is not the GPU that was asked for."""
     if device == "cpu":
         return "auto"
     name, remark = worker.run(lambda progress: devices.backend(device, progress), engine.test_break,

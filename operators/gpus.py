@@ -8,7 +8,7 @@ from ..scene import devices, settings
 
 
 class FASTGS_OT_test_gpus(bpy.types.Operator):
-    """Let each GPU compute small pictures and gradients, and compare them with the processor's. Blender stays usable meanwhile"""
+    """Compare small pictures and gradients of each GPU with the processor's, and take the time of both. Blender stays usable meanwhile"""
 
     bl_idname = "fastgs.test_gpus"
     bl_label = "Test"
@@ -36,7 +36,7 @@ class FASTGS_OT_use_gpu(bpy.types.Operator):
     bl_idname = "fastgs.use_gpu"
     bl_label = "Use This GPU"
 
-    name: bpy.props.StringProperty(name="Name", description="Of the GPU; empty for the first that has passed its self-test")
+    name: bpy.props.StringProperty(name="Name", description="Of the GPU; empty for one that is faster than the processor")
 
     @classmethod
     def poll(cls, context):

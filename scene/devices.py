@@ -13,6 +13,7 @@ import bpy
 
 from ..fastgs_blender.jobs.examination import Examination
 from ..fastgs_blender.util import backends
+from ..fastgs_blender.util.verdicts import Verdict, read_verdict
 from . import settings
 
 EVERY = 0.2
@@ -88,7 +89,7 @@ def _examine(part: str, again: bool = False) -> Examination:
 
 
 def backend(device: str, progress: Callable[[float], None] | None = None) -> tuple[str, str]:
-    """(the backend's name, why it is not the GPU's or "") of a device as wanted() gives it.
+    """(the backend's name, why this one or "") of a device as wanted() gives it.
 
     progress  called again and again while the GPU is being tested, which it is where that has not been done; what it raises passes
               through.  None: what has not been tested is not used
@@ -106,7 +107,7 @@ def backend(device: str, progress: Callable[[float], None] | None = None) -> tup
         return "auto", str(error).removesuffix("; use the device cpu.").rstrip(".") + ": the CPU is used."
 
 
-def _verdict_of(adapter, progress) -> str | None:
+def _verdict_of(adapter, progress) -> Verdict | None:
     """The verdict of a test of one adapter."""
     verdict = running = None
     for _ in range(2):  # one that is under way may be another's
@@ -115,10 +116,11 @@ def _verdict_of(adapter, progress) -> str | None:
         while not running.wait(EVERY):
             progress(0.0)
         told = running.found["devices"] if running.found else ()
-        verdict = next((each["self_test"] for each in told if (each["name"], each["driver"]) == (adapter.name, adapter.driver)), None)
+        verdict = next((read_verdict(each) for each in told
+                        if (each["name"], each["driver"]) == (adapter.name, adapter.driver)), None)
         if verdict is not None:
             return verdict
-    return running.trouble.rstrip(".") or None
+    return Verdict(running.trouble.rstrip(".")) if running.trouble else None
 
 
 def _begin_to_watch():

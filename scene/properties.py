@@ -206,7 +206,7 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         name="Device", description="What computes final pictures and trains models; viewports are drawn by the graphics card in any case",
         items=(
             ('CPU', "CPU", "The processor: the same picture on every machine, to the last bit", 0),
-            ('GPU', "GPU", "The graphics card that the preferences name, if it has passed its self-test; else the processor", 1),
+            ('GPU', "GPU", "The GPU that the preferences name. Automatic is one that is faster than the processor, else the processor", 1),
         ), default='GPU')
     depth: EnumProperty(
         name="Depth",

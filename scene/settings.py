@@ -20,7 +20,7 @@ BLEND_RELATIVE = {'PATH_SUPPORTS_BLEND_RELATIVE'} if bpy.app.version >= (4, 5, 0
 threads = 0
 """Threads for rendering where the scene does not say; 0: all processors."""
 gpu = ""
-"""The name of the GPU that scenes with the device GPU use; empty: the first that has passed its self-test."""
+"""The name of the GPU that scenes with the device GPU use; empty: `auto`, a GPU that is faster than the processor."""
 
 
 class RecentLines(logging.Handler):

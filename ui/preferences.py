@@ -7,9 +7,10 @@ import bpy
 from ..engine import compiling
 from ..fastgs_blender.kernels.cpu import cache
 from ..fastgs_blender.util.threads import available
+from ..fastgs_blender.util.verdicts import read_verdict
 from ..scene import devices, settings
 from ..scene.training import installation
-from .object_panels import draw_rows
+from .object_panels import draw_rows, draw_trouble
 
 
 def _apply(self, context):
@@ -22,7 +23,7 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
     bl_idname = settings.EXTENSION
 
     gpu: bpy.props.StringProperty(
-        name="GPU", description="The GPU that scenes with the device GPU use; empty for the first that has passed its self-test",
+        name="GPU", description="The GPU that scenes with the device GPU use; empty for one that is faster than the processor",
         update=_apply)
     threads: bpy.props.IntProperty(
         name="Threads", description="Threads for rendering where the scene does not fix their number; 0 takes all processors",
@@ -53,7 +54,7 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         layout.use_property_decorate = False
 
         col = headed(layout, "Rendering")
-        draw_gpus(col, self.gpu)
+        draw_gpus(col, context, self.gpu)
         col.prop(self, "threads")
         if not self.threads:
             draw_rows(col, [("", f"all: {available()} on this machine")])
@@ -90,17 +91,17 @@ def headed(layout, heading: str):
     return col
 
 
-def draw_gpus(layout, chosen: str):
+def draw_gpus(layout, context, chosen: str):
     """Draw the GPUs with what their self-test said, of which one is chosen, and the button that tests them."""
     known = devices.found()
     box = layout.column(align=True)
     if known is None:
         draw_rows(box, [("GPU", "being looked for")])
         return
-    auto = known["auto"] or "none yet: the processor is used"
-    draw_gpu(box, "", f"Automatic ({auto})", not chosen)
+    draw_gpu(box, "", f"Automatic ({known['auto'] or 'the processor'})", not chosen)
+    draw_trouble(box, context, known["reason"], 'INFO')
     for each in known["devices"]:
-        draw_gpu(box, each["name"], f"{each['name']}: {each['kind']}, {verdict(each['self_test'])}", each["name"] == chosen)
+        draw_gpu(box, each["name"], f"{each['name']}: {each['kind']}, {verdict(each)}", each["name"] == chosen)
     if chosen and chosen not in [each["name"] for each in known["devices"]]:
         draw_gpu(box, chosen, f"{chosen}: not there now, the processor is used", True)
     if line := devices.line():
@@ -115,9 +116,17 @@ def draw_gpu(layout, name: str, text: str, chosen: bool):
     layout.operator("fastgs.use_gpu", text=text, icon='RADIOBUT_ON' if chosen else 'RADIOBUT_OFF').name = name
 
 
-def verdict(wrong: str | None) -> str:
-    """What a self-test said, in few words."""
-    return "not tested yet" if wrong is None else f"failed its self-test: {wrong}" if wrong else "passed its self-test"
+def verdict(device: dict) -> str:
+    """What the self-test of a GPU said, in few words; device is one of devices.found()."""
+    found = read_verdict(device)
+    if found is None:
+        return "not tested yet"
+    if found.fault:
+        return f"failed its self-test: {found.fault}"
+    if found.frame is None or found.step is None:
+        return "passed its self-test"
+    frame, step = (processor / gpu for gpu, processor in (found.frame, found.step))
+    return f"passed its self-test; the processor's speed x {frame:.2g} (frames), x {step:.2g} (training)"
 
 
 def kernel_state() -> str:

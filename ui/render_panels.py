@@ -35,7 +35,7 @@ def draw_unshown(layout, context):
 
 
 def draw_device(layout, context):
-    """Draw which device renders and trains, and why it is not the GPU."""
+    """Draw which device renders and trains, and why."""
     layout.prop(context.scene.fastgs, "device")
     if context.scene.fastgs.device == 'CPU':
         return
@@ -43,10 +43,10 @@ def draw_device(layout, context):
         draw_rows(layout, [("GPU", devices.line() or "being looked for")])
         return
     name, remark = devices.backend(devices.wanted(context.scene))
+    if name != "auto":
+        draw_rows(layout, [("GPU", describe_backend(name))])
     if remark:
         draw_trouble(layout.column(align=True), context, remark, 'INFO')
-    else:
-        draw_rows(layout, [("GPU", describe_backend(name))])
 
 
 def draw_threads(layout, render):

@@ -9,7 +9,8 @@ It shows one screen; --all shows the rest: constants of the rasteriser, where th
 for scripts.  The exit code is 1 where something is wrong with a capture or a run.
 
 --devices lists the GPUs instead: how they are reached, their drivers, the largest array that each holds (WebGPU does not say how much
-memory there is), and what the self-test said, which compares small pictures with the processor's.
+memory there is), and what the self-test said: it compares small pictures with the processor's, and takes the time of a frame and of a
+training step on both.  --device auto takes a GPU that is faster in both, and otherwise the processor.
 """
 from __future__ import annotations
 
@@ -60,17 +61,20 @@ def run(args):
 def _devices(args):
     """List the GPUs."""
     from ..util.backends import describe_devices
+    from ..util.verdicts import read_verdict
 
     found = describe_devices(args.device, again=args.again, tell=note)
     if args.json:
         print_json(found)
         return 0
     for each in found["devices"]:
+        verdict = read_verdict(each)
         say_table(screen([(name, value) for name, value in (
             ("device", each["name"]), ("kind", f"{each['kind']}, through {each['interface']}"), ("driver", each["driver"]),
-            ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"))], True, 0))
+            ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"),
+            *([("pace", verdict.pace)] if verdict and verdict.pace else []))], True, 0))
         say("")
-    say(f"--device auto means {found['auto'] or 'cpu'}." + (f"  {found['reason']}" if found["reason"] else ""))
+    say(f"--device auto means {found['auto'] or 'cpu'}.  {found['reason']}")
     return 0
 
 

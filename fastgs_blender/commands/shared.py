@@ -18,8 +18,9 @@ PROBLEMS, FAILED, STOPPED = 1, 2, 130
 
 def add_device(parser):
     """--device; its default is $FASTGS_DEVICE, or auto."""
-    parser.add_argument("--device", metavar="NAME", help="auto (default: a GPU that has "
-                        "passed its self-test, else the processor), cpu, gpu, or a part of a GPU's name; fastgs info --devices lists them")
+    parser.add_argument("--device", metavar="NAME", help="auto (default: a GPU that is faster than "
+                        "the processor in its self-test, else the processor), cpu, gpu, or a part of a GPU's name; fastgs info --devices "
+                        "lists them")
 
 
 def add_backend(parser):
@@ -31,7 +32,7 @@ def add_backend(parser):
 
 
 def chosen_backend(args) -> str:
-    """The backend that --device and --backend mean; says in a line where a GPU was asked for and is not used."""
+    """The backend that --device and --backend mean; says in a line what auto has taken, or why a GPU is not used."""
     if getattr(args, "backend", "auto") != "auto":
         return args.backend
     from ..util.backends import choose_device

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 from .errors import FastGSError
 from .threads import thread_count
+from .verdicts import Verdict
 
 MODULES = {"cpu": "kernels.cpu.backend", "reference": "rendering.oracle", "gpu": "kernels.gpu.backend"}
 """The module of each backend, relative to this library: its BACKEND is the backend.  A module that offers several has named(part) instead,
@@ -48,12 +49,14 @@ def load_backend(name: str = "auto"):
     return loaded[name]
 
 
-def choose_device(device: str | None = None, examine: Callable[..., str | None] | None = None) -> tuple[str, str]:
-    """(the name of the backend, a remark or "") of a device: auto (a GPU that has passed its self-test, else the CPU), cpu, gpu, or a part
-    of a GPU's name; None: $FASTGS_DEVICE, or auto.  The remark says why the CPU is used.  Raises FastGSError where there is no such device.
+def choose_device(device: str | None = None, examine: Callable[..., Verdict | None] | None = None) -> tuple[str, str]:
+    """(the name of the backend, a remark or "") of a device: auto, cpu, gpu, or a part of a GPU's name; None: $FASTGS_DEVICE, or auto.
 
-    examine  (adapter) -> what is wrong with it, "", or None where it has not been tested.  Without it: a self-test here, where that has
-             not been done (kernels/gpu/choice.py)
+    auto is a GPU that has passed its self-test and was faster than the CPU there, else the CPU.  The remark says which auto has taken
+    and why, and why a GPU that was named is not used.  Raises FastGSError where there is no such device.
+
+    examine  (adapter) -> its Verdict, None where it has not been tested.  Without it: a self-test here, where that has not been done
+             (kernels/gpu/choice.py)
     """
     device = device or os.environ.get("FASTGS_DEVICE") or "auto"
     if device == "cpu":
@@ -66,7 +69,7 @@ def choose_device(device: str | None = None, examine: Callable[..., str | None] 
 
 
 def describe_devices(part: str = "", test: bool = True, again: bool = False, tell: Callable[[str], None] = lambda text: None) -> dict:
-    """The GPUs whose name holds a text, as JSON values; "auto": the name of the one that `auto` means, or None and the "reason".
+    """The GPUs whose name holds a text, as JSON values; "auto": the name of the one that `auto` means, or None; the "reason".
 
     test   test those that have not been; else their verdict is None.  again: test the others once more
     tell   is told which GPU is being tested
@@ -74,8 +77,8 @@ def describe_devices(part: str = "", test: bool = True, again: bool = False, tel
     return _module("kernels.gpu.choice").describe(part, test, again, tell)
 
 
-def known_verdict(adapter) -> str | None:
-    """What is wrong with an adapter as examine() of choose_device() is given it, or ""; None where it has not been tested."""
+def known_verdict(adapter) -> Verdict | None:
+    """The Verdict of an adapter as examine() of choose_device() is given it; None where it has not been tested."""
     return _module("kernels.gpu.choice").known(adapter)
 
 

@@ -8,7 +8,9 @@ work is cut, so the result has the same bytes for any number of threads.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import cache
 
 _chosen = 0
@@ -23,6 +25,17 @@ def set_threads(count: int):
 def thread_count() -> int:
     """Threads in use: set_threads(), else available()."""
     return _chosen or available()
+
+
+@contextmanager
+def all_threads() -> Iterator[None]:
+    """Within this, available() threads are used, whatever set_threads() said."""
+    before = _chosen
+    set_threads(0)
+    try:
+        yield
+    finally:
+        set_threads(before)
 
 
 def available() -> int:

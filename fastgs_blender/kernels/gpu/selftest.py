@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The self-test of a GPU: small pictures of every kind, the gradients of a view and the updates of a step, computed by it and by the CPU.
+Where they agree, it takes the time of a frame and of a training step on both.
 
 Each stage that pictures or training use (wgsl/) is run here: a test lets each of them do nothing, and the self-test must notice.
 """
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from types import SimpleNamespace
@@ -20,6 +22,7 @@ from ...rendering.exposure import Aperture, Exposure
 from ...rendering.instances import Instance, ViewedInstance
 from ...rendering.layout import PROBES, Layout
 from ...rendering.quantities import shares
+from ...util.verdicts import Verdict
 from ..cpu.backend import CPU
 from ..cpu.steps import GATE, SHARPNESS
 from ..parameters import DECODER
@@ -27,6 +30,7 @@ from ..protocol import MotionNorm
 from .adapters import Adapter
 from .backend import GPU
 from .device import Failure
+from .pace import pace
 
 CLOSE, MEAN, MANY = 2e-3, 1e-4, 0.01
 """A picture has passed if at most MANY of its pixels differ by more than CLOSE (those at the alpha cut), and the mean by less than MEAN.
@@ -40,13 +44,24 @@ N = 300
 STRIP = Camera(16, 48, 45, 45, 8, 24, np.eye(4))
 TRIANGLE = np.array([[[-0.6, -0.5, 3], [0.7, -0.4, 4], [0, 0.6, 3.5]]], np.float32)
 
+FRAME, MANY_SPLATS, FINER = (960, 540), 60_000, 1.8
+"""Size, Gaussians and their smallness (_model) of the frame and the step that are timed.  Smaller ones would time a GPU's start."""
+
 Work = Callable[[CPU], dict[str, np.ndarray]]
 
 
-def test(adapter: Adapter) -> str:
-    """Test an adapter.  Returns its fault as a clause, "" where there is none."""
+def self_test(adapter: Adapter, clock: Callable[[], float] = time.perf_counter) -> Verdict:
+    """Test what an adapter computes, then, but for software, how long it takes (pace.py); clock gives seconds."""
     backend, cpu = GPU(adapter.open), CPU()
-    return next((fault for kind, works in WORKS.items() for work in works if (fault := fault_of(backend, kind, work, work(cpu)))), "")
+    fault = next((fault for kind, works in WORKS.items() for work in works if (fault := fault_of(backend, kind, work, work(cpu)))), "")
+    if fault or adapter.software:
+        return Verdict(fault)
+    try:
+        found = pace(backend, cpu, _model(SH(1), MANY_SPLATS, FINER), _camera(*FRAME), clock)
+    except Failure as failure:
+        return Verdict(str(failure))
+    fault = backend.failed or backend.too_large
+    return Verdict(fault) if fault else Verdict("", **found)
 
 
 def fault_of(backend: GPU, kind: str, work: Work, wanted: dict[str, np.ndarray]) -> str:
@@ -79,14 +94,14 @@ def _wrong_array(found: np.ndarray, wanted: np.ndarray) -> str:
     return "" if error < STRAY else f"{100 * error:.2g} %"
 
 
-def _model(look, n: int = N) -> GaussianModel:
-    """A small random model with a given appearance."""
+def _model(look, n: int = N, small: float = 0.0) -> GaussianModel:
+    """A random model with a given appearance; small: how much smaller its Gaussians are, as a logarithm."""
     rng = np.random.default_rng(2)
     return GaussianModel(
-        position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-2.3, 0.6, (n, 3)),
-        opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)), motion=rng.normal(0, 0.05, (n, 4, 3)),
-        rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n), temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2),
-        rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
+        position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)),
+        scale=rng.normal(-2.3 - small, 0.6, (n, 3)), opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)),
+        motion=rng.normal(0, 0.05, (n, 4, 3)), rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n),
+        temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2), rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
 
 
 def _decoded() -> Features:

@@ -38,16 +38,17 @@ def card(devices, backends, monkeypatch):
         adapter = SimpleNamespace(name="Arc", driver="driver 1")
 
         def choose(device, examine):
-            wrong = examine(adapter)
-            if wrong == "":
-                return "gpu:Arc", ""
-            return "auto", f"Arc {'has not been tested yet' if wrong is None else f'has failed the self-test ({wrong})'}: the CPU is used."
+            found = examine(adapter)
+            if found is not None and not found.fault:
+                return "gpu:Arc", "Arc is used, as it is faster than the CPU."
+            why = "has not been tested yet" if found is None else f"has failed the self-test ({found.fault})"
+            return "auto", f"Arc {why}: the CPU is used."
 
         monkeypatch.setattr(backends, "choose_device", choose)
-        monkeypatch.setattr(backends, "known_verdict", lambda adapter: verdict)
+        monkeypatch.setattr(backends, "known_verdict", lambda adapter: None if verdict is None else backends.Verdict(verdict))
         listed = {"name": "Arc", "kind": "graphics card", "interface": "Vulkan", "driver": "driver 1", "software": False,
-                  "largest_bytes": 1, "self_test": verdict}
-        monkeypatch.setattr(backends, "describe_devices", lambda **how: {"devices": [listed], "auto": "Arc", "reason": ""})
+                  "largest_bytes": 1, "self_test": verdict, "frame_ms": (5.0, 20.0), "step_ms": (30.0, 90.0)}
+        monkeypatch.setattr(backends, "describe_devices", lambda **how: {"devices": [listed], "auto": "Arc", "reason": "Arc is used."})
         return drawn
 
     return make
@@ -69,7 +70,7 @@ def test_the_scenes_device_renders(scene, card, shot, capfd):
     assert not drawn
     scene.fastgs.device = 'GPU'
     np.testing.assert_array_equal(shot(), plain)
-    assert drawn and "Arc" not in capfd.readouterr().out
+    assert drawn and "Arc is used, as it is faster than the CPU." in capfd.readouterr().out
 
 
 def test_why_the_processor_renders_is_told_once(scene, card, shot, capfd):
@@ -98,7 +99,7 @@ def test_an_untested_gpu_is_tested_before_the_first_picture(scene, card, shot, d
         def __init__(self, part="", again=False):
             asked.append((part, again))
             self.done, self.trouble, self.waits = False, "", 0
-            self.found = {"devices": [{"name": "Arc", "driver": "driver 1", "self_test": ""}]}
+            self.found = {"devices": [{"name": "Arc", "driver": "driver 1", "self_test": "", "frame_ms": [5, 20], "step_ms": [3, 9]}]}
 
         def wait(self, seconds=None):
             self.waits += 1
@@ -135,11 +136,12 @@ def test_preferences_list_and_choose_gpus(card, devices, module):
         operators = []
         layout.operator = lambda name, text="", icon='NONE': operators.append((name, text, icon)) or SimpleNamespace()
         layout._inside = layout.column = layout.row = lambda **more: layout
-        draw(layout, chosen)
+        draw(layout, SimpleNamespace(region=SimpleNamespace(width=500), preferences=bpy.context.preferences), chosen)
         return operators
 
     assert lines("")[0] == ("fastgs.use_gpu", "Automatic (Arc)", 'RADIOBUT_ON')
-    assert lines("Arc")[1] == ("fastgs.use_gpu", "Arc: graphics card, passed its self-test", 'RADIOBUT_ON')
+    passed = "Arc: graphics card, passed its self-test; the processor's speed x 4 (frames), x 3 (training)"
+    assert lines("Arc")[1] == ("fastgs.use_gpu", passed, 'RADIOBUT_ON')
     assert "not there now" in lines("Voodoo 2")[2][1] and lines("")[-1][0] == "fastgs.test_gpus"
     try:
         bpy.ops.fastgs.use_gpu(name="Arc")
@@ -181,7 +183,7 @@ def test_a_real_adapter_draws_what_the_reference_draws(scene, fg, module, device
     if not names:
         pytest.skip("no GPU, and none in software (mesa-vulkan-drivers)")
     monkeypatch.setattr(module("scene.settings"), "gpu", names[0])
-    monkeypatch.setattr(backends, "known_verdict", lambda adapter: "")
+    monkeypatch.setattr(backends, "known_verdict", lambda adapter: backends.Verdict(""))
     picture = shot()
     name = f"gpu:{names[0]}"
     assert name in backends.loaded and backends.failure_of(name) == ""

@@ -100,7 +100,7 @@ def test_preferences_have_headings_and_say_what_zero_threads_are(module):
         for threads in (0, 2):
             preferences.threads, layout = threads, Layout()
             shown = SimpleNamespace(layout=layout, bl_rna=preferences.bl_rna, **{name: getattr(preferences, name) for name in names})
-            kind.draw(shown, bpy.context)
+            kind.draw(shown, SimpleNamespace(region=SimpleNamespace(width=300), preferences=bpy.context.preferences))
             labels = texts(layout.record)
             assert [text for text in labels if text in ("Rendering", "Training", "Help")] == ["Rendering", "Training", "Help"]
             assert any("on this machine" in text for text in labels) is (threads == 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,11 +11,14 @@ import pytest
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.gpu import adapters, choice, training
+from fastgs_blender.kernels.cpu.backend import CPU
+from fastgs_blender.kernels.gpu import adapters, choice, pace, selftest, training
 from fastgs_blender.kernels.gpu.device import Device, Failure
+from fastgs_blender.kernels.gpu.selftest import self_test
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.run import session
 from fastgs_blender.util.backends import choose_device, load_backend
+from fastgs_blender.util.verdicts import Verdict, read_verdict
 
 
 def card(name, kind="DiscreteGPU"):
@@ -24,17 +28,22 @@ def card(name, kind="DiscreteGPU"):
 
 @pytest.fixture
 def machine(monkeypatch, tmp_path):
-    """machine(cards ..., wrong={name: verdict}): a machine with these cards; returns the list of those that were tested."""
+    """machine(cards ..., wrong={name: fault}, slow={names}): a machine with these cards; returns the list of those that were tested."""
     import wgpu
     import wgpu.backends.wgpu_native.extras  # this makes wgpu.gpu what it will be
 
     monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path))
     tested = []
 
-    def make(*cards, wrong=()):
+    def make(*cards, wrong=(), slow=()):
+        def verdict(each):
+            tested.append(each.name)
+            fault = dict(wrong).get(each.name, "")
+            return Verdict(fault) if fault else Verdict("", (40.0 if each.name in slow else 5.0, 20.0), (30.0, 90.0))
+
         adapters.adapters.cache_clear()
         monkeypatch.setattr(wgpu.gpu, "enumerate_adapters_sync", lambda: list(cards))
-        monkeypatch.setattr(choice, "test", lambda each: tested.append(each.name) or dict(wrong).get(each.name, ""))
+        monkeypatch.setattr(choice, "self_test", verdict)
         return tested
 
     yield make
@@ -44,13 +53,13 @@ def machine(monkeypatch, tmp_path):
 def test_auto_takes_the_best_that_passes_and_remembers(machine, monkeypatch):
     soft, inner, arc = card("llvmpipe", "CPU"), card("UHD", "IntegratedGPU"), card("Arc A770")
     tested = machine(soft, inner, arc)
-    assert choose_device("auto") == ("gpu:Arc A770", "") == choose_device("gpu") == choose_device("a77")
+    assert choose_device("auto")[0] == "gpu:Arc A770" and choose_device("gpu") == ("gpu:Arc A770", "") == choose_device("a77")
     assert tested == ["Arc A770"]  # once
     assert choose_device("llvm") == ("gpu:llvmpipe", "") and choose_device("cpu") == ("auto", "")
     arc.info["description"] = "driver 2"
     machine(soft, inner, arc, wrong={"Arc A770": "its pictures are wrong by 1"})
     name, about = choose_device("auto")
-    assert name == "gpu:UHD" and tested[-2:] == ["Arc A770", "UHD"] and not about
+    assert name == "gpu:UHD" and tested[-2:] == ["Arc A770", "UHD"] and "UHD is used" in about
     failed = "Arc A770 has failed the self-test (its pictures are wrong by 1): the CPU is used."
     assert choose_device("gpu") == ("auto", failed) == choose_device("a77"), "by its name neither"
     assert choose_device("a77", lambda each: None) == ("auto", "Arc A770 has not been tested yet: the CPU is used.")
@@ -83,18 +92,19 @@ def test_a_test_that_ends_the_program_is_not_tried_again(machine, monkeypatch, t
     def dies(each):
         raise SystemExit
 
-    monkeypatch.setattr(choice, "test", dies)
+    monkeypatch.setattr(choice, "self_test", dies)
     with pytest.raises(SystemExit):
         choose_device("auto")
     assert "did not come to its end" in choose_device("auto")[1]
     (tmp_path / "gpus.json").write_text("{damaged")
     machine(card("Arc"))
-    assert choose_device("auto")[0] == "gpu:Arc" and list(json.loads((tmp_path / "gpus.json").read_text()).values()) == [""]
+    assert choose_device("auto")[0] == "gpu:Arc"
+    assert [each["self_test"] for each in json.loads((tmp_path / "gpus.json").read_text()).values()] == [""]
 
 
 def test_the_self_test_passes_here_and_finds_what_is_wrong(adapter, fresh, monkeypatch):
-    sound = SimpleNamespace(open=lambda: fresh.backend.device)
-    assert choice.test(sound) == ""
+    sound = SimpleNamespace(open=lambda: fresh.backend.device, software=True)
+    assert self_test(sound) == Verdict(""), "software is tested, and no time is taken"
     run = Device.run
     for stage, what in (("raster", "pictures"), ("project_backward", "gradients")):
         def wrong(self, name, threads, parameters, *buffers, stage=stage, **rest):
@@ -106,9 +116,73 @@ def test_the_self_test_passes_here_and_finds_what_is_wrong(adapter, fresh, monke
 
         with monkeypatch.context() as patch:
             patch.setattr(Device, "run", wrong)
-            assert what in choice.test(sound)
+            assert what in self_test(sound).fault
     monkeypatch.setattr(training, "compare", lambda *rest: (_ for _ in ()).throw(Failure("it is lost")))
-    assert choice.test(sound) == "it is lost"
+    assert self_test(sound) == Verdict("it is lost")
+
+
+def clock(gpu, cpu):
+    """A clock for pace(): each piece of work takes so many seconds, by turns."""
+    times = np.cumsum([0, *[gpu, 0, cpu, 0] * pace.ROUNDS * 2])
+    return iter(times).__next__
+
+
+def passing(monkeypatch):
+    """The self-test without its comparisons, of a GPU that is the processor."""
+    monkeypatch.setattr(selftest, "WORKS", {})
+    monkeypatch.setattr(selftest, "MANY_SPLATS", 50)
+    monkeypatch.setattr(selftest, "FRAME", (16, 16))
+    monkeypatch.setattr(selftest, "GPU", lambda open_: SimpleBackend())
+
+
+class SimpleBackend(CPU):
+    failed, too_large = None, ""
+
+
+def test_auto_takes_only_what_is_faster_and_says_why(machine, monkeypatch):
+    machine(card("Arc"))
+    passing(monkeypatch)
+    for gpu, cpu, taken, words in ((0.4, 0.2, "auto", ("not faster", "100 ms", "50 ms", "the CPU is used")),
+                                   (0.2, 0.4, "gpu:Arc", ("Arc is used", "faster", "100 ms", "50 ms")),
+                                   (0.2, 0.2, "auto", ("not faster",))):
+        monkeypatch.setattr(choice, "self_test", lambda each, gpu=gpu, cpu=cpu: self_test(each, clock(gpu, cpu)))
+        choice.verdict(adapters.adapters()[0], again=True)
+        name, about = choose_device("auto")
+        assert name == taken and all(word in about for word in words), about
+        assert choose_device("gpu") == ("gpu:Arc", ""), "who names it gets it"
+        assert choice.describe(test=False)["auto"] == ("Arc" if taken != "auto" else None)
+
+
+@pytest.mark.parametrize(("frame", "step"), [((9.0, 8.0), (1.0, 8.0)), ((1.0, 8.0), (9.0, 8.0)), (None, None)])
+def test_both_a_frame_and_a_step_must_be_faster(machine, frame, step):
+    machine(card("Arc"))
+    assert choose_device("auto", lambda each: Verdict("", frame, step))[0] == "auto"
+
+
+def test_the_next_gpu_is_taken_where_the_first_is_slow(machine):
+    machine(card("UHD", "IntegratedGPU"), card("Old"), slow={"Old"})
+    assert choose_device("auto")[0] == "gpu:UHD"
+
+
+def test_a_gpu_that_is_far_behind_is_not_measured_for_long(monkeypatch):
+    model, camera, calls = selftest._model(selftest.SH(1), 50), selftest._camera(16, 16), []
+    monkeypatch.setattr(SimpleBackend, "draw", lambda self, *given: calls.append(1) or CPU.draw(self, *given))
+    found = pace.pace(SimpleBackend(), CPU(), model, camera, iter(np.cumsum([0, 1, 0, 0.1] * 2)).__next__)
+    assert len(calls) == 1 + pace.AT_ONCE and found["frame"] == pytest.approx((250, 25)) == found["step"]
+
+
+def test_software_loses_to_the_processor_that_it_runs_on(shared_gpu, adapter):
+    if not adapter.software:
+        pytest.skip("a real GPU, which may win")
+    found = pace.pace(shared_gpu, CPU(), selftest._model(selftest.SH(1), 3000, 1.0), selftest._camera(96, 64), time.perf_counter)
+    assert not Verdict("", **found).faster and shared_gpu.failed is None
+
+
+def test_stored_verdicts_that_are_damaged_are_none():
+    assert read_verdict({}) is None and read_verdict({"self_test": 1}) is None
+    assert read_verdict({"self_test": "", "frame_ms": [1.0, 2.0], "step_ms": [3, 4]}) == Verdict("", (1.0, 2.0), (3.0, 4.0))
+    for pair in ([1.0], [0.0, 1.0], [float("nan"), 1.0], ["1", 2], None):
+        assert read_verdict({"self_test": "", "frame_ms": pair, "step_ms": [3.0, 4.0]}) == Verdict("")
 
 
 def test_devices_are_listed(machine, run_command):
@@ -116,7 +190,7 @@ def test_devices_are_listed(machine, run_command):
     tested = machine(*cards, wrong={"llvmpipe": "its pictures are wrong by 2"})
     text = run_command("info", "--devices")
     assert "Arc A770" in text and "graphics card, through Vulkan" in text and "its pictures are wrong by 2" in text
-    assert "--device auto means Arc A770." in text
+    assert "--device auto means Arc A770." in text and "frame 5 ms, processor 20 ms, training step 30 ms, processor 90 ms" in text
     facts = json.loads(run_command("info", "--devices", "--json"))
     assert facts["auto"] == "Arc A770" and [each["self_test"] for each in facts["devices"]] == ["", "its pictures are wrong by 2"]
     assert len(tested) == 2
