@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,14 @@ def usable(model: GaussianModel, path: Path) -> GaussianModel:
     warnings.warn(LossWarning(f"{path}: {drop.sum()} of {len(model)} Gaussians are left out, because their {names} "
                               "are not finite numbers."), stacklevel=3)
     return model.take(~drop)
+
+
+def require_sound(arrays: Mapping[str, np.ndarray], path: Path) -> None:
+    """Raises FastGSError where usable() would leave out a row of arrays that go together."""
+    for name, array in arrays.items():
+        if _unusable_rows(array, LIMITS.get(name, LIMIT)) is not None:
+            raise FastGSError(f"{path}: its {name} has numbers that are not finite or absurd; the training has probably diverged, so use "
+                              "an earlier checkpoint.")
 
 
 def _tame(model: GaussianModel) -> None:

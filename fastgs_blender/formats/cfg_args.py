@@ -36,6 +36,18 @@ def read(path: Path) -> dict:
     return {k.arg: value[0] for k in call.keywords if k.arg and (value := _literal(k.value))}
 
 
+def beside(model_file: Path) -> dict:
+    """The settings in the cfg_args of a model's file; none where there is no such file."""
+    path = find(model_file)
+    return read(path) if path else {}
+
+
+def number(settings: dict, key: str, default: float, least: float, most: float) -> float:
+    """A setting that is a number within bounds; else the default."""
+    value = settings.get(key)
+    return float(value) if isinstance(value, (int, float)) and least <= value <= most else default
+
+
 def _literal(node: ast.expr) -> tuple:
     """The value of a number, text, or list of such, in a tuple; empty for anything else."""
     try:

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model.gaussians import Clip, GaussianModel
+from ..model.gaussians import Clip
 from ..model.sequence import Computed
 from ..util import rotations
 from ..util.errors import FastGSError, LossWarning
 from ..util.identity import status_of
 from ..util.reading import reading
-from . import cfg_args, ply, torch_zip
-from .base import LIMIT, usable
+from . import cfg_args, ellipsoids, ply, torch_zip
+from .base import require_sound, usable
 from .inria import Inria
 from .sequences import SequenceFormat
 from .unsupported import GAUSSIAN
@@ -32,6 +32,8 @@ PLANES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 HEADS = (("no_dx", "pos_deform", "position"), ("no_ds", "scales_deform", "scale"), ("no_dr", "rotations_deform", "rotation"),
          ("no_do", "opacity_deform", "opacity"), ("no_dshs", "shs_deform", "features"))
 """Of 4DGaussians: the setting that switches a head off, the head, and what it changes."""
+COARSE = "coarse_iteration_"
+"""Of 4DGaussians: folders of its first stage, which is drawn without its network."""
 ROWS = 1 << 15
 """Gaussians that go through a network at once."""
 Weights = dict[str, np.ndarray]
@@ -75,13 +77,18 @@ class DeformedFormat(SequenceFormat):
 
         def compute(t):
             with reading(file), np.errstate(all="ignore"):  # what is not finite is found afterwards
-                return _finite(move(still, t), file)
+                model = move(still, t)
+            require_sound(model.arrays, file)
+            return model
 
         return Computed(CLIP, compute, lambda: (status_of(str(path)), status_of(str(file))), str(path))
 
 
 class DeformableGaussians(DeformedFormat):
-    """Deformable-3DGS (ingra14m): eight layers of 256 see the encoded place and time, and say how each Gaussian changes."""
+    """Deformable-3DGS (ingra14m): eight layers of 256 see the encoded place and time, and say how each Gaussian changes.
+
+    What is added to the unit quaternion leaves it any length, and its rasteriser takes it so: the Gaussians are sheared.
+    """
 
     name = "Deformable-3DGS"
 
@@ -95,9 +102,9 @@ class DeformableGaussians(DeformedFormat):
         def move(model, t):
             parts = [_deform(weights, model.position[at:at + ROWS], t) for at in range(0, len(model), ROWS)]
             place, turn, size = (np.concatenate(each) for each in zip(*parts)) if parts else (model.position, 0, 0)
-            scale = np.exp(model.scale) + size
-            return replace(model, position=place, rotation=rotations.unit(model.rotation) + turn,
-                           scale=np.log(np.maximum(np.abs(scale), 1e-12)))
+            scale, rotation = ellipsoids.of_raw_quaternions(rotations.unit(model.rotation.astype(np.float64)) + turn,
+                                                            np.exp(model.scale.astype(np.float64)) + size)
+            return replace(model, position=place, rotation=rotation, scale=scale)
 
         _deform(weights, np.zeros((1, 3), np.float32), 0.0)  # says now what does not fit
         return move
@@ -111,6 +118,9 @@ class HexPlaneGaussians(DeformedFormat):
     @staticmethod
     def weights_of(path):
         return path.with_name("deformation.pth")
+
+    def sniff(self, head, path):
+        return super().sniff(head, path) and not path.absolute().parent.name.startswith(COARSE)
 
     @staticmethod
     def network(weights, settings):
@@ -152,13 +162,6 @@ def _weights(path: Path) -> Weights:
         raise FastGSError(f"{path}: its network would be far larger than the file, which holds the same numbers many times; save it again.")
     with np.errstate(over="ignore", invalid="ignore"):
         return {name: value.read().astype(np.float32) for name, value in tensors.items()}
-
-
-def _finite(model: GaussianModel, path: Path) -> GaussianModel:
-    for array in model.arrays.values():
-        if array.size and not np.abs(array).max() <= LIMIT:
-            raise FastGSError(f"{path}: its network gives numbers that are not finite; use an earlier checkpoint.")
-    return model
 
 
 def _linear(weights: Weights, name: str, x: np.ndarray) -> np.ndarray:

@@ -3,9 +3,10 @@
 
 Time T is in frames, 0 .. duration, and s = T + time_pad (and one interval I more, where the interpolation looks two keys ahead).  A key k
 lies at s = k I.  Places are interpolated linearly, by Catmull and Rom's cubic ("cube") or by a monotone one ("pchip"); rotations on the
-great circle between two keys, whose quaternions keep their signs.  An opacity is whole between two centres c (in intervals) and falls off
-beyond like a bell of exp(v) + var_pad / (2.36 I) on either side; before both centres the distance is that to the later one, as their
-program computes it.  What is not in the files, the cfg_args above them say.
+great circle between two keys, whose quaternions keep their signs.  Quaternions of the drifting Gaussians are drawn as long as they are.
+An opacity is whole between two centres c (in intervals) and falls off beyond like a bell of exp(v) + var_pad / (2.36 I) on either side;
+before both centres the distance is that to the later one, as their program computes it.  What is not in the files, the cfg_args above
+them say; `near` is the distance at which their rasteriser begins.
 """
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ from ..util import rotations
 from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.identity import status_of
-from . import cfg_args, ply
-from .base import LIMIT
+from . import cfg_args, ellipsoids, ply
+from .base import require_sound
 from .inria import DEGREES, colour_columns
 from .sequences import SequenceFormat
 from .straight import logit
@@ -60,11 +61,11 @@ class Ex4DGS(SequenceFormat):
 
     def open(self, path, load):
         files = [path.with_name(STATIC), path.with_name(DYNAMIC)]
-        settings = cfg_args.find(path)
-        said = {"time_interval": 5, "time_pad": 3, "var_pad": 3, "kernel_size": 0.1, "interp_type": "cube", "rot_interp_type": "slerp"}
-        said |= cfg_args.read(settings) if settings else {}
+        said = {"time_interval": 5, "time_pad": 3, "var_pad": 3, "kernel_size": 0.1, "near": 0.2, "interp_type": "cube",
+                "rot_interp_type": "slerp"}
+        said |= cfg_args.beside(path)
         duration = said.get("duration", -1)
-        numbers = [said[key] for key in ("time_interval", "time_pad", "var_pad", "kernel_size")]
+        numbers = [said[key] for key in ("time_interval", "time_pad", "var_pad", "kernel_size", "near")]
         if not (isinstance(duration, int) and 1 <= duration <= 10**6
                 and all(isinstance(v, (int, float)) and 0 <= v < 1e4 for v in numbers) and numbers[0] >= 1):
             raise FastGSError("the cfg_args that should lie above it, with the capture's duration and the keys' interval, are missing or "
@@ -72,7 +73,7 @@ class Ex4DGS(SequenceFormat):
         if not isinstance(said["interp_type"], str) or said["interp_type"] not in PLACES or said["rot_interp_type"] != "slerp":
             raise FastGSError(f"its interpolations {shown(said['interp_type'])} and {shown(said['rot_interp_type'])} are not supported; "
                               f"{', '.join(PLACES)} with 'slerp' are.")
-        raster = Raster(blur=float(said["kernel_size"]), antialiased=True)
+        raster = Raster(blur=float(said["kernel_size"]), near=float(said["near"]), antialiased=True)
         drifting, drift = _drifting(files[0], raster)
         keyed = _keyed(files[1], raster)
 
@@ -90,6 +91,8 @@ def _drifting(path: Path, raster: Raster) -> tuple[GaussianModel, np.ndarray]:
     """The static Gaussians, and how far each drifts over the capture."""
     columns, degree = _read(path, "", {"position": ("x", "y", "z"), "rotation": tuple(f"rot_{i}" for i in range(4)), "drift": DRIFT})
     drift = columns.pop("drift")
+    columns["scale"], columns["rotation"] = ellipsoids.of_raw_quaternions(columns["rotation"], np.exp(columns["scale"].astype(np.float64)))
+    require_sound(columns, path)
     return _static(columns, degree, raster), drift
 
 
@@ -120,8 +123,7 @@ def _read(path: Path, prefix: str, more: dict) -> tuple[dict[str, np.ndarray], i
     if rest not in DEGREES or missing:
         raise FastGSError(f"{path}: its columns {', '.join(missing[:8]) or 'f_rest_*'} are missing or fit no degree; export it again.")
     columns = ply.read_vertices(path, header, groups)
-    if not all((np.abs(array) <= LIMIT).all() for array in columns.values()):
-        raise FastGSError(f"{path}: some of its numbers are not finite; the training has probably diverged, so use an earlier checkpoint.")
+    require_sound(columns, path)
     return columns, DEGREES[rest]
 
 

@@ -2,13 +2,17 @@
 """Checkpoints of FreeTimeGS trainers: `ckpt_<step>.pt` and `canonical_4d.npz` (FreeTimeGsVanilla), `.npz` (FreeTimeGS++).
 
 The arrays: means [N, 3], scales (ln) [N, 3], quats (w x y z) [N, 4], opacities (logit) [N], sh0 [N, 1, 3], shN [N, K, 3], times [N, 1],
-durations (ln of the standard deviation) [N, 1], velocities [N, 3] per unit of normalised time (first frame 0, last frame 1).
-FreeTimeGS++ says sh_0, sh_n, velocity_model, and adds marginal_gates: its opacity factor is g + (1 - g) bell, g = sigmoid(20 gate).
+durations (ln of the standard deviation, at least 0.02) [N, 1], velocities [N, 3] per unit of normalised time (first frame 0, last 1).
+
+FreeTimeGS++ says sh_0, sh_n, velocity_model, and adds marginal_gates.  Its time is in seconds of the film, which need not begin at 0.
+Where it trains without gates, it sets them to -100, and durations are logarithms as above; with gates, which all of its configurations
+give a max_duration of 1, the standard deviation is sigmoid(durations) / 6.  Its opacity factor is g + (1 - g) bell, g = sigmoid(20 gate).
 A gate that is shut (g near 0) is the plain bell, an open one (g near 1) does not fade.  No model holds what lies between: a file with
 such gates is computed for each time.
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..model.appearance import SH
-from ..model.gaussians import GaussianModel
+from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Static
 from ..model.sequence import Computed
 from ..model.slicing import sigmoid, slice_model
@@ -26,8 +30,9 @@ from ..util.identity import status_of
 from ..util.numpy_files import packed_arrays
 from . import torch_zip
 from .base import OPAQUE, Format, usable
-from .ftgs import FRAMES, GSPLAT, clip_of
-from .straight import logit, straight
+from .ftgs import FRAMES, GSPLAT, MIN_DURATION, clip_of
+from .mediastorm import LONGEST
+from .straight import Timeline, logit, straight
 from .zipped import members
 
 NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opacities": ("opacities",), "sh0": ("sh0", "sh_0"),
@@ -35,6 +40,10 @@ NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opaci
 SHAPES = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "sh0": (3,), "times": (), "durations": (), "velocities": (3,)}
 """Of one Gaussian; the files differ in axes of length 1."""
 DEGREES = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
+FPS = 30.0
+"""Frames per second of FreeTimeGS++'s films, which its file does not state."""
+EARLY = 1.0
+"""Seconds: times of FreeTimeGS++ that begin later than this are those of a part from a longer film."""
 SHUT = 1e-5
 """A gate closer than this to 0 or 1 changes no opacity by more."""
 
@@ -71,10 +80,10 @@ class FreeTimeArrays(Format):
 
     def open(self, path, load):
         table = packed_arrays(path)
-        if not _partly(table):
+        gate = _gates(table)
+        if not _partly(gate):
             return load(path)
-        gate = sigmoid(20 * _floats(table["marginal_gates"]).reshape(-1).astype(np.float64))
-        fading = usable(self._read({key: value for key, value in table.items() if key != "marginal_gates"}, path), path)
+        fading = usable(self._read(table, path), path)
         if len(fading) != len(gate):
             raise FastGSError("its gates do not fit its Gaussians, or some of its numbers are not finite; use an earlier checkpoint.")
         still = replace(fading, basis=Static(), motion=None, temporal_kind=Always(), temporal=None, mu_tau=None)
@@ -88,7 +97,7 @@ class FreeTimeArrays(Format):
 
     def load(self, path):
         table = packed_arrays(path)
-        if _partly(table):
+        if _partly(_gates(table)):
             raise FastGSError("some of its Gaussians fade only in part (marginal gates of FreeTimeGS++), which is computed for each time; "
                               "open it with open_source(), or turn it into one model with fastgs convert.")
         return self._read(table, path)
@@ -115,30 +124,40 @@ def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
         raise FastGSError(f"its array {wrong[0] if wrong else 'shN'} has the shape {found[wrong[0] if wrong else 'shN'].shape}, which does "
                           f"not fit its {n} Gaussians; save the checkpoint again.")
     arrays = {key: _floats(found[key]).reshape(n, *shape) for key, shape in SHAPES.items()}
-    ln_sigma = arrays["durations"]
-    if "marginal_gates" in table:
-        ln_sigma = _gated(table["marginal_gates"], ln_sigma)
-    lives = straight(arrays["means"], arrays["velocities"] if moves else None, arrays["times"], ln_sigma)
+    gate, durations = _gates(table), arrays["durations"].astype(np.float64)
+    if "sh_0" in table:  # FreeTimeGS++
+        timeline, clip = _film(arrays["times"])
+        ln_sigma = -np.logaddexp(0, -durations) - math.log(6) if gate is not None and gate.any() else durations
+    else:
+        timeline, clip = Timeline(), clip_of(frames if isinstance(frames, int) and 1 <= frames <= 10_000_000 else FRAMES)
+        ln_sigma = np.maximum(durations, math.log(MIN_DURATION))
+    if gate is not None:
+        if len(gate) != n:
+            raise FastGSError("its array marginal_gates does not fit its Gaussians; save it again.")
+        ln_sigma = np.where(gate > 1 - SHUT, np.inf, ln_sigma)
+    lives = straight(arrays["means"], arrays["velocities"] if moves else None, arrays["times"], ln_sigma, timeline)
     features = np.concatenate([arrays["sh0"], _floats(found["shN"]).reshape(n, -1)], 1)
-    frames = frames if isinstance(frames, int) and 1 <= frames <= 10_000_000 else FRAMES
     return GaussianModel(**lives, rotation=arrays["quats"], scale=arrays["scales"], opacity=arrays["opacities"], features=features,
-                         appearance=SH(degree), raster=GSPLAT, clip=clip_of(frames))
+                         appearance=SH(degree), raster=GSPLAT, clip=clip)
 
 
-def _gated(gates, ln_sigma: np.ndarray) -> np.ndarray:
-    """ln sigma with the effect of gates that are open or shut."""
-    if int(np.prod(gates.shape)) != len(ln_sigma):
-        raise FastGSError("its array marginal_gates does not fit its Gaussians; save it again.")
-    gate = sigmoid(20 * _floats(gates).reshape(-1))
-    return np.where(gate > 0.5, np.inf, ln_sigma)
+def _film(times: np.ndarray) -> tuple[Timeline, Clip]:
+    """The time line and the clip of FreeTimeGS++, which the file does not state: its Gaussians' times span the film."""
+    known = times[np.isfinite(times) & (np.abs(times) <= LONGEST)]
+    begin, end = np.quantile(known, (0.01, 0.99)).astype(float) if len(known) else (0.0, 1.0)
+    begin = begin if begin > EARLY else 0.0
+    frames = max(1, round((end - begin) * FPS))
+    return Timeline(begin, frames / FPS), Clip(frames, FPS)
 
 
-def _partly(table: Mapping) -> bool:
+def _gates(table: Mapping) -> np.ndarray | None:
+    """How far the gates are open [N], 0 to 1, or None; those of a model that was trained without gates are 0 exactly."""
+    return sigmoid(20 * _floats(table["marginal_gates"]).reshape(-1)) if "marginal_gates" in table else None
+
+
+def _partly(gate: np.ndarray | None) -> bool:
     """Whether some Gaussians fade only in part."""
-    if "marginal_gates" not in table:
-        return False
-    gate = sigmoid(20 * _floats(table["marginal_gates"]))
-    return bool(np.any((gate > SHUT) & (gate < 1 - SHUT)))
+    return gate is not None and bool(np.any((gate > SHUT) & (gate < 1 - SHUT)))
 
 
 def _floats(array) -> np.ndarray:

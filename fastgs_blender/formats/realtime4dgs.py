@@ -7,13 +7,14 @@ hybrid's then the static xyz, features_dc, features_rest, scaling, rotation, opa
 
 With rot_4d, two quaternions make a rotation of space and time: the Gaussian at one time travels straight and keeps its covariance.
 It is left out where its factor exp(-(T - t)^2 / (2 var)) is 0.05 or less.  Spherical harmonics 16.. and 32.. are multiplied by cosines
-of (T - t) over the length of the capture, which the cfg_args beside the file tell; else it is 1 or 10 seconds, as times say.
+of (T - t) over the length of the capture.  The cfg_args beside the file say this length (time_duration, else it is 1 or 10 seconds, as
+times say), frame_ratio, by which time is divided, prefilter_var, which is added to var alone, and the hybrid's opa_threshold, which is
+the 0.05 of models without rot_4d.
 """
 from __future__ import annotations
 
 import math
 import warnings
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from ..model.motion import Fourier
 from ..util import rotations
 from ..util.arguments import shown
 from ..util.errors import FastGSError, LossWarning
-from . import cfg_args, torch_zip
+from . import cfg_args, ellipsoids, torch_zip
 from .base import Format
 from .straight import Timeline, straight
 
@@ -54,17 +55,20 @@ class Realtime4DGS(Format):
         shapes = {"xyz": (position, (n, 3)), "scaling": (scale, (n, 3)), "rotation": (rotation, (n, 4)), "opacity": (opacity, (n, 1))}
         check_shapes(shapes)
         if len(values) == STATIC_TUPLE:
-            features = coefficients(looks, n, 16)[:, :3 * (degree + 1) ** 2]
-            return GaussianModel(position, rotation, scale, opacity[:, 0], features, appearance=SH(degree))
+            return GaussianModel(position, rotation, scale, opacity[:, 0], coefficients(looks, n, (degree + 1) ** 2), appearance=SH(degree))
         t, scale_t = numbers_of(values[13]), numbers_of(values[14])
         check_shapes({"t": (t, (n, 1)), "scaling_t": (scale_t, (n, 1))})
         degree_t = values[18]
-        if type(degree_t) is not int or not 0 <= degree_t <= 2 or (degree_t and degree != 3):
-            raise FastGSError(f"its temporal degree of spherical harmonics cannot be {shown(degree_t)} with degree {degree}.")
+        if type(degree_t) is not int or not 0 <= degree_t <= 2:
+            raise FastGSError(f"its temporal degree of spherical harmonics cannot be {shown(degree_t)}.")
+        degree_t = degree_t if degree == 3 else 0  # their kernel looks at it inside of the third band
         if isinstance(values[17], torch_zip.Tensor) and 0 not in values[17].shape:
             warnings.warn(LossWarning(f"{path}: its environment map, the background, is left out."), stacklevel=3)
-        begin, end = capture_of(path, t)
-        timeline, frames = Timeline(begin, end - begin), max(1, round((end - begin) * FPS))
+        said = cfg_args.beside(path)
+        begin, end = capture_of(said, t)
+        unit = max(1.0, cfg_args.number(said, "frame_ratio", 1, 0, 1e6))
+        duration, frames = (end - begin) / unit, max(1, round((end - begin) * FPS))
+        cutoff = CUTOFF
         with np.errstate(all="ignore"):  # what is no number is found by usable()
             if values[16]:
                 rotation_r = numbers_of(values[15])
@@ -72,21 +76,23 @@ class Realtime4DGS(Format):
                 velocity, variance, scale, rotation = conditional(scale, scale_t, _turns, rotation, rotation_r)
             else:
                 velocity, variance = np.zeros((n, 3)), np.exp(scale_t[:, 0].astype(np.float64))
-            reach = np.sqrt(-2 * math.log(CUTOFF) * variance)
+                cutoff = cfg_args.number(said, "opa_threshold", CUTOFF, 1e-30, 1)
+            variance = variance + max(0.0, cfg_args.number(said, "prefilter_var", 0, -1e6, 1e6))
+            reach = np.sqrt(-2 * math.log(cutoff) * variance)
             time = t[:, 0].astype(np.float64)
-            lives = straight(position, velocity, time, 0.5 * np.log(variance), timeline, (time - reach, time + reach))
-        bands = coefficients(looks, n, 16 * (degree_t + 1))
-        features, look = bands[:, :3 * (degree + 1) ** 2], SH(degree)
+            lives = straight(position, velocity, time, 0.5 * np.log(variance), Timeline(begin / unit, duration),
+                             (time - reach, time + reach))
+        features, look = coefficients(looks, n, (degree_t + 1) * (degree + 1) ** 2), SH(degree)
         if degree_t:
             basis = Fourier(degree_t, 1.0, begin / (end - begin))
-            angle = 2 * np.pi * time / (end - begin)
-            parts = [bands[:, :48]]
+            angle = 2 * np.pi * time / duration
+            parts = [features[:, :48]]
             for k in range(1, degree_t + 1):
-                own = bands[:, 48 * k:48 * k + 48]
+                own = features[:, 48 * k:48 * k + 48]
                 parts += [np.sin(k * angle)[:, None] * own, np.cos(k * angle)[:, None] * own]
             features, look = np.concatenate(parts, 1), Changing(SH(3), basis)
         arrays = lives | {"rotation": rotation, "scale": scale, "opacity": opacity[:, 0], "features": features}
-        if len(values) == HYBRID:
+        if len(values) == HYBRID and isinstance(values[19], torch_zip.Tensor) and 0 not in values[19].shape:
             arrays = _with_static(arrays, values[19:25], look)
         return GaussianModel(**arrays, appearance=look, clip=Clip(frames, frames / (end - begin)))
 
@@ -99,7 +105,7 @@ def _with_static(arrays: dict, values, look) -> dict:
             "static_opacity": (opacity, (n, 1))})
     own = look.look if isinstance(look, Changing) else look
     features = np.zeros((n, look.width), np.float32)
-    features[:, :own.width] = coefficients(looks, n, 16)[:, :own.width]
+    features[:, :own.width] = coefficients(looks, n, own.width // 3)
     rest = straight(position, np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf), window=(-np.inf, np.inf))
     rest |= {"rotation": rotation, "scale": scale, "opacity": opacity[:, 0], "features": features}
     return {key: np.concatenate([value, rest[key]]) if isinstance(value, np.ndarray) else value for key, value in arrays.items()}
@@ -116,30 +122,24 @@ def _turns(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 def conditional(ln_scale, ln_scale_t, turns, *parts):
     """Velocity [N, 3], temporal variance [N], ln scale [N, 3] and rotation [N, 4] of 4D Gaussians cut at one time.
 
-    turns(*parts), of some rows of parts [N, 4], gives their rotations of space and time [n, 4, 4], time last.
+    turns(*parts), of some rows of parts [N, 4], gives their matrices of space and time [n, 4, 4], time last.
     """
     n = len(ln_scale)
     velocity, variance, scale, rotation = np.empty((n, 3)), np.empty(n), np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     for start in range(0, n, CHUNK):
         rows = slice(start, start + CHUNK)
-        turn = turns(*(part[rows] for part in parts))
-        spread = turn * np.exp(np.concatenate([ln_scale[rows], ln_scale_t[rows]], 1).astype(np.float64))[:, None]
-        sigma = spread @ spread.transpose(0, 2, 1)
-        variance[rows] = sigma[:, 3, 3]
-        velocity[rows] = sigma[:, :3, 3] / sigma[:, 3, 3, None]
-        covariance = sigma[:, :3, :3] - velocity[rows][:, :, None] * sigma[:, 3, None, :3]
-        good = np.isfinite(covariance).all((1, 2))
-        values, vectors = np.linalg.eigh(np.where(good[:, None, None], covariance, np.eye(3)))
-        vectors[:, :, 0] *= np.sign(np.linalg.det(vectors))[:, None]
-        scale[rows] = np.where(good[:, None], 0.5 * np.log(np.maximum(values, 0)), np.nan)
-        rotation[rows] = rotations.from_matrices(vectors)
+        sizes = np.exp(np.concatenate([ln_scale[rows], ln_scale_t[rows]], 1).astype(np.float64))
+        space, time = np.split(turns(*(part[rows] for part in parts)) * sizes[:, None], [3], axis=1)
+        variance[rows] = (time**2).sum((1, 2))
+        velocity[rows] = (space @ time.transpose(0, 2, 1))[:, :, 0] / variance[rows, None]
+        cut = space - velocity[rows][:, :, None] * time
+        scale[rows], rotation[rows] = ellipsoids.principal(cut, np.broadcast_to(np.eye(3), (len(cut), 3, 3)))
     return velocity, variance, scale, rotation
 
 
-def capture_of(path: Path, t: np.ndarray) -> tuple[float, float]:
+def capture_of(said: dict, t: np.ndarray) -> tuple[float, float]:
     """First and last second of the capture."""
-    file = cfg_args.find(path)
-    span = cfg_args.read(file).get("time_duration") if file else None
+    span = said.get("time_duration")
     if isinstance(span, list) and len(span) == 2 and all(isinstance(v, (int, float)) and abs(v) < 1e6 for v in span) and span[1] > span[0]:
         return float(span[0]), float(span[1])
     known = np.sort(t[np.isfinite(t)])

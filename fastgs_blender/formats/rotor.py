@@ -2,8 +2,9 @@
 """Checkpoints of 4D-Rotor Gaussians (`step-*.ckpt` of weify627/4D-Rotor-Gaussians, a fork of nerfstudio).
 
 pipeline has _model.gauss_params.<name>: xyz [N, 3], t [N, 1], scales_xyz [N, 3] and scales_t [N, 1] (ln), quats1 (s, b_xy, b_xz, b_yz),
-quats2 (b_xw, b_yw, b_zw, p), features_dc, features_rest, opacities (logit).  The eight numbers are made a proper rotor, which turns space
-and time; the Gaussian at one time is cut out of it as in 4DGS, and left out where (T - t)^2 / (2 variance) is 16 or more.
+quats2 (b_xw, b_yw, b_zw, p), features_dc, features_rest, opacities (logit).  The eight numbers make a matrix of space and time as they
+are: its renderer never calls rotornorm(), so they need be no proper rotor and the matrix no rotation.  The Gaussian at one time is cut
+out as in 4DGS, and left out where (T - t)^2 / (2 variance) is 16 or more.
 """
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ class RotorGaussians(Format):
         if rest not in DEGREES:
             raise FastGSError(f"its spherical harmonics have the shape {arrays['features_rest'].shape}, which fits no degree.")
         features = coefficients((arrays["features_dc"].reshape(-1, 1, 3), arrays["features_rest"]), n, rest + 1)
-        begin, end = capture_of(path, arrays["t"])
+        begin, end = capture_of({}, arrays["t"])
         frames = max(1, round((end - begin) * FPS)) if end - begin > 1 else 300
         with np.errstate(all="ignore"):  # what is no number is found by usable()
             velocity, variance, scale, rotation = conditional(arrays["scales_xyz"], arrays["scales_t"], turns, arrays["quats1"],
@@ -58,17 +59,9 @@ class RotorGaussians(Format):
 
 
 def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Rotations of space and time [N, 4, 4] by rotors: (s, xy, xz, yz) [N, 4] and (xw, yw, zw, p) [N, 4], not yet proper ones."""
+    """Matrices [N, 4, 4] of space and time by (s, xy, xz, yz) [N, 4] and (xw, yw, zw, p) [N, 4]; those of proper rotors are rotations."""
     s, a, b, c = first.astype(np.float64).T
     d, e, f, p = second.astype(np.float64).T
-    excess = p * s - a * f + b * e - c * d
-    square = s**2 + a**2 + b**2 + c**2 + d**2 + e**2 + f**2 + p**2
-    shift = np.where(np.abs(excess) > 1e-7, (np.sqrt(np.maximum(square**2 - 4 * excess**2, 0)) - square)
-                     / np.where(np.abs(excess) > 1e-7, 2 * excess, 1), 0)
-    s, p, a, f, b, e, c, d = (s + shift * p, p + shift * s, a - shift * f, f - shift * a, b + shift * e, e + shift * b, c - shift * d,
-                              d - shift * c)
-    length = np.sqrt(s**2 + a**2 + b**2 + c**2 + d**2 + e**2 + f**2 + p**2)
-    s, a, b, c, d, e, f, p = (v / np.maximum(length, 1e-30) for v in (s, a, b, c, d, e, f, p))
     ss, aa, bb, cc, dd, ee, ff, pp = (v**2 for v in (s, a, b, c, d, e, f, p))
     rows = [
         [ss + cc + ee + ff - aa - bb - dd - pp, 2 * (s * a - b * c - d * e + f * p), 2 * (a * c + s * b - d * f - e * p),

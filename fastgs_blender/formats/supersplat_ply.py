@@ -57,6 +57,5 @@ def _clip_of(header: ply.Header, path) -> dict[str, float]:
             return {name: float(value) for name, value in SAID.findall(comment)}
         except ValueError as error:
             raise FastGSError(f"its comment {comment[:80]!r} makes no sense; export it again.") from error
-    file = cfg_args.find(path)
-    found = cfg_args.read(file) if file else {}
+    found = cfg_args.beside(path)
     return {name: float(found[name]) for name in ("start", "duration", "fps") if type(found.get(name)) in (int, float)}

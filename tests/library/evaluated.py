@@ -38,18 +38,42 @@ def directions(n: int) -> np.ndarray:
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def assert_shows(model: fg.GaussianModel, t: float, *, position, rotation, scale, opacity, colour, tolerance: float = TOLERANCE) -> None:
-    """The model at t is what is expected: position [N, 3], rotation [N, 4] up to sign and length, scale [N, 3], opacity [N], colour [N, 3]
-    in directions(N).  Gaussians that cannot be seen may be anywhere and look like anything."""
+def kernel_covariance(scale, rotation) -> np.ndarray:
+    """Covariances [N, 3, 3] as rasterisers of INRIA's family make them of quaternions w x y z of any length.
+
+    graphdeco-inria/diff-gaussian-rasterization@59f5f77, cuda_rasterizer/forward.cu, computeCov3D, lines 118-152: the division by the length
+    is commented out (line 127).  The same line stands in the forks that are used by Deformable-3DGS (all branches of
+    ingra14m/diff-gaussian-rasterization-extentions), Ex4DGS (line 137), 4DGS (line 251), Dynamic 3D Gaussians and 4D-Rotor Gaussians.
+    """
+    found = []
+    for (sx, sy, sz), (r, x, y, z) in zip(np.asarray(scale, np.float64), np.asarray(rotation, np.float64), strict=True):
+        matrix = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - r * z), 2 * (x * z + r * y)],
+                           [2 * (x * y + r * z), 1 - 2 * (x * x + z * z), 2 * (y * z - r * x)],
+                           [2 * (x * z - r * y), 2 * (y * z + r * x), 1 - 2 * (x * x + y * y)]])
+        found.append(matrix @ np.diag([sx * sx, sy * sy, sz * sz]) @ matrix.T)
+    return np.array(found)
+
+
+def unit(quaternions) -> np.ndarray:
+    """torch.nn.functional.normalize of the last axis: zeros stay."""
+    q = np.asarray(quaternions, np.float64)
+    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12)
+
+
+def assert_shows(model: fg.GaussianModel, t: float, *, position, opacity, colour, scale=None, rotation=None, covariance=None,
+                 tolerance: float = TOLERANCE) -> None:
+    """The model at t is what is expected: position [N, 3], opacity [N], colour [N, 3] in directions(N), and either covariance [N, 3, 3] or
+    scale [N, 3] and a rotation [N, 4] of any length.  Gaussians that cannot be seen may be anywhere and look like anything."""
     s = fg.slice_model(model, t, cull=False)
     assert len(s.index) == len(position)
-    rotation = np.asarray(rotation, np.float64)
-    rotation = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     np.testing.assert_allclose(s.opacity, opacity, atol=tolerance, rtol=0)
     seen = np.asarray(opacity) > 0
     np.testing.assert_allclose(s.position[seen], np.asarray(position)[seen], atol=tolerance, rtol=0)
-    np.testing.assert_allclose(s.scale[seen], np.asarray(scale)[seen], atol=tolerance, rtol=tolerance)
-    sign = np.sign(np.sum(s.rotation * rotation, 1, keepdims=True))
-    np.testing.assert_allclose((sign * s.rotation)[seen], rotation[seen], atol=tolerance, rtol=0)
+    if covariance is None:
+        np.testing.assert_allclose(s.scale[seen], np.asarray(scale)[seen], atol=tolerance, rtol=tolerance)
+        covariance = kernel_covariance(scale, unit(rotation))
+    np.testing.assert_allclose(np.linalg.norm(s.rotation, axis=1), 1, atol=1e-5)
+    size = np.linalg.norm(covariance[seen], axis=(1, 2))[:, None, None]
+    np.testing.assert_allclose(kernel_covariance(s.scale, s.rotation)[seen] / size, covariance[seen] / size, atol=tolerance, rtol=0)
     seen_colours = colours(model.appearance, s.features, directions(len(position)))
     np.testing.assert_allclose(seen_colours[seen], np.asarray(colour)[seen], atol=tolerance, rtol=0)

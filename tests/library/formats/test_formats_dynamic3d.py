@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dynamic 3D Gaussians: params.npz against what the original shows at every frame, and straight lines in between."""
+"""Dynamic 3D Gaussians: params.npz against what the original shows at every frame, and straight lines in between.
+
+Transcribed from JonathonLuiten/Dynamic3DGaussians@7dbbd4d: helpers.py, params2rendervar, lines 34-43 (quaternions are normalised there),
+and save_params, 94-102, as visualize.py, load_scene_data, reads it.
+"""
 from __future__ import annotations
 
 import io

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ex4DGS against its own formulas in float64, Gaussian by Gaussian."""
+"""Ex4DGS against its own formulas in float64, Gaussian by Gaussian.
+
+Transcribed from juno181/Ex4DGS@7fac649: the columns of save_ply() (scene/c_gaussian_model.py, lines 473-547); get_static_xyz_at_t,
+get_dynamic_xyz_at_t, get_rotation_at_t (lines 178-208: those without keyframes are handed over as they are, no rotation_activation) and
+get_motion_opacity_at_t (363); utils/interpolations.py, lines 6-94; near as render.py hands it over (135) to in_frustum() of its
+rasteriser (cuda_rasterizer/auxiliary.h, 284), whose computeCov3D does not normalise (forward.cu, 137).
+"""
 from __future__ import annotations
 
 import math
@@ -7,7 +13,7 @@ import math
 import mutations
 import numpy as np
 import pytest
-from evaluated import assert_shows, directions, spherical
+from evaluated import assert_shows, directions, kernel_covariance, spherical
 
 import fastgs_blender as fg
 
@@ -40,7 +46,7 @@ def files(rng, interpolation="cube") -> tuple[dict[str, bytes], dict[str, np.nda
     moving = named(a["place"], "motion_xyz_{}_{}") | named(a["m_dc"], "motion_f_dc_{}") | named(a["m_rest"], "motion_f_rest_{}")
     moving |= named(a["m_scale"], "motion_scale_{}") | {"motion_opacity": a["m_opacity"]} | named(a["c"], "motion_opacity_c_{}")
     moving |= named(a["v"], "motion_opacity_v_{}") | named(a["turn"], "motion_rot_{}_{}")
-    settings = (f"Namespace(duration={DURATION}, time_interval={INTERVAL}, time_pad={PAD}, var_pad={VAR}, kernel_size=0.1, "
+    settings = (f"Namespace(duration={DURATION}, time_interval={INTERVAL}, time_pad={PAD}, var_pad={VAR}, kernel_size=0.1, near=4.0, "
                 f"interp_type='{interpolation}', rot_interp_type='slerp')")
     return {"point_cloud.ply": as_ply(static), "dynamic_point_cloud.ply": as_ply(moving), "cfg_args": settings.encode()}, a
 
@@ -88,9 +94,10 @@ def test_at_any_time(tmp_path, rng, interpolation, opened):
     for time in (0.0, 3.7, 18.0, 26.25, 39.0):
         places, turns, opacities = expected(a, time, interpolation)
         model, t = source.moment(time / DURATION)
-        assert model.raster.antialiased and model.raster.blur == 0.1
+        assert model.raster == fg.Raster(blur=0.1, near=4.0, antialiased=True)
         assert_shows(model, t, position=np.concatenate([a["xyz"] + a["drift"] * time / DURATION, places]),
-                     rotation=np.concatenate([a["rot"], turns]), scale=np.exp(np.concatenate([a["scale"], a["m_scale"]])),
+                     covariance=np.concatenate([kernel_covariance(np.exp(a["scale"]), a["rot"]),
+                                                kernel_covariance(np.exp(a["m_scale"]), turns)]),
                      opacity=np.concatenate([1 / (1 + np.exp(-a["opacity"])), opacities]), colour=np.concatenate(colours))
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`.4dgs` against its specification's formulas, on files written here, and against its own package on real ones."""
+"""`.4dgs` against its specification's formulas, on files written here, and against its own package on real ones.
+
+avala-ai/4dgs@30f5d0f, website/docs/spec/index.md, sections 3, 5 and 6; its rotations are unit quaternions, which readers renormalise (6.4).
+"""
 from __future__ import annotations
 
 import struct

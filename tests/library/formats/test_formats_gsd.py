@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`.gsd`, and the blocks of LZ4 that it is made of."""
+"""`.gsd`, and the blocks of LZ4 that it is made of.
+
+DazaiStudio/4dgs-converter@0230c3a, app/pipeline/ply_to_raw.py, lines 98-137: quaternions are normalised, scales and opacities activated.
+"""
 from __future__ import annotations
 
 import json

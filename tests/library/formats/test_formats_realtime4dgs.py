@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checkpoints of 4DGS real-time and Hybrid 3D-4DGS against their own formulas: covariances, means, opacities and colours at any time."""
+"""Checkpoints of 4DGS real-time and Hybrid 3D-4DGS against their own formulas: covariances, means, opacities and colours at any time.
+
+Transcribed from fudan-zvg/4d-gaussian-splatting@63725f2: diff-gaussian-rasterization/cuda_rasterizer/forward.cu, computeCov3D_conditional,
+lines 279-351, and what stands for it without rot_4d, 427-437; computeColorFromSH_4D, 73-184 (temporal bands inside of the third); the
+activations of scene/gaussian_model.py, 52-59 and 187-217: quaternions are normalised before the kernel, which does not; capture(), 99-137.
+frame_ratio: train.py, 40, and scene/dataset_readers.py, 226.  The hybrid is ohsngjun/3D-4DGS@9528828: scene/gaussian_model.py, capture(),
+106-151, and get_static_rotation, 265; opa_threshold: forward.cu, 434.  Both save as torch.save((gaussians.capture(), iteration)).
+"""
 from __future__ import annotations
 
 import mutations
 import numpy as np
 import pytest
-from evaluated import colours, directions, spherical
+from evaluated import colours, directions, kernel_covariance, spherical, unit
 
 import fastgs_blender as fg
-from fastgs_blender.util import rotations
 
 torch = pytest.importorskip("torch")
 N, D = 10, 10.0
@@ -36,15 +42,14 @@ def saved(path, a, rot_4d=True, degree_t=2, static=None, env=(0,), degree=3):
 
 
 def turn_4d(left, right):
-    """build_rotation_4d() of one Gaussian."""
-    a, b, c, d = left / np.linalg.norm(left)
-    p, q, r, s = right / np.linalg.norm(right)
-    m_l = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-    m_r = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
-    return np.flip(m_l @ m_r, (0, 1))
+    """R^T of the kernel, lines 312-327, of one Gaussian; glm's matrices are written column by column."""
+    (a, b, c, d), (p, q, r, s) = unit(left), unit(right)
+    m_l = np.array([[a, b, -c, d], [-b, a, d, c], [c, -d, a, b], [-d, -c, -b, a]]).T
+    m_r = np.array([[p, q, -r, -s], [-q, p, s, -r], [r, -s, p, -q], [s, r, q, p]]).T
+    return (m_r @ m_l).T
 
 
-def expected(a, time, rot_4d=True, degree_t=2):
+def expected(a, time, rot_4d=True, degree_t=2, prefilter_var=-1.0, threshold=0.05):
     """Mean, covariance, opacity and colour of each Gaussian at a time in seconds."""
     a = {key: value.astype(np.float64) for key, value in a.items()}
     out = []
@@ -56,13 +61,12 @@ def expected(a, time, rot_4d=True, degree_t=2):
             variance, mean = sigma[3, 3], a["xyz"][i] + sigma[:3, 3] / sigma[3, 3] * delta
             covariance = sigma[:3, :3] - np.outer(sigma[:3, 3], sigma[3, :3]) / sigma[3, 3]
         else:
-            q = a["rotation"][i] / np.linalg.norm(a["rotation"][i])
-            spread = rotations.to_matrices(q[None])[0] @ np.diag(np.exp(a["scaling"][i]))
-            variance, mean, covariance = np.exp(a["scaling_t"][i, 0]), a["xyz"][i], spread @ spread.T
-        marginal = np.exp(-0.5 * delta**2 / variance)
+            variance, mean = np.exp(a["scaling_t"][i, 0]), a["xyz"][i]
+            covariance = kernel_covariance(np.exp(a["scaling"][i:i + 1]), unit(a["rotation"][i:i + 1]))[0]
+        marginal = np.exp(-0.5 * delta**2 / (prefilter_var + variance if prefilter_var > 0 else variance))
         coefficients = np.concatenate([a["dc"][i], a["rest"][i]])
         sh = sum(np.cos(2 * np.pi * k * (t - time) / D) * coefficients[16 * k:16 * k + 16] for k in range(degree_t + 1))
-        out.append((mean, covariance, marginal * (marginal > 0.05) / (1 + np.exp(-a["opacity"][i, 0])), sh))
+        out.append((mean, covariance, marginal * (marginal > threshold) / (1 + np.exp(-a["opacity"][i, 0])), sh))
     mean, covariance, opacity, sh = (np.array(v) for v in zip(*out))
     return mean, covariance, opacity, spherical(directions(N), sh)
 
@@ -70,11 +74,10 @@ def expected(a, time, rot_4d=True, degree_t=2):
 def compare(model, time, told):
     mean, covariance, opacity, colour = told
     s = fg.slice_model(model, time / D, cull=False)
-    spread = rotations.to_matrices(s.rotation) * s.scale[:, None]
     seen = np.concatenate([opacity, np.ones(len(s.index) - N)]) > 0
     np.testing.assert_allclose(s.opacity[:N], opacity, atol=1e-4)
     np.testing.assert_allclose(s.position[:N][seen[:N]], mean[seen[:N]], atol=1e-4)
-    np.testing.assert_allclose((spread @ spread.transpose(0, 2, 1))[:N], covariance, atol=1e-4, rtol=1e-4)
+    np.testing.assert_allclose(kernel_covariance(s.scale, s.rotation)[:N], covariance, atol=1e-4, rtol=1e-4)
     np.testing.assert_allclose(colours(model.appearance, s.features[:N], directions(N)), colour, atol=1e-4)
 
 
@@ -122,6 +125,38 @@ def test_length_from_the_configuration(tmp_path, rng):
     saved(tmp_path / "a.pth", raw(rng))
     (tmp_path / "cfg_args").write_text("Namespace(time_duration=[-1.0, 12.0], sh_degree=3)")
     assert fg.load(tmp_path / "a.pth").clip.duration == pytest.approx(13)
+
+
+@pytest.mark.parametrize("rot_4d", [True, False])
+def test_what_else_the_configuration_says(tmp_path, rng, rot_4d):
+    """prefilter_var widens the bell and moves nothing else, frame_ratio divides time, opa_threshold is the hybrid's, without rot_4d."""
+    a = raw(rng)
+    saved(tmp_path / "a.pth", a, rot_4d)
+    (tmp_path / "cfg_args").write_text("Namespace(time_duration=[0.0, 10.0], prefilter_var=0.3, frame_ratio=1)")
+    for time in TIMES:
+        compare(fg.load(tmp_path / "a.pth"), time, expected(a, time, rot_4d, prefilter_var=0.3))
+    saved(tmp_path / "a.pth", raw(rng, 16) | a | {"rest": a["rest"][:, :15]}, rot_4d, 0, static=raw(rng, 16))
+    (tmp_path / "cfg_args").write_text("Namespace(time_duration=[0.0, 20.0], opa_threshold=0.4, frame_ratio=2)")
+    model = fg.load(tmp_path / "a.pth")
+    assert model.clip.duration == pytest.approx(20)
+    for time in TIMES:
+        told = expected(a | {"rest": a["rest"][:, :15]}, time, rot_4d, 0, threshold=0.05 if rot_4d else 0.4)
+        compare(model, time, told)
+
+
+def test_hybrid_before_anything_stands_still(tmp_path, rng):
+    """static_xyz and the others are torch.empty(0) until the first Gaussian becomes static."""
+    a = raw(rng, 16)
+    saved(tmp_path / "a.pth", a, degree_t=0, static={key: np.zeros(0, np.float32) for key in a})
+    compare(fg.load(tmp_path / "a.pth"), 3.3, expected(a, 3.3, degree_t=0))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_lower_degrees(tmp_path, rng, degree):
+    """--sh_degree gives fewer coefficients; of temporal ones the kernel takes no notice then."""
+    a, width = raw(rng, 3 * (degree + 1) ** 2), (degree + 1) ** 2
+    saved(tmp_path / "a.pth", a, degree=degree, degree_t=2)
+    compare(fg.load(tmp_path / "a.pth"), 3.3, expected(a | {"rest": a["rest"][:, :width - 1]}, 3.3, degree_t=0))
 
 
 @pytest.mark.parametrize(("key", "shape"), [("rotation_r", (N, 3)), ("t", (N,)), ("rest", (N, 30, 3)), ("opacity", (N,))])

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Both `.sog4d` against their programs' formulas in float64, on files written here."""
+"""Both `.sog4d` against their programs' formulas in float64, on files written here.
+
+Transcribed from forgrabbit/supersplat4d@219eb07 (branch splat4d), src/shaders/splat-shader.ts, lines 138-154 and 285-297, and from
+raiscui/gsplat-unity@a92f847, Runtime/Shaders/GsplatSequenceDecode.compute, lines 132-165.  Both normalise their quaternions of bytes.
+"""
 from __future__ import annotations
 
 import io

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`.splat4d` of splats4D: frames of .splat files as its own description encodes them, within the bounds that it promises."""
+"""`.splat4d` of splats4D: frames of .splat files as its own description encodes them, within the bounds that it promises.
+
+Transcribed from adamraudonis/splats4D@bf7c41a, docs/FORMAT.md, lines 100-145; its decoder normalises quaternions (line 140).
+"""
 from __future__ import annotations
 
 import json

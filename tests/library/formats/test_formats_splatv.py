@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`.splatv`: Spacetime Gaussians lite in a texture."""
+"""`.splatv`: Spacetime Gaussians lite in a texture.
+
+Transcribed from antimatter15/splaTV@8b313fe, hybrid.js: the texture, lines 196-240, and the shader, 290-326.
+"""
 from __future__ import annotations
 
 import json
@@ -73,6 +76,27 @@ def test_unusable_gaussians_are_left_out_and_said(load_bytes, bad):
         assert len(load_bytes(file(record() + record(**bad) + record()))) == 2
     with pytest.raises(fg.FastGSError, match="none of its 2"):
         load_bytes(file(record(**bad) * 2))
+
+
+def drawn(model) -> np.ndarray:
+    ahead = np.eye(4)
+    ahead[2, 3] = 4
+    return fg.render(model, fg.Camera(48, 32, 60, 60, 24, 16, ahead), 0.7, backend="cpu")["rgb"]
+
+
+def test_quaternions_of_zeros_do_not_turn(load_bytes):
+    """As their trainer draws them, which makes them so (oppo-us-research/SpacetimeGaussians@427abfc, scene/ourslite.py, 1235, of Gaussians
+    that guided sampling adds): torch.nn.functional.normalize leaves zeros, of which computeCov3D of its rasteriser makes the identity.
+    splaTV's shader divides by their length, and its viewer shows none of them."""
+    still = dict(position=(0, 0, 0), scale=(0.5, 0.2, 0.1), motion=[0.0] * 9)
+    zero, whole = load_bytes(file(record(rotation=(0, 0, 0, 0), **still))), load_bytes(file(record(rotation=(1, 0, 0, 0), **still)))
+    assert len(zero) == 1
+    for t in (0.0, 0.5, 0.9):
+        np.testing.assert_array_equal(fg.slice_model(zero, t, cull=False).rotation, [[1, 0, 0, 0]])
+    np.testing.assert_array_equal(drawn(zero), drawn(whole))
+    assert drawn(zero).max() > 0.1
+    turning = load_bytes(file(record(rotation=(0, 0, 0, 0), omega=(0, 0, 3, 4), **still)))
+    np.testing.assert_allclose(fg.slice_model(turning, 0.7, cull=False).rotation, [[0, 0, 0.6, 0.8]], atol=1e-6)
 
 
 def test_round_trip(rng, make_model, tmp_path):
@@ -173,6 +197,9 @@ def test_files_of_splatvs_own_converter(shared_data):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             model = fg.load(path)
+        zeros = ~model.rotation.any(1)
+        assert zeros.mean() == pytest.approx({"coffeeshort2": 0.926, "spinach_4": 0, "yellow_clip2": 0.205}[path.stem], abs=1e-3)
+        assert not model.rotation_motion[zeros].any()
         assert len(model) > 1000 and np.isfinite(fg.slice_model(model, 0.5).position).all()
         assert all("position are not finite" in str(w.message) for w in said), "some of its Gaussians lie nowhere; nothing else is lost"
 

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Spacetime Gaussians: full, lite, and with Fourier motion."""
+"""Spacetime Gaussians: full, lite, and with Fourier motion.
+
+Transcribed from oppo-us-research/SpacetimeGaussians@427abfc: thirdparty/gaussian_splatting/renderer/__init__.py, test_ours_full, lines
+157-174; scene/oursfull.py, get_rotation, 124-127 (the sum is normalised, zeros stay zeros), get_features, 139, and save_ply, 380-411;
+trbfunction, helper_train.py, 390; scaling, opacity: scene/oursfull.py, 33-41.
+"""
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Formats of Gaussians with linear motion and bell-shaped temporal opacity, against their own formulas: FreeTimeGS, Mediastorm, splat4d."""
+"""Formats of Gaussians with linear motion and bell-shaped temporal opacity, against their own formulas: FreeTimeGS, Mediastorm, splat4d.
+
+Transcribed: FreeTimeGsVanilla (raiscui@ff48035, src/simple_trainer_freetime_4d_pure_relocation.py: compute_temporal_opacity and
+compute_positions_at_time, lines 1932-1958, checkpoints 2624-2629, canonical_4d.npz 2965-2990; OpsiClear-4DGS@662a832, freetime_ops.py,
+and export_ftgs_ply.py@9dbf862).  gsplat normalises quaternions, so their length means nothing.  FreeTimeGS++: see plus_plus().
+gsplat-unity (raiscui@a92f847): records and unit quaternions as Editor/GsplatSplat4DImporter.cs decodes them (lines 303-340), weights of
+time as Runtime/Shaders/Gsplat.compute, 576-590.  Mediastorm's law is that of the nodes of its viewer, which is no text.
+"""
 from __future__ import annotations
 
 import io
@@ -21,7 +28,7 @@ N = 9
 
 
 def sigmoid(x):
-    return 1 / (1 + np.exp(-np.asarray(x, np.float64)))
+    return 0.5 + 0.5 * np.tanh(0.5 * np.asarray(x, np.float64))
 
 
 def raw(rng, rest: int = 15) -> dict[str, np.ndarray]:
@@ -116,6 +123,7 @@ def test_mediastorm(tmp_path, rng):
 
 def test_checkpoints(tmp_path, rng):
     a = raw(rng)
+    a["durations"][:3] = -6
     checkpoint(tmp_path / "ckpt_29999.pt", a)
     checkpoint(tmp_path / "with_frames.pt", a, n_frames=31)
     np.savez(tmp_path / "canonical_4d.npz", **a, n_frames=31, opacity_threshold=0.1)
@@ -123,36 +131,51 @@ def test_checkpoints(tmp_path, rng):
     for path in tmp_path.iterdir():
         model = fg.load(path)
         assert model.clip.frame_count == (299 if "ckpt" in path.name else 30)
-        for t in TIMES:
-            assert_shows(model, t, **freetime(a, t))
+        for t in (*TIMES, *a["times"][:3, 0] + 0.03):
+            assert_shows(model, t, **freetime(a, t, 0.02))
 
 
 def test_checkpoint_that_does_not_move(tmp_path, rng):
     a = raw(rng)
     checkpoint(tmp_path / "a.pt", a, use_velocity=False)
-    assert_shows(fg.load(tmp_path / "a.pt"), 0.3, **freetime(a, 0.3, moves=False))
+    assert_shows(fg.load(tmp_path / "a.pt"), 0.3, **freetime(a, 0.3, 0.02, moves=False))
 
 
-def test_freetime_plus_plus(tmp_path, rng):
-    """Gates that are shut leave the bell, open ones switch it off, and what lies between is computed for each time."""
+def plus_plus(a, gates, seconds: float) -> dict:
+    """FreeTimeGS++ at a time in seconds: suNoeul/FreeTimeGSPlusPlus@8005d2f, ftgspp/models/gaussians.py, means_t, gate, temporal_opacity
+    and opacities_t (lines 68-94); max_duration is 1 in all configs/ with marginal_gating and inf in the others, in which
+    train/__init__.py, 107-110, fills the gates with -100."""
+    a = {key: value.astype(np.float64) for key, value in a.items()}
+    gate, max_duration = sigmoid(20 * gates.astype(np.float64)), np.inf if (gates == -100).all() else 1
+    tscale = np.exp(a["durations"]) if max_duration == np.inf else max_duration / 6 * sigmoid(a["durations"])
+    temporal = gate + (1 - gate) * np.exp(-0.5 * ((seconds - a["times"]) / tscale) ** 2)
+    expected = freetime(a, seconds)
+    return expected | {"opacity": (sigmoid(a["opacities"])[:, None] * temporal)[:, 0]}
+
+
+@pytest.mark.parametrize("kind", ["without gates", "open or shut", "between"])
+@pytest.mark.parametrize(("begin", "frames"), [(0.0, 300), (148.5, 60)])
+def test_freetime_plus_plus(tmp_path, rng, kind, begin, frames):
+    """As its export_npz() writes it (ftgspp/utils/io.py, 142): all parameters by their names, and an array "allow_pickle"; time is
+    frame / fps (data/utils/multiview.py, 222), counted from the beginning of the film."""
     a = raw(rng)
+    a["times"] = np.linspace(begin, begin + frames / 30, N, dtype=np.float32)[:, None]
+    gates = {"without gates": np.full(N, -100), "open or shut": np.where(np.arange(N) % 2, -1, 1),
+             "between": np.linspace(-0.1, 0.1, N)}[kind].astype(np.float32)[:, None]
     renamed = {{"sh0": "sh_0", "shN": "sh_n", "velocities": "velocity_model"}.get(k, k): v for k, v in a.items()}
     renamed["opacities"] = a["opacities"][:, None]
-    gates = np.where(np.arange(N) % 2, -1.0, 1.0).astype(np.float32)[:, None]
     np.savez_compressed(tmp_path / "a.npz", allow_pickle=True, marginal_gates=gates, **renamed)
-    expected = freetime(a, 0.4)
-    expected["opacity"] = np.where(gates[:, 0] > 0, sigmoid(a["opacities"]), expected["opacity"])
-    assert_shows(fg.load(tmp_path / "a.npz"), 0.4, **expected)
-    gates[:5, 0] = 0.1, -0.05, 0.0, 0.02, -0.1
-    np.savez_compressed(tmp_path / "a.npz", marginal_gates=gates, **renamed)
-    with pytest.raises(fg.FastGSError, match="fade only in part"):
-        fg.load(tmp_path / "a.npz")
-    source, gate = fg.open_source(tmp_path / "a.npz"), 1 / (1 + np.exp(-20 * gates[:, 0].astype(float)))
-    for t in TIMES:
-        expected = freetime(a, t)
-        expected["opacity"] = gate * sigmoid(a["opacities"]) + (1 - gate) * expected["opacity"]
-        model, moment = source.moment(t)
-        assert_shows(model, moment, **expected)
+    if kind == "between":
+        with pytest.raises(fg.FastGSError, match="fade only in part"):
+            fg.load(tmp_path / "a.npz")
+    else:
+        assert isinstance(fg.load(tmp_path / "a.npz"), fg.GaussianModel)
+    source = fg.open_source(tmp_path / "a.npz")
+    assert abs(source.clip.duration - frames / 30) < 0.03 * frames / 30
+    first = begin and begin + 0.01 * frames / 30  # of the Gaussians' times, the file states no other
+    for seconds in np.linspace(begin, begin + frames / 30, 7):
+        model, moment = source.moment((seconds - first) / source.clip.duration)
+        assert_shows(model, moment, **plus_plus(a, gates, seconds), tolerance=1e-3)
 
 
 @pytest.mark.parametrize("more", [{"color_correction": {"a": 1}}, {"model_spec": {"time_units": "seconds"}}, {"use_marginal_gating": True}])

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`.tsog` against the formulas of its specification, on packages written here."""
+"""`.tsog` against the formulas of its specification, on packages written here.
+
+OpsiClear-4DGS/FreeTimeGsVanilla, TSOG Playback Profile 1, version 1.0.1, sections 5 to 8: quaternions are normalised (5.2), the deviation
+is linear (6.3), a discrete frame is min(N - 1, q // delta) (6.2).
+"""
 from __future__ import annotations
 
 import io
