@@ -109,8 +109,6 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
             self.report({'WARNING'}, sentence(remark))
         resumed = place.existing == "--resume"
         options = ["--device", devices.wanted(scene)] + ([] if resumed else arguments(self))  # a run continues with its own
-        if not resumed and (Path(capture) / "points.ply").is_file():
-            options += ["--set", "start=file"]  # what a capture brings along is better than what can be guessed
         about = {"blend": bpy.data.filepath, "process": os.getpid(), "start_frame": self.start_frame, "import": self.import_result,
                  "hide": self.hide_originals, "world": alignment.world_of(scene, capture)}
         return installation.jobs().add(place.out, capture, python, options, about, place.existing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 
 import bpy
 import numpy as np
@@ -167,3 +168,29 @@ def test_own_cameras_film_as_they_move(moving_scene, add_camera, module, tmp_pat
     heights = {(shot.view, shot.frame): np.linalg.inv(shot.camera.world_to_camera)[2, 3] for shot in capture.shots}
     assert np.allclose([heights[view, frame] for view in ("Camera", "Camera.001") for frame in (0, 1)], [1, 1, 1, 2])
     assert abs(capture.shots[0].camera.fx - 30 / 36 * 32) < 1e-4
+
+
+def test_the_button_trains_on_a_film_of_the_scene_as_the_command_line_does(moving_scene, module, tmp_path, monkeypatch):
+    """The same capture and the same defaults: the same plan, which begins with the bake that lies beside the pictures."""
+    cli, installation, plans = module("fastgs_blender.cli"), module("scene.training.installation"), []
+    monkeypatch.setattr(module("fastgs_blender.training.run.session"), "train", lambda capture, store, plan, *rest, **more: (
+        plans.append((capture, plan)) or {"model": "", "gaussians": 0, "iterations": 0}))
+    monkeypatch.setattr(module("fastgs_blender.util.backends"), "choose_device", lambda device=None: ("cpu", ""))
+    monkeypatch.setattr(installation, "python", lambda: sys.executable)
+    jobs = installation.jobs()
+    monkeypatch.setattr(type(jobs), "start_next", lambda self: None)
+    film, names = tmp_path / "film", module("operators.train").FROM_PANEL
+    bpy.ops.fastgs.capture_scene(out=str(film), count=3, samples=1, **SIZE)
+    panel = moving_scene.fastgs.training
+    panel.capture, panel.out, panel.source = str(film), str(tmp_path / "run"), 'FOLDER'
+    assert bpy.ops.fastgs.train(wait=False, **{name: getattr(panel, name) for name in names}) == {'FINISHED'}
+    job = jobs.all()[-1]
+    try:
+        command = jobs.command(job)
+        assert cli.main(command[command.index("train"):]) == 0 and cli.main(["train", str(film), "--out", str(tmp_path / "other")]) == 0
+    finally:
+        jobs.forget(job)
+    (capture, pressed), (_, typed) = plans
+    differing = {name for name, value in vars(typed.settings).items() if vars(pressed.settings)[name] != value}
+    assert differing <= {"preview_every"} and pressed.source == typed.source, differing
+    assert module("fastgs_blender.training.initial.known").known_model(capture, pressed.settings, print) is not None
