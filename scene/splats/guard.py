@@ -76,8 +76,10 @@ def watch(scene, depsgraph) -> None:
 
 
 def _ours(obj) -> bool:
-    """Whether an object may be changed here, and nobody is at work in its mesh."""
-    return obj.mode == 'OBJECT' and obj.is_editable and obj.data is not None and obj.data.is_editable
+    """Whether an object may be changed here, and nobody is at work in its mesh, by a linked duplicate either."""
+    if obj.mode != 'OBJECT' or not obj.is_editable or obj.data is None or not obj.data.is_editable:
+        return False
+    return obj.data.users < 2 or all(other.mode == 'OBJECT' for other in bpy.data.objects if other.data == obj.data)
 
 
 def _look_at(obj):

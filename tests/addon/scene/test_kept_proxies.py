@@ -70,6 +70,32 @@ def test_what_would_break_a_proxy_is_undone_and_told(splats, where, told, module
     assert told and all('"model"' in text and text.endswith(".") for text in told)
 
 
+@pytest.mark.parametrize("points", ['SOME', 'ALL'])
+@pytest.mark.parametrize("name", sorted(name for name in REFUSED if name.startswith("Edit Mode")))
+def test_linked_duplicates_are_kept_while_one_of_them_is_edited(splats, where, told, scene, capfd, name, points):
+    """Alt D, Tab: the mesh of both has no vertices to read meanwhile.  Nothing raises, and nothing is left of Separate."""
+    splats.fastgs.points = points
+    select(splats)
+    ops.object.duplicate(linked=True)
+    twin = bpy.context.object
+    twin.location.x += 5
+    bpy.context.view_layer.update()
+    before, count = where(), len(bpy.data.objects)
+    ops.object.mode_set(mode='EDIT')
+    for frame in (2, 3):
+        scene.frame_set(frame)
+        splats.update_tag(refresh={'DATA'})
+        bpy.context.view_layer.update()
+    ops.object.mode_set(mode='OBJECT')
+    REFUSED[name]()
+    bpy.context.view_layer.update()
+    after = where()
+    assert len(before) == 2 and after.keys() == before.keys() and len(bpy.data.objects) == count
+    for each, placement in before.items():
+        np.testing.assert_allclose(after[each], placement, atol=1e-5)
+    assert splats.data == twin.data and told and "Traceback" not in capfd.readouterr().err
+
+
 def test_converting_a_copy_leaves_both(splats, where, told):
     bpy.ops.object.convert(target='MESH', keep_original=True)
     bpy.context.view_layer.update()
