@@ -9,7 +9,7 @@ from mathutils import Matrix, Vector
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.cameras import moves
-from ..scene import objects
+from ..scene import objects, speeds
 from ..scene.cameras import keys as camera_keys
 from ..scene.cameras.subjects import subject_of, target_camera
 from ..scene.cameras.tracking import region_track
@@ -46,10 +46,11 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
             self.start = scene.frame_current
         settings = obj.fastgs
         path = "fastgs.offset"
-        animation = obj.animation_data
-        if animation and animation.action and camera_keys.curves(obj).find(path):
-            self.report({'ERROR'}, f'"{obj.name}" has an animated offset already; delete its keys first (Object Properties > Time).')
-            return {'CANCELLED'}
+        for name in (path, speeds.PATH):
+            if camera_keys.curve_of(obj, name) or camera_keys.driver_of(obj, name):
+                self.report({'ERROR'}, f'"{obj.name}" has an animated {name.removeprefix("fastgs.")} already; delete its keys and drivers '
+                                       "first (Object Properties > Time).")
+                return {'CANCELLED'}
         rate = settings.fps * scene.render.fps_base / scene.render.fps if settings.fps else 1.0
         lost = settings.speed * rate * (1 - self.speed)  # capture frames that each slow frame of the scene takes away
         ramp = min(self.ramp, self.length / 2)

@@ -40,12 +40,16 @@ class FASTGS_OT_split(_OnClip, bpy.types.Operator):
     def execute(self, context):
         obj, scene = context.object, context.scene
         settings, clip = obj.fastgs, objects.clip_of(obj)
-        retime = snapshot.retime_of(obj)
         frame, fps = snapshot.clock(scene)
-        whole = played(obj, scene)
-        at = clip_frame(frame, fps, retime, clip)
-        if settings.use_capture_frame or at is None or not whole.start < frame < whole.end:
-            self.report({'ERROR'}, "The clip cannot be split here: go to a frame within it, and let its time follow the scene's frame")
+        retime, whole = snapshot.retime_of(obj, frame), played(obj, scene)
+        try:
+            at = clip_frame(frame, fps, retime, clip)
+        except FastGSError:  # a number of the object is none
+            at = None
+        turned = retime.run is not None and retime.run.backwards != (settings.speed < 0)
+        if settings.use_capture_frame or turned or at is None or not whole.start < frame < whole.end:
+            self.report({'ERROR'}, "The clip cannot be split here: go to a frame within it on which it has not turned around, and let its "
+                                   "time follow the scene's frame")
             return {'CANCELLED'}
         last = clip.frame_count - 1
         second = obj.copy()  # shows the same file, and the same proxy

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..fastgs_blender.util.errors import FastGSError
-from . import objects
+from . import objects, speeds
 from .frame_range import clip_length
 from .snapshot import clock
 
@@ -22,7 +22,7 @@ class Played:
 def played(obj, scene) -> Played:
     """The frames on which an object's clip plays, from the object's start frame, speed and offset."""
     clip, (_, fps) = objects.clip_of(obj), clock(scene)
-    length = clip_length(obj.fastgs) * (1.0 if clip.free else fps / clip.fps)
+    length = clip_length(obj, 1.0 if clip.free else clip.fps / fps)
     return Played(obj.fastgs.start_frame, obj.fastgs.start_frame + length)
 
 
@@ -32,8 +32,9 @@ def add_sound(scene, obj, path: Path):
     Returns the strip.  Raises FastGSError where the file cannot be read as sound, and for clips that play backwards.
     """
     settings, clip = obj.fastgs, objects.clip_of(obj)
-    if settings.speed <= 0 or settings.use_capture_frame:
-        raise FastGSError("sound plays forwards alone: give the clip a positive speed, and let its time follow the scene's frame.")
+    if settings.speed <= 0 or settings.use_capture_frame or speeds.speed_of(obj) is not None:
+        raise FastGSError("sound plays forwards, at one speed: give the clip a positive speed without keys, and let its time follow the "
+                          "scene's frame.")
     if not path.is_file():
         raise FastGSError(f"{path}: the file cannot be found; choose a film or a sound file.")
     editor = scene.sequence_editor_create() or scene.sequence_editor

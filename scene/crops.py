@@ -10,9 +10,12 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import Crop, cropped
+from ..fastgs_blender.rendering.instances import LIMIT
 from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
 from . import model_space, objects
 
+BROKEN = (f'its crop shape "{{}}" stands, is stretched or has vertices by numbers beyond {LIMIT:g} or that are no numbers; clear its '
+          "transform, or delete these vertices.")
 WIDER = 1.001
 """By this factor a new box is larger than what it surrounds, so that what lies on its sides is inside."""
 
@@ -20,7 +23,7 @@ WIDER = 1.001
 def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     """The boxes of an evaluated splat object, where they are at the depsgraph's time.
 
-    Instances of the object are cropped as it is itself, wherever they are.
+    Instances of the object are cropped as it is itself, wherever they are.  Raises FastGSError where numbers of a box are none.
     """
     used = [item for item in obj.fastgs.crops if item.use and item.object is not None]
     if not used:
@@ -29,7 +32,9 @@ def crops_of(obj, depsgraph) -> tuple[Crop, ...]:
     made = []
     for item in used:
         box = np.array(_world(item.object.original, depsgraph), np.float64) @ extent(item.object)
-        flat = not (np.isfinite(box).all() and abs(np.linalg.det(box)) > 1e-30)
+        if not (np.abs(box) <= LIMIT).all():  # neither are NaN
+            raise fg.FastGSError(BROKEN.format(item.object.name))
+        flat = not abs(np.linalg.det(box)) > 1e-30
         shape = item.shape
         if shape == 'MESH':
             shape = "BOX" if flat or item.object.type != 'MESH' else _volume(item.object, depsgraph)
@@ -49,6 +54,8 @@ def _volume(obj, depsgraph) -> Volume:
     mesh.calc_loop_triangles()
     points, triangles = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.vertices.foreach_get("co", points)
+    if not (np.abs(points) <= LIMIT).all():
+        raise fg.FastGSError(BROKEN.format(obj.name))
     mesh.loop_triangles.foreach_get("vertices", triangles)
     around = extent(obj)
     low, high = around[:3, 3] - np.diag(around)[:3], around[:3, 3] + np.diag(around)[:3]

@@ -6,7 +6,10 @@ import numpy as np
 
 from ..fastgs_blender.rendering.exposure import Aperture, Exposure
 from ..fastgs_blender.rendering.instances import Moment
+from ..fastgs_blender.util.errors import FastGSError
 
+LAST_FRAME = 1_048_574
+"""Of Blender's scenes."""
 MOMENTS = 9
 """Times at which the scene is looked at, at the most, while the shutter is open; objects and cameras go straight between them."""
 CURVE = 65
@@ -14,11 +17,17 @@ CURVE = 65
 
 
 def times(scene) -> list[float]:
-    """When to look at the scene for its motion blur, in frames from the current one, evenly from opening to closing; none: no blur."""
+    """When to look at the scene for its motion blur, in frames from the current one, evenly from opening to closing; none: no blur.
+
+    Raises FastGSError where it is open for longer than there are frames.
+    """
     render = scene.render
     length = render.motion_blur_shutter
-    if not render.use_motion_blur or length <= 0:
+    if not render.use_motion_blur or not length > 0:
         return []
+    if abs(scene.frame_current) + length > LAST_FRAME:
+        raise FastGSError(f"the shutter is open for {length:.6g} frames, and Blender knows none beyond {LAST_FRAME}; lower Shutter under "
+                          "Motion Blur.")
     first = {'START': 0.0, 'CENTER': -0.5, 'END': -1.0}[render.motion_blur_position] * length
     return [first + length * i / (MOMENTS - 1) for i in range(MOMENTS)]
 

@@ -6,6 +6,8 @@ from math import ceil
 
 import bpy
 
+from . import speeds
+
 
 def frame_rate(fps: float) -> tuple[int, float]:
     """(fps, fps_base) of RenderSettings for any frame rate: Blender shows fps / fps_base frames per second."""
@@ -21,11 +23,19 @@ def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
     if settings.fps:  # a sequence without a rate of its own follows the scene's
         scene.render.fps, scene.render.fps_base = frame_rate(settings.fps)
     scene.frame_start = max(round(settings.start_frame), 0)
-    scene.frame_end = scene.frame_start + max(ceil(clip_length(settings)), 1) - 1
+    scene.frame_end = scene.frame_start + max(ceil(clip_length(obj)), 1) - 1
 
 
-def clip_length(settings) -> float:
-    """How many frames of a clip that has the scene's frame rate, or sets it, an object's settings play from its start frame on."""
-    speed = settings.speed or 1.0
+def clip_length(obj: bpy.types.Object, rate: float = 1.0) -> float:
+    """How many frames of the scene an object's clip plays from its start frame on; one that never ends counts as played at speed 1.
+
+    rate  how many frames of the clip pass in one of the scene at speed 1
+    """
+    settings, speed = obj.fastgs, speeds.speed_of(obj)
+    backwards = settings.speed < 0 if speed is None else speed.backwards(settings.start_frame)
     frames = max(settings.frame_count - settings.trim_start - settings.trim_end, 1.0)
-    return (frames - settings.offset if speed > 0 else frames + settings.offset) / abs(speed)
+    frames = (frames + settings.offset if backwards else frames - settings.offset) / rate
+    if speed is None:
+        return frames / abs(settings.speed or 1.0)
+    end = speeds.end_of(speed, settings.start_frame, frames)
+    return frames if end is None else end - settings.start_frame

@@ -10,7 +10,7 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
 from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectSettings
-from . import crops, devices, model_space, objects, point_edits
+from . import crops, devices, model_space, objects, point_edits, speeds
 from .time import Retime, shown_frames
 
 
@@ -26,6 +26,7 @@ class FileInstance:
     index      the object's number, its pass index
     place      what finds the instance again on another frame
     points     what modifiers have made of its points, with *Points: All*
+    trouble    why it cannot be shown, whatever its file holds: a sentence, or ""
     """
 
     name: str
@@ -36,6 +37,7 @@ class FileInstance:
     index: int = 0
     place: Hashable = None
     points: point_edits.Carried | None = None
+    trouble: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -45,7 +47,7 @@ class FileInstance:
     @property
     def state(self) -> tuple:
         """All of it as values that can be compared."""
-        return self.path, self.placement.tobytes(), self.retime, self.settings, self.points and self.points.number
+        return self.path, self.placement.tobytes(), self.retime, self.settings, self.points and self.points.number, self.trouble
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,8 @@ class Snapshot:
 
     def _load(self, item: FileInstance, load_model, read: bool) -> list[Instance]:
         """The instance at each of the times at which its object shows it: more than one where a loop fades, or with echoes."""
+        if item.trouble:
+            raise fg.FastGSError(item.trouble)
         if not (np.abs(item.placement) <= LIMIT).all():  # neither are NaN
             raise fg.FastGSError(f"its transform holds numbers beyond {LIMIT:g} or that are no numbers; "
                                  "clear its location, rotation and scale, or those of its parents.")
@@ -123,12 +127,24 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
         if key not in seen:
             seen.add(key)
             place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
-            settings = settings_of(obj, depsgraph, final)
-            if maker != obj and not objects.is_splat(maker):
-                settings = settings.under(looks_of(maker, final))
-            found.append(FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj), settings, obj.pass_index, place,
-                                      point_edits.carried_of(obj, depsgraph)))
+            found.append(replace(instance_of(obj, depsgraph, placement, final, maker), place=place))
     return Snapshot(found, *clock(depsgraph.scene), devices.wanted(depsgraph.scene))
+
+
+def instance_of(obj, depsgraph, placement: np.ndarray, final: bool = False, maker=None) -> FileInstance:
+    """An evaluated splat object where it stands; maker: the object that instances it, or itself.
+
+    Numbers of the object with which nothing can be drawn are its trouble, and nobody else's.
+    """
+    settings, trouble = ObjectSettings(), ""
+    try:
+        settings = settings_of(obj, depsgraph, final)
+        if maker is not None and maker != obj and not objects.is_splat(maker):
+            settings = settings.under(looks_of(maker, final))
+    except fg.FastGSError as error:
+        trouble = str(error)
+    return FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj, clock(depsgraph.scene)[0]), settings, obj.pass_index,
+                        points=point_edits.carried_of(obj, depsgraph), trouble=trouble)
 
 
 def clock(scene) -> tuple[float, float]:
@@ -138,11 +154,12 @@ def clock(scene) -> tuple[float, float]:
     return frame, render.fps / render.fps_base
 
 
-def retime_of(obj) -> Retime:
-    """How an evaluated object plays its clip."""
+def retime_of(obj, frame: float) -> Retime:
+    """How an object, evaluated or not, plays its clip by a frame of the scene (clock())."""
     settings = obj.fastgs
-    plain = {f.name: getattr(settings, f.name) for f in fields(Retime) if f.name not in ("hold", "capture_frame")}
-    return Retime(hold=settings.subframes == 'HOLD', capture_frame=settings.capture_frame if settings.use_capture_frame else None, **plain)
+    plain = {f.name: getattr(settings, f.name) for f in fields(Retime) if f.name not in ("run", "hold", "capture_frame")}
+    return Retime(run=speeds.run_of(obj, frame), hold=settings.subframes == 'HOLD',
+                  capture_frame=settings.capture_frame if settings.use_capture_frame else None, **plain)
 
 
 def settings_of(obj, depsgraph, final: bool = False) -> ObjectSettings:

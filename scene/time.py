@@ -4,8 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from ..fastgs_blender.util.errors import FastGSError
 
 MOST_ECHOES = 32
+
+
+class Run(NamedTuple):
+    """How far a clip whose speed changes has run by a frame of the scene.
+
+    frames     the integral of the speed from the clip's start frame on, in frames of the scene
+    backwards  whether the speed is negative first: then the clip begins at its last frame
+    """
+
+    frames: float
+    backwards: bool
 
 
 @dataclass(frozen=True)
@@ -14,6 +28,7 @@ class Retime:
 
     start_frame  scene frame on which the clip begins
     speed        playback speed; negative begins at the clip's last frame and plays backwards
+    run          where the speed changes over time, how far the clip has run by the scene's frame; None: the speed is always the same
     offset       frames of the capture that are skipped at the beginning
     before       'HIDE', 'HOLD', 'LOOP' or 'PING_PONG': what shows before the clip's first frame
     after        the same after its last
@@ -29,6 +44,7 @@ class Retime:
 
     start_frame: float = 1.0
     speed: float = 1.0
+    run: Run | None = None
     offset: float = 0.0
     before: str = 'HOLD'
     after: str = 'HOLD'
@@ -60,18 +76,23 @@ def shown_frames(scene_frame: float, scene_fps: float, retime: Retime, clip) -> 
 
         f = speed * (scene_frame - start_frame) * clip.fps / scene_fps + offset      (+ n - 1 where speed < 0)
 
-    counts from the first of them.  A clip without a frame rate of its own has the scene's.
+    counts from the first of them.  Where the speed is animated, its integral stands for speed * (scene_frame - start_frame), and it
+    counts from the last frame where the speed is negative first.  A clip without a frame rate of its own has the scene's.
 
     Between 0 and n - 1 f itself shows.  Outside 'HOLD' shows the nearest of these two, 'LOOP' f mod n, 'PING_PONG' turns
     around at 0 and n - 1 (period 2 (n - 1)), and 'HIDE' shows f for 0 <= f < n only: the last frame lasts as long as any other.
     A loop that fades over c frames has the period n - c; its first c frames come in while the last c go.
-    Echoes end where the clip does, unless it loops or turns around.
+    Echoes end where the clip does, unless it loops or turns around.  Raises FastGSError where a number of the object is none.
     """
+    for name, value in vars(retime).items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise FastGSError(f"its {name.replace('_', ' ')} is {value:g}; type a number, or delete its keys and drivers.")
     first, last = retime.range(clip)
     rate = scene_fps if clip.free else clip.fps
     if retime.capture_frame is None:
-        f = retime.speed * (scene_frame - retime.start_frame) * rate / scene_fps + retime.offset
-        if retime.speed < 0:
+        run = retime.run or Run(retime.speed * (scene_frame - retime.start_frame), retime.speed < 0)
+        f = run.frames * rate / scene_fps + retime.offset
+        if run.backwards:
             f += last - first
     else:
         f = retime.capture_frame - first

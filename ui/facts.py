@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects, snapshot, time
 
 
@@ -36,8 +37,11 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
 def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
     """The capture's frame that is shown at the scene's current frame."""
     clip = objects.clip_of(obj)
-    rate = scene.render.fps / scene.render.fps_base
-    at = time.clip_frame(scene.frame_current_final, rate, snapshot.retime_of(obj), clip)
+    frame, rate = snapshot.clock(scene)
+    try:
+        at = time.clip_frame(frame, rate, snapshot.retime_of(obj, frame), clip)
+    except FastGSError:  # the engine says which number is none
+        at = None
     return "Nothing" if at is None else f"Frame {number(at)} (of 0 to {clip.frame_count - 1})"
 
 

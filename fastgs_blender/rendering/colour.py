@@ -10,12 +10,14 @@ import numpy as np
 
 SRGB_CUT, SRGB_LINEAR_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 0.0031308, 12.92, 0.055, 2.4
 """Of the sRGB curve: linear up to the cut (of sRGB, of linear values), a power beyond it.  Kernels and shaders take them from here."""
+BRIGHTEST = 1e12
+"""Largest sRGB value that is told from larger ones: float32 holds no linear value of much larger ones, which looks can make."""
 
 
 def srgb_to_linear(srgb: np.ndarray) -> np.ndarray:
     """Scene-linear values of sRGB ones; the curve goes on above 1 and is point-symmetric below 0."""
     x = np.asarray(srgb)
-    a = np.abs(x)
+    a = np.minimum(np.abs(x), BRIGHTEST)
     linear = np.where(a <= SRGB_CUT, a / SRGB_SLOPE, ((a + SRGB_OFFSET) / (1 + SRGB_OFFSET)) ** SRGB_GAMMA)
     return np.copysign(linear, x).astype(x.dtype, copy=False)
 

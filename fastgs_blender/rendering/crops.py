@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
+from ..util.errors import FastGSError
 from .volumes import Volume
 
 BOX, SPHERE, VOLUME = range(3)
@@ -30,6 +31,10 @@ class Crop:
     remove: bool = False
     shape: str | Volume = "BOX"
     soft: float = 0.0
+
+    def __post_init__(self):
+        if not 0 <= self.soft < np.inf:
+            raise FastGSError(f"the soft edge of a crop must be a number of 0 or more, not {self.soft!r}.")
 
     @cached_property
     def _key(self):

@@ -43,6 +43,8 @@ class Filter:
         object.__setattr__(self, "colour", tuple(float(value) for value in self.colour))
         if self.kind not in KINDS:
             raise FastGSError(f"the filter {self.kind!r} is unknown; there are {', '.join(KINDS)}.")
+        if np.isnan((self.low, self.high, *self.colour)).any():
+            raise FastGSError(f"the limits and the colour of a filter ({self.kind.lower()}) must be numbers, not NaN.")
 
 
 def _size(model, _):

@@ -22,13 +22,33 @@ def pose(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
 
 
 def curves(obj: bpy.types.ID):
-    """The F-curves of an animated datablock, where this Blender keeps them."""
+    """The F-curves of an animated datablock, where this Blender keeps them; they may be none."""
     action = obj.animation_data.action
     if bpy.app.version < (4, 4, 0):
         return action.fcurves
     from bpy_extras import anim_utils
 
-    return anim_utils.action_get_channelbag_for_slot(action, obj.animation_data.action_slot).fcurves
+    bag = anim_utils.action_get_channelbag_for_slot(action, obj.animation_data.action_slot)
+    return () if bag is None else bag.fcurves
+
+
+def curve_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
+    """The F-curve that animates a property, by the property's path with an index where it has several numbers; None: no curve does."""
+    animation = owner.animation_data
+    if animation is None or animation.action is None:
+        return None
+    return next((curve for curve in curves(owner) if _animates(curve, path) and len(curve.keyframe_points) + len(curve.modifiers)), None)
+
+
+def driver_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
+    """The F-curve of the driver of a property, by the same path; None: it has no driver."""
+    animation = owner.animation_data
+    return None if animation is None else next((curve for curve in animation.drivers if _animates(curve, path)), None)
+
+
+def _animates(curve, path: str) -> bool:
+    muted = curve.mute or (curve.group is not None and curve.group.mute)
+    return not muted and path in (curve.data_path, f"{curve.data_path}[{curve.array_index}]")
 
 
 def key_frames(first: float, last: float, every: float) -> np.ndarray:

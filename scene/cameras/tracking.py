@@ -26,10 +26,10 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
         raise fg.FastGSError("the Gaussians of a sequence cannot be followed from frame to frame; turn it into one model with "
                              "fastgs convert.")
     fps = scene.render.fps / scene.render.fps_base
-    retime, world = snapshot.retime_of(obj), model_space.placement(obj)
+    world = model_space.placement(obj)
 
     def seen(at, subset):
-        shown = clip_frame(at, fps, retime, model.clip)
+        shown = clip_frame(at, fps, snapshot.retime_of(obj, at), model.clip)
         s = fg.slice_model(subset, model.clip.t_of_frame(shown or 0.0), cull=False)
         return s.position @ world[:3, :3].T + world[:3, 3], s.opacity
 

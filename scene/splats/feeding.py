@@ -64,13 +64,15 @@ def feed(obj, settings, scene) -> None:
             proxy.fill(mesh, source, proxy.LIMIT, model_space.model_matrix(obj))
             obj.data.update_tag()
             return
-        retime = snapshot.retime_of(settings)
-        at = clip_frame(*snapshot.clock(scene), retime, source.clip)
+        frame, fps = snapshot.clock(scene)
+        retime = snapshot.retime_of(settings, frame)
+        at = clip_frame(frame, fps, retime, source.clip)
         model, t = source.moment(source.clip.t_of_frame(at or 0.0), retime.hold)
     except FastGSError:  # the panel says why
         return
     t = float(np.float32(t))
-    rest = float(np.float32(source.clip.t_of_frame(settings.fastgs.still_frame))) if model is source else t
+    still = settings.fastgs.still_frame
+    rest = float(np.float32(source.clip.t_of_frame(still if np.isfinite(still) else 0.0))) if model is source else t
     known = _fed.get(mesh.session_uid)
     fresh = known is None or known[0]() is not model or proxy.limit_of(mesh) != proxy.EVERY
     if not fresh and (mesh.get(SHOWN), mesh.get(RESTING)) == (t, rest):

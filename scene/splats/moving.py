@@ -72,8 +72,9 @@ def _move(obj, depsgraph):
     stored = obj.original.data
     try:
         source = objects.load_model(objects.abspath(obj))
-        retime = snapshot.retime_of(obj)
-        frames = shown_frames(*snapshot.clock(depsgraph.scene), retime, source.clip)
+        frame, fps = snapshot.clock(depsgraph.scene)
+        retime, settings = snapshot.retime_of(obj, frame), snapshot.settings_of(obj, depsgraph)
+        frames = shown_frames(frame, fps, retime, source.clip)
         moments = [source.moment(source.clip.t_of_frame(frame), retime.hold) for frame, _ in frames or [(0.0, 0.0)]]
     except FastGSError:  # the panel, and FAST-GS itself, say why; the points stay where they were made
         return
@@ -82,7 +83,7 @@ def _move(obj, depsgraph):
     parts = [_chosen_of(stored, number, model, len(source)) for number, (model, _) in enumerate(moments)]
     if any(chosen.part is None for chosen in parts):
         return
-    settings, larger = snapshot.settings_of(obj, depsgraph), stored.get(LARGER, 1.0)
+    larger = stored.get(LARGER, 1.0)
     carried = point_edits.carried_of(obj, depsgraph)
     looks = [_seen(chosen, *_edited(chosen, t, carried), settings, larger) for chosen, (_, t) in zip(parts, moments)]
     if not frames:

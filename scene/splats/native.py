@@ -18,7 +18,7 @@ from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import sigmoid
 from ...fastgs_blender.util import rotations
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, objects, point_edits, snapshot
+from .. import model_space, objects, snapshot
 from ..colour import rec709_to_working, srgb_to_linear
 from . import proxy_nodes
 
@@ -145,8 +145,7 @@ def fill(*_) -> None:
 def _renew(copy, obj, depsgraph):
     """Write a copy, unless it holds already what the evaluated splat object shows."""
     place = model_space.model_matrix(obj)
-    item = snapshot.FileInstance(obj.name, objects.abspath(obj), place, snapshot.retime_of(obj), snapshot.settings_of(obj, depsgraph),
-                                 points=point_edits.carried_of(obj, depsgraph))
+    item = snapshot.instance_of(obj, depsgraph, place)
     frame, fps = snapshot.clock(depsgraph.scene)
     state = item.state, frame, fps, objects.reloads()
     if _written.get(copy.data.session_uid) == state:

@@ -28,7 +28,7 @@ def moving_splat(scene, make_model, model_file, splat_object, fg):
 def shown(module, scene, obj, at):
     scene.frame_set(int(at), subframe=float(at % 1))
     settings = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    retime = module("scene.snapshot").retime_of(settings)
+    retime = module("scene.snapshot").retime_of(settings, at)
     return module("scene.time").clip_frame(at, scene.render.fps, retime, module("scene.objects").load_model(obj.fastgs.filepath).clip)
 
 

@@ -147,7 +147,7 @@ def test_groups_of_earlier_versions_are_made_anew(imported, module):
         tree["fastgs_version"] = 1
         tree.nodes.remove(tree.nodes["Hide Points in Viewports"])
     module("scene.splats.proxy_nodes").upgrade()
-    assert all("Hide Points in Viewports" in tree.nodes for tree in bpy.data.node_groups) and module("scene.proxies").hidden() is False
+    assert all("Hide Points in Viewports" in tree.nodes for tree in bpy.data.node_groups) and module("scene.proxies").up_to_date()
     assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons) == 8 * 40
 
 
@@ -278,7 +278,7 @@ def test_fit_scene_plays_the_whole_clip(imported, module, fg, scene):
     """The first and the last frame of the range are the clip's first and last."""
     obj = imported(clip=fg.Clip(48, 29.97))
     bpy.ops.fastgs.fit_scene()
-    time, retime = module("scene.time"), module("scene.snapshot").retime_of(obj)
+    time, retime = module("scene.time"), module("scene.snapshot").retime_of(obj, scene.frame_start)
     rate = scene.render.fps / scene.render.fps_base
     ends = [time.clip_frame(f, rate, retime, fg.Clip(48, obj.fastgs.fps)) for f in (scene.frame_start, scene.frame_end)]
     assert np.allclose(ends, (0, 47), atol=1e-4)

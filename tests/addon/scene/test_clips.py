@@ -86,13 +86,13 @@ def test_split_shows_the_same_as_before(module, shown, scene, speed):
     shown.fastgs.speed = speed
     clip = module("scene.objects").clip_of(shown)
     frames = range(1, 21 if abs(speed) == 1 else 11)
-    before = [shown_frames(f, 24.0, snapshot.retime_of(shown), clip) for f in frames]
+    before = [shown_frames(f, 24.0, snapshot.retime_of(shown, f), clip) for f in frames]
     scene.frame_set(6)
     assert bpy.ops.fastgs.split() == {'FINISHED'}
     second = bpy.context.object
     assert second is not shown and second.fastgs.filepath == shown.fastgs.filepath
     for frame, whole in zip(frames, before, strict=True):
-        parts = [shown_frames(frame, 24.0, snapshot.retime_of(obj), clip) for obj in (shown, second)]
+        parts = [shown_frames(frame, 24.0, snapshot.retime_of(obj, frame), clip) for obj in (shown, second)]
         assert parts[frame >= 6] == [(pytest.approx(f), 1.0) for f, _ in whole] and parts[frame < 6] == []
     scene.frame_set(30)
     with pytest.raises(RuntimeError, match="cannot be split here"):

@@ -8,8 +8,10 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.rendering import visibility
-from fastgs_blender.rendering.colour import linear_to_srgb, srgb_to_linear
-from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.colour import linear_to_srgb, scene_linear, srgb_to_linear
+from fastgs_blender.rendering.crops import Crop
+from fastgs_blender.rendering.filters import Filter
+from fastgs_blender.rendering.instances import LOOKS, Instance, ObjectSettings
 from fastgs_blender.rendering.looks import GREY, LUMINANCE, graded, look_numbers
 
 CAMERA = fg.Camera(48, 40, 40, 40, 24, 20, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]))
@@ -88,3 +90,41 @@ def test_numbers_that_are_no_look_are_named():
     with pytest.raises(fg.FastGSError, match="three numbers"):
         ObjectSettings(tint=(1, 1))
     assert hash(EVERYTHING) != hash(ObjectSettings()) and ObjectSettings(tint=[1, 1, 1]) == ObjectSettings()
+
+
+def held(number):
+    """As Blender holds it: in single precision."""
+    return float(np.float32(number))
+
+
+@pytest.mark.parametrize("name", LOOKS)
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+def test_the_ends_of_each_range_are_within_it_and_give_a_picture(name, space):
+    """0.01 as single precision is less than 0.01.  Beyond the ends, and what is no number, is refused."""
+    model = random_model(np.random.default_rng(4), 40, "paper", "line", "radial", "rgb", colour_space=space)
+    low, high = held(LOOKS[name].low), held(LOOKS[name].high)
+
+    def settings(value):
+        return ObjectSettings(**{name: (value,) * 3 if name == "tint" else value})
+
+    for value in (low, high, (low + high) / 2):
+        images = fg.render([(model, np.eye(4), 0.4, settings(value).under(settings(value)))], CAMERA, backend="cpu")
+        assert all(np.isfinite(image).all() for image in images.values()), value
+        assert np.isfinite(scene_linear(images["rgb"], images["alpha"], space)).all(), value
+    below, above = (float(np.nextafter(np.float32(end), np.float32(side))) for end, side in ((low, -np.inf), (high, np.inf)))
+    for value in (below, above, np.nan, np.inf, -np.inf, 1e300):
+        with pytest.raises(fg.FastGSError, match=f"{name} of an object must lie between"):
+            settings(value)
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.5, 1.5, np.inf])
+def test_densities_edges_and_limits_that_are_none_are_refused(value):
+    with pytest.raises(fg.FastGSError, match="density"):
+        ObjectSettings(density=value)
+    if not 0 <= value < np.inf:
+        with pytest.raises(fg.FastGSError, match="soft edge"):
+            Crop(np.eye(4), soft=value)
+    if np.isnan(value):
+        for wrong in (dict(low=value), dict(high=value), dict(colour=(0, value, 0))):
+            with pytest.raises(fg.FastGSError, match="filter"):
+                Filter("SIZE", **wrong)
