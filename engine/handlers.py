@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import model_space, notices, objects, paths, point_edits
+from ..scene import model_space, notices, objects, paths, point_edits, proxies
 from ..scene.splats import bodies, feeding, guard, moving, native, proxy_nodes
 from . import compiling
 
@@ -28,12 +28,14 @@ def _forget_objects(*_):
 def _upgrade(*_):
     paths.upgrade()
     proxy_nodes.upgrade()
+    proxies.update()
     _upgrade_meshes()
 
 
 @persistent
 def _upgrade_appended(context, *_):
     paths.after_import(context)
+    proxies.update()
     _upgrade_meshes()
 
 

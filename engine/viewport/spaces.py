@@ -83,6 +83,8 @@ def post_view() -> None:
     context = bpy.context
     space, scene = context.space_data, context.scene
     depsgraph = context.evaluated_depsgraph_get()
+    if not proxies.up_to_date():  # the window shows another scene
+        _start()
     _draw_pictures(context, depsgraph)
     if not shows_over(space, scene):
         _put_aside(context.region, False)
@@ -148,7 +150,7 @@ def _draw(context, depsgraph, display, region, rendered, hidden=False, data=None
     playing = context.screen is not None and context.screen.is_animation_playing
     view.draw(shown, camera, display, settings.viewport_density, playing, around, deep=rendered and overlays.drawn(context),
               data=data)
-    if view.waiting or view.coarse or view.stale or (shown.instances and not proxies.hidden()):
+    if view.waiting or view.coarse or view.stale:
         _start()
 
 
@@ -275,6 +277,8 @@ def stop() -> None:
 
 def redraw(*_) -> None:
     """Draw all 3D viewports again, after a setting of theirs has changed."""
+    if not bpy.app.is_job_running('RENDER'):
+        proxies.update()
     _start()
     for region in _regions():
         region.tag_redraw()
@@ -368,7 +372,7 @@ def _tick():
     arrived, _sky_awaited = _sky_awaited and not busy, busy
     if bpy.app.is_job_running('RENDER'):
         return 0.5  # it reads the data that is written below
-    proxies.hide(any(view.shows for view in _views.values()) and all(scene.fastgs.show_splats for scene in bpy.data.scenes))
+    proxies.update()
     for region in _regions():
         for rendered in (False, True):
             view = _views.get((region.as_pointer(), rendered))

@@ -94,7 +94,7 @@ def _build(tree):
             ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
         node[key] = tree.nodes.new(kind)
         node[key].location = 200 * x, 0
-    node["hide"].name, node["hide"].label = proxies.SWITCH, proxies.SWITCH
+    node["hide"].name, node["hide"].label, node["hide"].boolean = proxies.SWITCH, proxies.SWITCH, proxies.wanted_hidden()
     node["edges"].mode, node["edges"].domain = 'ONLY_FACE', 'FACE'
     node["both"].operation = 'AND'
     node["switch"].input_type = 'GEOMETRY'
