@@ -11,6 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..engine import compiling
 from ..fastgs_blender.formats import FORMATS, readable
 from ..fastgs_blender.formats.sequences import grouped
+from ..fastgs_blender.formats.streamed_sog import with_level
 from ..scene import upright
 from ..scene.splats.importing import Options, import_files
 from ..scene.splats.proxy import LIMIT
@@ -36,6 +37,9 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     as_sequence: BoolProperty(
         name="Numbered Files as Sequences", description="Make one object, an animation, of chosen files whose names differ in one number; "
         "else each file becomes an object", default=True)
+    level: IntProperty(
+        name="Level of Detail", description="Of streamed SOG (lod-meta.json): 0 is the finest level; higher ones have fewer Gaussians",
+        default=0, min=0, max=99, options={'SKIP_SAVE'})
     orientation: EnumProperty(
         name="Upright", description="Which axis of the file points up; the view shows what another one does, when the file is there",
         items=(
@@ -70,6 +74,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.use_property_decorate = False
         layout.prop(self, "relative_path")
         layout.prop(self, "as_sequence")
+        if any(Path(path).name.lower() == "lod-meta.json" for path in self.paths()):
+            layout.prop(self, "level")
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
         layout.prop(self, "view")
@@ -92,7 +98,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         return [self.filepath] if self.filepath else []
 
     def execute(self, context):
-        paths = self.paths()
+        paths = [str(with_level(Path(path), self.level)) for path in self.paths()]
         if not paths:
             self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
             return {'CANCELLED'}

@@ -14,6 +14,7 @@ import os
 from pathlib import Path
 
 from ..fastgs_blender.formats.sequences import numbered_files, stands_for_many
+from ..fastgs_blender.formats.streamed_sog import parted
 from ..fastgs_blender.util.errors import FastGSError
 
 KEY = "filepath"
@@ -99,10 +100,15 @@ def _path_of(file) -> str:
 
 
 def _first(path: str) -> tuple[str, str]:
-    """(a path as Blender looks after it, the pattern in its folder or FOLDER): of a sequence the path of the first file; else "" """
+    """(a path as Blender looks after it, the pattern in its folder or FOLDER): of a sequence the path of the first file, of a level that of
+    its lod-meta.json; else "" """
     import bpy
 
     there = bpy.path.abspath(path)
+    file, level = parted(Path(there))
+    if level is not None:
+        folder, name = _parted(path)
+        return folder + file.name, name
     if not stands_for_many(there):
         return path, ""
     try:

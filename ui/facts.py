@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Facts about splat objects as text for panels; opens no file, so that redraws stay quick."""
+"""Facts about splat objects as text for panels; opens no file twice, so that redraws stay quick."""
 from __future__ import annotations
 
 import textwrap
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from ..fastgs_blender.formats.sequences import stored_bytes
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects, snapshot, time
 
@@ -29,8 +30,8 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     else:
         rows.append(("Frames", "a still"))
     path = Path(objects.abspath(obj))
-    with suppress(OSError):  # a missing file is reported as an error elsewhere
-        rows += [("File Size", size(path.stat().st_size))] if not path.is_dir() else []
+    with suppress(OSError, FastGSError):  # a missing file is reported as an error elsewhere
+        rows += [("File Size", size(stored_bytes(path)))] if not path.is_dir() else []
     return rows
 
 

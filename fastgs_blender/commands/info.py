@@ -106,7 +106,9 @@ def holds_models(folder: Path, below: bool = True) -> bool:
 def describe(path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
+    from ..formats.sequences import settled, stored_bytes
 
+    path = settled(Path(path))
     file_format = formats.identify(path)
     source = formats.open_source(path)
     model, _ = source.moment(0.0)
@@ -114,7 +116,7 @@ def describe(path) -> dict:
     return {
         "file": str(path),
         "format": getattr(file_format, "name", str(file_format)),
-        "file_bytes": Path(path).stat().st_size if Path(path).is_file() else 0,
+        "file_bytes": 0 if path.is_dir() or formats.FILES.sniff(b"", path) else stored_bytes(path),
         "gaussians": len(model),
         "memory_bytes": model.nbytes,
         "motion": _basis(model.basis, clip) if source is model else {"basis": "a model for each frame", "terms": 0, "band_limit_hz": None},

@@ -38,16 +38,18 @@ from .native import Native
 from .rate import Loss
 from .realtime4dgs import Realtime4DGS
 from .rotor import RotorGaussians
-from .sequences import NumberedFiles, ZippedFiles, numbered_files, settled, stands_for_many
+from .sequences import NumberedFiles, SequenceFormat, ZippedFiles, numbered_files, place_of, settled, stands_for_many
 from .sog import Sog
 from .sog4d import Sog4d
 from .sog4d_frames import Sog4dFrames
 from .splat import Splat
 from .splat4d import Splat4d
+from .splat_checkpoints import GsplatCheckpoint, NerfstudioCheckpoint
 from .splats4d import Splats4D
 from .splatv import Splatv
 from .spz import Spz
 from .stg import SpacetimeGaussians
+from .streamed_sog import StreamedSog
 from .supersplat_ply import SuperSplatPly
 from .tsog import Tsog
 from .unsupported import explain
@@ -56,11 +58,12 @@ from .usd import Usd
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
                                Sog4d(), SuperSplatPly(), Splat4d())
-STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), Sog(), Gltf(), Usd(), Splat())
+STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), StreamedSog(), Sog(), GsplatCheckpoint(), NerfstudioCheckpoint(), Gltf(),
+                              Usd(), Splat())
 SEQUENCES: tuple[Format, ...] = (Gsd(), Splats4D(), Sog4dFrames(), ZippedFiles())
 FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
-FILES = NumberedFiles()
+FILES, STREAMED = NumberedFiles(), StreamedSog()
 """What a path that is no file may be."""
 HEAD = 512
 """Bytes that formats are first asked about."""
@@ -106,7 +109,7 @@ def fingerprint(path: str | os.PathLike) -> str:
         if stands_for_many(path):
             listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
             return hashlib.sha256(listed.encode("utf-8", "surrogateescape")).hexdigest()
-        with open_file(path) as stream:
+        with open_file(place_of(path)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
@@ -129,7 +132,8 @@ def load(path: str | os.PathLike) -> GaussianModel:
     path = settled(file_path(path))
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
-        model = usable(known.load(path), path)
+        single = known.single(path, load) if isinstance(known, SequenceFormat) else None
+        model = usable(known.load(path), path) if single is None else single
     if not model.provenance:
         model.provenance = {"source": path.name, "format": known.name}
     return model
@@ -196,6 +200,8 @@ def _identify(path: Path) -> Format:
     if FILES.sniff(b"", path):
         numbered_files(path)  # says what is wrong with a folder that is no sequence
         return FILES
+    if STREAMED.sniff(b"", path):  # a level of it
+        return STREAMED
     with open_file(path) as stream:
         head = stream.read(HEAD)
     if not head:

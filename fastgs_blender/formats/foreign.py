@@ -123,8 +123,6 @@ def _json(path: Path) -> str | None:
         return CAPTURE if tree and isinstance(tree[0], dict) and "rotation" in tree[0] and "position" in tree[0] else None
     if "asset" in tree and ("meshes" in tree or "scenes" in tree):
         return GLTF
-    if "lodLevels" in tree and "filenames" in tree:
-        return "it lists SOG in levels of detail; choose the meta.json of one level, of which 0_0 is the finest"
     return CAPTURE if isinstance(tree.get("frames"), list) and any(key.startswith(("camera_", "fl_")) for key in tree) else None
 
 

@@ -3,6 +3,10 @@
 
 All primitives with the extension are read, where the nodes of the scene put them; also those packed by
 KHR_gaussian_splatting_compression_spz_2, or as its drafts had it.  A .glb is written, with floats: nothing is rounded.
+
+What is assumed, with a LossWarning: another kernel is drawn as an ellipse, as the specification's note asks; where a primitive has a
+negative scale, all its scales are natural logarithms, as splat-transform wrote them until June 2026 (version 2.6); of primitives in several
+colour spaces, linear ones become sRGB.
 """
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import base64
 import binascii
 import json
 import struct
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
@@ -20,7 +25,7 @@ from ..model.appearance import SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
 from ..model.slicing import sigmoid
 from ..util import rotations
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, LossWarning, printable
 from .base import OPAQUE, generator
 from .description import is_json_table, read_json, whole_number
 from .scenes import placed, together
@@ -66,10 +71,14 @@ class Gltf(StaticFormat):
         found = _primitives(tree)
         if not found:
             raise FastGSError("there are no Gaussians in this glTF file (KHR_gaussian_splatting); in Blender use File > Import > glTF.")
-        buffers = _Buffers(tree, binary, path.parent)
+        buffers, assumed = _Buffers(tree, binary, path.parent), {}
         models = []
         for place, primitive in found:
-            models.append(placed(_primitive(tree, primitive, buffers), place))
+            models.append(placed(_primitive(tree, primitive, buffers, assumed), place))
+        if len({model.colour_space for model in models}) > 1:
+            assumed["its meshes are in several colour spaces, of which linear ones become sRGB"] = None
+        if assumed:
+            warnings.warn(LossWarning(f"{path}: {'; '.join(assumed)}."), stacklevel=3)
         return turned(together(models), into_rdf(AXES))
 
     def fit(self, model):
@@ -232,14 +241,16 @@ def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
     return values
 
 
-def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
-    """The model of one primitive, in glTF's axes."""
+def _primitive(tree: dict, primitive: dict, buffers: _Buffers, assumed: dict[str, None]) -> GaussianModel:
+    """The model of one primitive, in glTF's axes; `assumed` gets a clause for what the file does not say plainly."""
     extensions, attributes = primitive["extensions"], _table(primitive.get("attributes"))
     about = _table(extensions.get(EXTENSION))
     packed = next((extensions[name] for name in DRAFTS if name in extensions), _table(about.get("extensions")).get(PACKED))
-    colours = about.get("colorSpace", "srgb_rec709_display")
-    if about.get("kernel", "ellipse") != "ellipse" or not isinstance(colours, str) or colours not in COLOURS:
-        raise FastGSError("its Gaussians have a kernel or a colour space that is not known; export it as ellipses in sRGB.")
+    colours, kernel = about.get("colorSpace", "srgb_rec709_display"), about.get("kernel", "ellipse")
+    if not isinstance(colours, str) or colours not in COLOURS:
+        raise FastGSError("its Gaussians have a colour space that is not known; export it in sRGB.")
+    if kernel != "ellipse":
+        assumed[f"its kernel {printable(repr(kernel)[:40])} is not known and is drawn as an ellipse, so pictures may differ"] = None
     if packed is not None:
         draft = "kernel" not in about and "colorSpace" not in about
         data = buffers.view(_table(packed).get("bufferView"))
@@ -257,7 +268,11 @@ def _primitive(tree: dict, primitive: dict, buffers: _Buffers) -> GaussianModel:
     features = [read(f"SH_DEGREE_{d}_COEF_{k}", 3) for d in range(degree + 1) for k in range(2 * d + 1)]
     opacity = read("OPACITY", 1)[:, 0]
     logit = np.clip(np.log(opacity) - np.log1p(-opacity), -OPAQUE, OPAQUE)
-    arrays = {"position": read("POSITION", 3), "rotation": read("ROTATION", 4)[:, [3, 0, 1, 2]], "scale": np.log(read("SCALE", 3)),
+    scale = read("SCALE", 3)
+    if (scale < 0).any():
+        assumed["its scales are taken for natural logarithms, since some are negative (splat-transform before 2.7 wrote such files)"] = None
+    arrays = {"position": read("POSITION", 3), "rotation": read("ROTATION", 4)[:, [3, 0, 1, 2]],
+              "scale": scale if (scale < 0).any() else np.log(scale),
               "opacity": logit, "features": np.concatenate(features, 1)}
     if len({len(array) for array in arrays.values()}) > 1:
         raise FastGSError("its attributes differ in length; the file is damaged.")

@@ -4,6 +4,7 @@
 Columns, by name and in any order: x y z, f_dc_0..2, f_rest_* (all of red, then green, then blue), opacity (logit),
 scale_0..2 (ln), rot_0..3 (w x y z); nx ny nz and others are ignored.  `comment SplatRenderMode: mip` (Brush) and
 `comment antialiased 1` (Postshot) make the model antialiased; the blur stays 0.3, for the file does not say another.
+A column filter_3D is fused into scales and opacities (mip_filter.py).
 
 What some trainers write instead: red, green, blue for f_dc_* (nerfstudio's `--ply-color-mode rgb`), and scale_0 alone for round
 Gaussians.
@@ -20,7 +21,7 @@ from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
 from ..model.temporal import Always
 from ..util.errors import LossWarning
-from . import ply
+from . import mip_filter, ply
 from .base import Format, generator
 from .description import comments, from_comments
 from .unsupported import GAUSSIAN, is_2dgs
@@ -72,13 +73,15 @@ class Inria(Format):
         header = ply.read_header(path)
         plain = not header.names.issuperset(CONSTANT)
         degree, colours = (0, PLAIN) if plain else harmonics(header, path)
+        smoothed = {mip_filter.COLUMN: (mip_filter.COLUMN,)} if mip_filter.COLUMN in header.names else {}
         columns = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE[:1] * 3 if _is_round(header) else SCALE, "opacity": ("opacity",),
-            "features": colours})
+            "features": colours, **smoothed})
         columns["opacity"] = columns["opacity"][:, 0]
         if plain:
             columns["features"] = _coefficients(header, columns["features"])
-        kinds = {"raster": Raster(antialiased=says_antialiased(header))} | from_comments(header.comments, KEYS)
+        raster = mip_filter.fused(columns, path) if smoothed else Raster(antialiased=says_antialiased(header))
+        kinds = {"raster": raster} | from_comments(header.comments, KEYS)
         return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
     def suits(self, model):

@@ -40,11 +40,15 @@ class Folder:
     def __exit__(self, *problem):
         pass
 
+    def within(self, folder: str) -> Folder:
+        """The files of a folder in it."""
+        return Folder(self.folder / plain(folder))
+
     def size(self, name: str) -> int:
         """Bytes of a file."""
         path = self.folder / plain(name)
         if not path.is_file():
-            raise FastGSError(f"its picture {name} is missing; put it beside meta.json.")
+            raise FastGSError(f"its file {self.folder.name}/{name} is missing; copy or export all of its files again.")
         return path.stat().st_size
 
     def read(self, name: str, limit: int = LARGEST) -> bytes:
@@ -55,9 +59,9 @@ class Folder:
 
 
 class Archive:
-    """The files of a zip, wherever in it meta.json lies; of two with one name, the last."""
+    """The files of a zip, wherever in it its meta.json, or a file of another name, lies; of two with one name, the last."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, meta: str = "meta.json"):
         self._stack = ExitStack()
         try:
             self.zip = self._stack.enter_context(opened_zip(path))
@@ -65,8 +69,7 @@ class Archive:
             raise FastGSError(f"it is a broken zip archive ({error}); copy it again.") from error
         self.length = path.stat().st_size
         self.members = {info.filename: info for info in self.zip.infolist() if not info.is_dir()}
-        self.base = next((name[:-len("meta.json")] for name in sorted(self.members, key=len)
-                          if name == "meta.json" or name.endswith("/meta.json")), "")
+        self.base = next((name[:-len(meta)] for name in sorted(self.members, key=len) if name == meta or name.endswith(f"/{meta}")), "")
 
     def __enter__(self):
         return self
@@ -123,8 +126,13 @@ def plain(name) -> str:
     """The name of a file in the same folder, and nothing else; it may begin with "./"."""
     name = name.removeprefix("./") if isinstance(name, str) else name
     if not isinstance(name, str) or not name or name in (".", "..") or any(c in name for c in "/\\:\0"):
-        raise FastGSError("meta.json names a picture that is not beside it; the file is damaged.")
+        raise FastGSError("it names a file that is not beside or below it; the file is damaged.")
     return name
+
+
+def below(name) -> tuple[str, ...]:
+    """The parts of the name of a file in the same folder or below it."""
+    return tuple(plain(part) for part in name.removeprefix("./").split("/")) if isinstance(name, str) else (plain(name),)
 
 
 def part(meta: dict, key: str) -> dict:

@@ -15,6 +15,7 @@ from ..rendering.instances import Instance
 from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
 from ..util.errors import FastGSError
+from .colour_spaces import in_colour_space
 from .static import plain_harmonics
 from .turning import turned
 
@@ -37,6 +38,8 @@ def as_seen(instances: list[Instance]) -> tuple[GaussianModel, list[str]]:
         raise FastGSError("nothing is shown at this time; choose objects and a frame that show Gaussians.")
     if len({m.raster for m in parts}) > 1:
         lost |= {"that its objects were trained with different constants of the rasteriser": None}
+    if len({m.colour_space for m in parts}) > 1:
+        lost |= {"that some of its objects have linear colours, which become sRGB, as nearly as harmonics can hold it": None}
     return replace(together(parts), axes="RFU"), list(lost)
 
 
@@ -100,9 +103,12 @@ def placed(model: GaussianModel, place: np.ndarray) -> GaussianModel:
 
 
 def together(models: list[GaussianModel]) -> GaussianModel:
-    """One static model of several with spherical harmonics, in one colour space; those of a lower degree get zeros."""
+    """One static model of several with spherical harmonics; those of a lower degree get zeros.
+
+    Of several colour spaces it has sRGB, see colour_spaces.py.
+    """
     if len({m.colour_space for m in models}) > 1:
-        raise FastGSError("the Gaussians are in several colour spaces; export them one by one.")
+        models = [in_colour_space(m, "srgb") for m in models]
     degree = max(m.appearance.degree for m in models)
     width = SH(degree).width
     features = [np.pad(m.features, ((0, 0), (0, width - m.features.shape[1]))) for m in models]

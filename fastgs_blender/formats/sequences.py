@@ -8,7 +8,8 @@ A path stands for a sequence where it is
     a zip file                     frames.zip                as a folder
 Frames have the places that their numbers give them, divided by the step that all numbers share; where one is missing, its
 neighbours are shown.  Capitals make no difference.  Of what a trainer saved after several iterations, the last counts.
-A folder that SOG was written into, meta.json and pictures, stands for that one model.
+A folder that SOG was written into, meta.json and pictures, stands for that one model; with a lod-meta.json (streamed_sog.py), for the
+finest of its levels.  A zip file with a single model in it, of any of ALONE, is that model.
 """
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ import warnings
 import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +37,8 @@ from ..util.errors import FastGSError, LossWarning
 from ..util.identity import status_of
 from ..util.reading import open_file, reading
 from ..util.zip_files import opened_zip
+from . import sog, streamed_sog
 from .base import Format
-from .sog import Sog
 from .turning import with_axes
 from .zipped import members
 
@@ -44,7 +46,11 @@ EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".
 """Of files that are taken for frames."""
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
-META, LEVELS = "meta.json", "lod-meta.json"
+ALONE = (*EXTENSIONS, ".safetensors", ".splatv", ".4dgs", ".splat4d")
+"""Of files that are read where a zip file holds only one of them."""
+COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
+"""What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
+META, LEVELS = sog.META, streamed_sog.META
 """Of SOG in a folder, and of its levels of detail in folders beside each other."""
 DEPTH = 4
 """Folders below the one that was chosen in which frames are looked for: frame_0001/point_cloud/iteration_7000/point_cloud.ply."""
@@ -68,6 +74,10 @@ class SequenceFormat(Format):
         raise FastGSError("it is a sequence of frames, which are read one at a time; open it with open_source(), or turn it into one "
                           "model with fastgs convert.")
 
+    def single(self, path: Path, load: Loader) -> GaussianModel | None:
+        """The file's model where it is no sequence after all."""
+        return None
+
 
 class NumberedFiles(SequenceFormat):
     """A folder or a pattern of names."""
@@ -90,26 +100,30 @@ class ZippedFiles(SequenceFormat):
     reads = (".zip",)
 
     def sniff(self, head, path):
-        return any(_is_packed_frame(name) for name in members(head, path))
+        found = members(head, path)
+        return any(map(_is_packed_frame, found)) or len(_alone(found)) == 1
+
+    def single(self, path, load):
+        infos, beside = _models(path)
+        return _unpacked(path, next(iter(infos.values())), load, beside) if len(infos) == 1 else None
 
     def open(self, path, load):
-        with reading(path), opened_zip(path) as archive:
-            infos = {info.filename: info for info in archive.infolist() if not info.is_dir()}
-            infos = {name: infos[name] for name in _latest(filter(_is_packed_frame, infos))}
-        if len(infos) == 1:
-            return _unpacked(path, next(iter(infos.values())), load)
+        if (model := self.single(path, load)) is not None:
+            return model
+        infos, _ = _models(path)
         found = _one_sequence(infos, "the zip file")
         return _sequence([n for n, _ in found], lambda i: _still(_unpacked(path, infos[found[i][1]], load), f"{path}: {found[i][1]}"),
                          lambda i: status_of(str(path)), str(path))
 
 
 def settled(path: Path) -> Path:
-    """The file that a path stands for: in a folder of SOG its meta.json, else the path itself."""
-    meta = path / META
-    if not os.path.isfile(meta) or (path / LEVELS).exists():
-        return path
-    with reading(meta), open_file(meta) as stream:
-        return meta if Sog().sniff(stream.read(512), meta) else path
+    """The file that a path stands for: in a folder of SOG its meta.json or lod-meta.json, else the path itself."""
+    for known, name in ((streamed_sog.StreamedSog(), LEVELS), (sog.Sog(), META)):
+        meta = path / name
+        if os.path.isfile(meta):
+            with reading(meta), open_file(meta) as stream:
+                return meta if known.sniff(stream.read(512), meta) else path
+    return path
 
 
 def stands_for_many(path: str | os.PathLike) -> bool:
@@ -118,17 +132,43 @@ def stands_for_many(path: str | os.PathLike) -> bool:
 
 
 def place_of(path: str | os.PathLike) -> str:
-    """What a path that may be a pattern must find on the disk: the file, or the folder."""
+    """What a path that may be a pattern, or name a level, must find on the disk: the file, or the folder."""
     path = os.fsdecode(path)
-    return os.path.dirname(path) if stands_for_many(path) and not os.path.isdir(path) else path
+    if stands_for_many(path) and not os.path.isdir(path):
+        return os.path.dirname(path)
+    return str(streamed_sog.parted(Path(path))[0])
 
 
 def title(path: Path) -> str:
-    """A name for what is at a path, without the place of a number."""
+    """A name for what is at a path, without extension and place of a number; of SOG in a folder it is the folder's."""
+    file, level = streamed_sog.parted(path)
+    if file.name.lower() in (META, LEVELS):
+        return file.absolute().parent.name + (f" level {level}" if level else "")
     plain = PLACE.sub("", path.name) if stands_for_many(path) else path.name
-    for extension in EXTENSIONS:
-        plain = plain[:-len(extension)] if plain.lower().endswith(extension) else plain
-    return plain.rstrip("_-. ") or path.parent.name
+    extension = next((e for e in EXTENSIONS if plain.lower().endswith(e)), "" if path.is_dir() else Path(plain).suffix)
+    return plain.removesuffix(plain[len(plain) - len(extension):]).rstrip("_-. ") or path.parent.name
+
+
+def stored_bytes(path: Path) -> int:
+    """Bytes of the file at a path and, of SOG in a folder, of its pictures and chunks.  Raises OSError and FastGSError.
+
+    Files are read anew only where the one at the path has changed, so that panels may ask.
+    """
+    status = os.stat(place_of(path))
+    return status.st_size + _bytes_beside(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def _bytes_beside(path: Path, *status: int) -> int:
+    """Bytes of the other files of SOG in a folder."""
+    name = streamed_sog.parted(path)[0].name.lower()
+    if name == META:
+        files = sog.pictures(path)
+    elif name == LEVELS:
+        files = [Path(entry) for folder in streamed_sog.chunk_folders(path) for entry in os.scandir(folder)]
+    else:
+        return 0
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def numbered_files(path: Path, below: bool = True) -> list[tuple[int, Path]]:
@@ -138,9 +178,6 @@ def numbered_files(path: Path, below: bool = True) -> list[tuple[int, Path]]:
     """
     if path.is_dir():
         names = _names(path)
-        if LEVELS in names:
-            raise FastGSError("the folder holds SOG in levels of detail, which are no frames; choose the meta.json of one level, of which "
-                              "0_0 is the finest.")
         found = names if any(map(_is_frame, names)) or not below else _names_below(path)
         return [(n, path / name) for n, name in _one_sequence(found, "the folder")]
     place = PLACE.search(path.name)
@@ -198,6 +235,20 @@ def _is_frame(name: str) -> bool:
 def _is_packed_frame(name: str) -> bool:
     """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not."""
     return _is_frame(name) and os.path.basename(name) != META
+
+
+def _alone(names: Iterable[str]) -> list[str]:
+    """Members of a zip file that are models, of which one is read; hidden ones are passed over."""
+    hidden = re.compile(r"(^|/)(\.|__MACOSX/)")
+    return _latest(name for name in names if name.lower().endswith(ALONE) and not hidden.search(name))
+
+
+def _models(path: Path) -> tuple[dict[str, zipfile.ZipInfo], list[zipfile.ZipInfo]]:
+    """The members of a zip file that are frames, or the only one that is a model, and what may be looked for beside a single one."""
+    with reading(path), opened_zip(path) as archive:
+        infos = {info.filename: info for info in archive.infolist() if not info.is_dir()}
+    names = _latest(filter(_is_packed_frame, infos)) or _alone(infos)
+    return {name: infos[name] for name in names}, [info for name, info in infos.items() if f"/{name}".endswith(COMPANIONS)]
 
 
 def _pattern(before: str, after: str) -> re.Pattern:
@@ -296,15 +347,23 @@ def _still(model: GaussianModel, name) -> GaussianModel:
     return freeze(model, 0.0) if model.appearance.name == "changing" else model
 
 
-def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader) -> GaussianModel:
-    """The model in a member of a zip file, unpacked into a temporary file as far as its claims go."""
+def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader, beside: Iterable[zipfile.ZipInfo] = ()) -> GaussianModel:
+    """The model in a member of a zip file, unpacked into a temporary folder as far as its claims go, with the members `beside`."""
     name = info.filename
-    if info.file_size > RATIO * max(info.compress_size, 1) + 2**16 or info.flag_bits & 1:
-        raise FastGSError(f"{path}: its part {name} is encrypted, or far larger than what the zip file holds of it; unpack it yourself.")
     with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
-        target = Path(folder, "frame" + next(e for e in EXTENSIONS if name.lower().endswith(e)))
-        with reading(path), opened_zip(path) as archive, archive.open(info) as source, open(target, "wb") as out:
-            shutil.copyfileobj(source, out)
+        with reading(path), opened_zip(path) as archive:
+            for member in (info, *beside):
+                parts = PurePosixPath(member.filename).parts
+                if ".." in parts or any(c in member.filename for c in "\\:\0"):
+                    raise FastGSError(f"{path}: its part {member.filename} lies outside of it; unpack it yourself.")
+                if member.file_size > RATIO * max(member.compress_size, 1) + 2**16 or member.flag_bits & 1:
+                    raise FastGSError(f"{path}: its part {member.filename} is encrypted, or far larger than what the zip file holds of it; "
+                                      "unpack it yourself.")
+                file = Path(folder, *parts[parts[:1] == ("/",):])
+                file.parent.mkdir(parents=True, exist_ok=True)
+                with archive.open(member) as source, open(file, "wb") as out:
+                    shutil.copyfileobj(source, out)
+        target = Path(folder, *PurePosixPath(name.lstrip("/")).parts)
         try:
             return load(target)
         except FastGSError as error:

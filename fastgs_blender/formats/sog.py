@@ -8,14 +8,18 @@ for a row of shN_centroids, which holds the other coefficients, 64 rows beside e
 """
 from __future__ import annotations
 
+import functools
 import json
+import operator
+import warnings
 import zipfile
+from pathlib import Path
 
 import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel, Raster
-from ..util.errors import FastGSError
+from ..util.errors import FastGSError, LossWarning
 from . import pixel_tables as tables
 from .base import generator
 from .codebooks import codebook, palette
@@ -33,6 +37,7 @@ from .static import (
 )
 
 ZIP = b"PK\x03\x04"
+META = "meta.json"
 COEFFICIENTS = {1: 3, 2: 8, 3: 15}
 """Above degree 0, by degree."""
 BESIDE = 64
@@ -59,6 +64,9 @@ class Sog(StaticFormat):
         return is_json_table(head) and path.stat().st_size <= tables.MAX_META and _is_meta(read_whole(path))
 
     def load(self, path):
+        if (path.absolute().parent.parent / "lod-meta.json").is_file():
+            warnings.warn(LossWarning(f"{path}: it is one chunk of a streamed scene; lod-meta.json in the folder above is the whole."),
+                          stacklevel=3)
         zipped = read_whole(path, 4) == ZIP
         with (tables.Archive(path) if zipped else tables.Folder(path.parent)) as files:
             return decoded(files.meta() if zipped else read_json(read_whole(path)), files)
@@ -87,6 +95,13 @@ def _is_meta(text: bytes) -> bool:
     except FastGSError:
         return False
     return isinstance(meta, dict) and all(isinstance(meta.get(key), dict) and "files" in meta[key] for key in ("means", "quats", "sh0"))
+
+
+def pictures(path: Path) -> list[Path]:
+    """The pictures that a meta.json names.  Raises FastGSError."""
+    meta = read_json(read_whole(path, tables.MAX_META))
+    named = [value["files"] for value in meta.values() if isinstance(value, dict) and isinstance(value.get("files"), list)]
+    return [path.parent / tables.plain(name) for name in functools.reduce(operator.iadd, named, [])]
 
 
 def decoded(meta: dict, files) -> GaussianModel:

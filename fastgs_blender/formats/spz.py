@@ -5,6 +5,9 @@ A header, then one array after the other: positions (half floats in version 1, t
 3 x u8, scales 3 x u8, rotations (x y z as u8 up to version 2, then the three smaller components, 9 bits and a sign each), spherical
 harmonics u8 (coefficient by coefficient, r g b each).  The axes are RUB, unless Adobe's extension names others.
 Version 3 is written: all maintained readers know it.
+
+Where y points up in the file and down in the PLY, Niantic's coordinateConverter() (splat-types.h, flipSh[23]) also changes the sign of the
+last coefficient of degree 4, whose function of the direction is even in y.  Its files hold that sign, so we read and write it.
 """
 from __future__ import annotations
 
@@ -92,7 +95,15 @@ def decoded(data: bytes, raw: bool = False) -> GaussianModel:
     _, version, count, degree, fraction, flags, _ = header
     model = _decode(version, count, degree, fraction, arrays)
     model.raster = replace(Raster(), antialiased=bool(flags & ANTIALIASED))
-    return model if raw else turned(model, into_rdf(_axes(extensions if flags & EXTENDED else b"")))
+    axes = _axes(extensions if flags & EXTENDED else b"")
+    return model if raw else turned(_with_their_sign(model, axes), into_rdf(axes))
+
+
+def _with_their_sign(model: GaussianModel, axes: str) -> GaussianModel:
+    """The model in a file's axes, the sign of its last coefficient of degree 4 changed as Niantic's library does; its own inverse."""
+    if model.appearance.degree < 4 or "U" not in axes:
+        return model
+    return replace(model, features=np.concatenate([model.features[:, :-3], -model.features[:, -3:]], 1))
 
 
 def _sizes(version: int, count: int, degree: int) -> list[int]:
@@ -224,7 +235,7 @@ def _fraction(model: GaussianModel) -> int:
 def _packed(model: GaussianModel) -> bytes:
     """A file of version 3."""
     fraction = _fraction(model)
-    model = turned(model, into_rdf("RUB").T)
+    model = _with_their_sign(turned(model, into_rdf("RUB").T), "RUB")
     whole = np.rint(np.clip(model.position.astype(np.float64) * 2**fraction, -(2**23), 2**23 - 1)).astype("<i4")
     features = model.features.astype(np.float64)
     header = HEADER.pack(MAGIC, VERSION, len(model), model.appearance.degree, fraction, ANTIALIASED * model.raster.antialiased, 0)

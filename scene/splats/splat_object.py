@@ -34,7 +34,7 @@ def create(context, path: str, limit: int = proxy.LIMIT, orient: bool = True, re
     """
     path = bpy.path.abspath(path)
     model = objects.load_model(path)
-    name = bpy.path.display_name_from_filepath(title(Path(path)))
+    name = printable(title(Path(path)))
     turn = np.array(objects.axes_matrix(model.axes), np.float64) if orient else np.eye(4)
     if up is not None and not says_axes(path, model):
         turn[:3, :3] = upright.TURNS[up]

@@ -217,6 +217,52 @@ def test_round_trip_without_losses(rng, make_model, tmp_path, degree, colour_spa
     assert back.colour_space == colour_space
 
 
+def test_an_unknown_kernel_is_drawn_as_an_ellipse(rng, tmp_path):
+    """The specification's note on other kernels: renderers that do not know one should fall back to the ellipse."""
+    attributes = random_attributes(rng, 20, 1)
+    (tmp_path / "m.glb").write_bytes(glb(*tree_of(attributes, kernel="customShape")))
+    with pytest.warns(fg.LossWarning, match="customShape.*ellipse"):
+        assert_model(fg.load(tmp_path / "m.glb"), attributes)
+
+
+def test_scales_as_logarithms(rng, tmp_path):
+    """splat-transform before a07f5aa (2026-06-22) wrote scale_0..2 of the PLY as they are; some of them are always negative."""
+    attributes = random_attributes(rng, 20, 1)
+    logs = attributes | {f"{EXT}:SCALE": np.log(attributes[f"{EXT}:SCALE"])}
+    assert (logs[f"{EXT}:SCALE"] < 0).any()
+    (tmp_path / "m.glb").write_bytes(glb(*tree_of(logs)))
+    with pytest.warns(fg.LossWarning, match="logarithms.*negative"):
+        assert_model(fg.load(tmp_path / "m.glb"), attributes)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_meshes_in_two_colour_spaces(rng, tmp_path, degree):
+    """Linear ones are converted by the sRGB curve of IEC 61966-2-1, in all directions as nearly as their harmonics can."""
+    one, two = random_attributes(rng, 6, degree), random_attributes(rng, 9, degree)
+    for name in two:  # colours within 0.2..0.9
+        if "SH_DEGREE" in name:
+            two[name] = np.float32(0.03 * two[name] if "DEGREE_0" not in name else rng.uniform(-0.7, 1, two[name].shape))
+    tree, binary = tree_of({**one, **{f"b{k}": v for k, v in two.items()}})
+    first = tree["meshes"][0]["primitives"][0]
+    second = {**first, "attributes": {k[1:]: i for k, i in first["attributes"].items() if k.startswith("b")},
+              "extensions": {EXT: {"kernel": "ellipse", "colorSpace": "lin_rec709_display"}}}
+    first["attributes"] = {k: i for k, i in first["attributes"].items() if not k.startswith("b")}
+    tree["meshes"].append({"primitives": [second]})
+    tree["nodes"].append({"mesh": 1})
+    tree["scenes"][0]["nodes"] = [0, 1]
+    (tmp_path / "m.glb").write_bytes(glb(tree, binary))
+    with pytest.warns(fg.LossWarning, match="colour spaces.*sRGB"):
+        model = fg.load(tmp_path / "m.glb")
+    assert model.colour_space == "srgb" and len(model) == 15
+    assert_model(model.take(slice(0, 6)), one)
+    directions = rng.normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    features = np.stack([two[f"{EXT}:SH_DEGREE_{d}_COEF_{k}"] for d in range(degree + 1) for k in range(2 * d + 1)], 1).astype(float)
+    linear = 0.5 + np.einsum("db,nbc->ndc", sh_basis(directions, degree), features)
+    wanted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(0.5 + colours(model.take(slice(6, 15)), directions @ LUF.T), wanted, atol=2e-2 if degree else 1e-5)
+
+
 def test_broken_files(rng, tmp_path):
     def refused(match, change=lambda tree: None, cut=0):
         tree, binary = tree_of(random_attributes(rng))
@@ -228,7 +274,7 @@ def test_broken_files(rng, tmp_path):
     about = lambda tree: tree["meshes"][0]["primitives"][0]["extensions"][EXT]  # noqa: E731
     refused("cut short", cut=8)
     refused("longer than its buffer", lambda t: t["accessors"][0].update(count=10**9))
-    refused("kernel or a colour space", lambda t: about(t).update(kernel="cube"))
+    refused("colour space", lambda t: about(t).update(colorSpace="acescg"))
     for uri in ("../m.bin", "a/../../m.bin", "%2e%2e/m.bin", "/etc/passwd", "a//b", "c:\\m.bin", "http://a/b", "m%00.bin", "", "."):
         refused("not a file beside or below it", lambda t, uri=uri: t["buffers"][0].update(uri=uri))
     refused("is missing", lambda t: t["buffers"][0].update(uri="m.bin"))

@@ -78,6 +78,44 @@ def test_colours_as_nerfstudio_writes_them(rng, load_bytes):
     check_inria(load_bytes(ply_files.ply(both)), {name: both[name] for name in INRIA})
 
 
+@pytest.mark.parametrize(("settings", "blur"), [
+    (None, 0.1), ("Namespace(kernel_size=0.0, sh_degree=3)", 0.0), ("Namespace(kernel_size=0.3)", 0.3), ("Namespace(sh_degree=3)", 0.1),
+    ("Namespace(kernel_size=-1)", 0.1), ("Namespace(kernel_size=1e400)", 0.1), ("rubbish", 0.1)])
+def test_the_3d_filter_of_mip_splatting(rng, tmp_path, settings, blur):
+    """scene/gaussian_model.py of autonomousvision/mip-splatting, get_scaling_with_3D_filter and get_opacity_with_3D_filter:
+
+        scales = torch.sqrt(torch.square(scales) + torch.square(self.filter_3D))
+        det1 = scales_square.prod(dim=1); det2 = scales_after_square.prod(dim=1); opacity * torch.sqrt(det1 / det2)
+    """
+    table = ply_files.columns(rng, [*INRIA, "filter_3D"], 40)
+    table["filter_3D"] = np.abs(table["filter_3D"])
+    table["filter_3D"][3] = 0
+    table["opacity"][:2] = -20, 20
+    path = tmp_path / "point_cloud" / "iteration_30000" / "point_cloud.ply"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(ply_files.ply(table))
+    if settings:
+        (tmp_path / "cfg_args").write_text(settings)
+    with pytest.warns(fg.LossWarning, match="filter_3D.*Mip-Splatting.*fused"):
+        model = fg.load(path)
+    s = np.exp(np.stack([table[f"scale_{i}"] for i in range(3)], 1).astype(np.float64))
+    after = s**2 + np.square(table["filter_3D"].astype(np.float64))[:, None]
+    opacity = 1 / (1 + np.exp(-table["opacity"].astype(np.float64))) * np.sqrt((s**2).prod(1) / after.prod(1))
+    shown = fg.slice_model(model, 0, cull=False)
+    np.testing.assert_allclose(shown.scale, np.sqrt(after), rtol=1e-6)
+    np.testing.assert_allclose(shown.opacity, opacity, rtol=2e-5, atol=1e-7)
+    assert model.scale[3].tolist() == [table[f"scale_{i}"][3] for i in range(3)] and model.opacity[3] == table["opacity"][3]
+    assert model.raster == fg.Raster(blur=blur, antialiased=True)
+
+
+def test_a_3d_filter_that_is_no_number_leaves_its_gaussian_out(rng, load_bytes):
+    table = ply_files.columns(rng, [*INRIA, "filter_3D"])
+    table["filter_3D"][1] = np.nan
+    with pytest.warns(fg.LossWarning) as told:
+        assert len(load_bytes(ply_files.ply(table))) == 5
+    assert any("1 of 6 Gaussians are left out" in str(each.message) for each in told)
+
+
 def test_round_gaussians_have_one_scale(rng, load_bytes):
     table = ply_files.columns(rng, [name for name in INRIA if name not in ("scale_1", "scale_2")])
     model = load_bytes(ply_files.ply(table))

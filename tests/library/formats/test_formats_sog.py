@@ -208,7 +208,7 @@ def test_broken_files(rng, tmp_path):
     refused("version 3", version=3)
     refused("promises 4000000", count=4_000_000)
     refused("40 pixels for 2000|has 40 pixels", count=2000)
-    refused("not beside it", quats={"files": ["../../etc/passwd"]})
+    refused("not beside or below it", quats={"files": ["../../etc/passwd"]})
     refused("quats.webp is missing", {k: v for k, v in good.items() if k != "quats.webp"})
     refused("says nothing of scales", scales=None)
     refused("where numbers should be", sh0={"codebook": ["a"], "files": ["sh0.webp"]})

@@ -15,8 +15,12 @@ import fastgs_blender as fg
 from fastgs_blender.formats import identify
 
 pytestmark = pytest.mark.filterwarnings("error")
-FLIPS = {1: [-1, -1, 1], 2: [-1, 1, 1, -1, 1], 3: [-1, 1, -1, -1, 1, -1, 1], 4: [-1, 1, -1, 1, 1, -1, 1, -1, 1]}
-"""Signs of the harmonics from RUB to RDF, by their evenness in y and in z: they change where exactly one of the two is odd."""
+FLIPS = {1: [-1, -1, 1], 2: [-1, 1, 1, -1, 1], 3: [-1, 1, -1, -1, 1, -1, 1], 4: [-1, 1, -1, 1, 1, -1, 1, -1, -1]}
+"""Signs of the harmonics from RUB to RDF as Niantic's coordinateConverter() has them (splat-types.h, flipSh, with y = z = -1).
+
+They change where a function of the direction is odd in exactly one of y and z; the last one of degree 4, which is even in both, changes
+there too.
+"""
 
 
 def packed(rng, version: int, count: int, degree: int) -> dict[str, np.ndarray]:
@@ -140,6 +144,16 @@ def test_axes_that_adobes_extension_names(rng, tmp_path, version, number, matrix
     directions = rng.normal(size=(20, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     np.testing.assert_allclose(colours(model, directions @ turn.T), colours(rub, directions), atol=1e-5)
+
+
+@pytest.mark.parametrize(("number", "signs"), [(6, [1] * 9), (5, [-1, 1, -1, 1, 1, -1, 1, -1, 1]), (7, [1, -1, 1, -1, 1, -1, 1, -1, -1])])
+def test_signs_of_degree_4_in_other_axes(rng, tmp_path, number, signs):
+    """flipSh of Niantic's library from RDF, LDF and LUF to RDF: the last coefficient changes with y alone."""
+    arrays = packed(rng, 3, 12, 4)
+    extension = struct.pack("<III", 0xADBE0003, 4, number)
+    (tmp_path / "m.spz").write_bytes(file(3, 12, 4, arrays, flags=2, extensions=extension))
+    stored = (arrays["sh"].reshape(12, 24, 3) - 128.0) / 128
+    np.testing.assert_allclose(fg.load(tmp_path / "m.spz").features[:, 48:].reshape(12, 9, 3), stored[:, 15:] * np.reshape(signs, (-1, 1)))
 
 
 def covariances(model) -> np.ndarray:

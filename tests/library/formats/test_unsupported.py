@@ -69,7 +69,6 @@ LOOKS = {
     "mesh .glb": (gltf(True), "File > Import > glTF"), "mesh .gltf": (gltf(False), "File > Import > glTF"),
     "transforms.json": (b'{"camera_angle_x": 1, "frames": []}', "cameras of a capture"),
     "cameras.json": (b'[{"id": 0, "position": [0, 0, 0], "rotation": []}]', "cameras of a capture"),
-    "lod-meta.json": (b'{"lodLevels": 3, "filenames": ["0_0/meta.json"]}', "levels of detail"),
     "numpy": (b"\x93NUMPY\x01\0" + bytes(80), "numpy array"), "noise": (np.random.default_rng(3).bytes(3001), "without a mark"),
 }
 

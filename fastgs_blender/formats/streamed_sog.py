@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Streamed SOG of PlayCanvas: one scene in several levels of detail, each cut into chunks that are SOG in folders, or in .sog files.
+
+lod-meta.json has lodLevels, filenames (of the chunks: 0_0/meta.json, or 0_0.sog), tree and, perhaps, environment.  A node of the tree has
+children, or lods: {level: {file, offset, count}}, the Gaussians offset .. offset + count - 1 of a chunk.  A level is all Gaussians that
+nodes name for it; level 0 is the finest.  The environment is a chunk that is shown with every level, as PlayCanvas' engine shows it.
+All lie in a folder, or in a zip file.
+
+A path names the level: scene/lod-meta.json is the finest one, scene/lod-meta[2].json is level 2 of the same file.
+"""
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..model.gaussians import GaussianModel
+from ..util.errors import FastGSError
+from . import pixel_tables as tables
+from .description import is_json_table, read_json, whole_number
+from .scenes import together
+from .sog import decoded
+from .static import StaticFormat, read_whole
+from .zipped import MAGIC
+
+META = "lod-meta.json"
+LEVEL = re.compile(r"(lod-meta)\[(\d{1,4})\](\.json)", re.IGNORECASE)
+MAX_META = 1 << 26
+"""Bytes of lod-meta.json."""
+
+
+class StreamedSog(StaticFormat):
+    """The format "streamed SOG", as the head of this module describes it."""
+
+    name = "streamed SOG"
+    reads = (META,)
+
+    def sniff(self, head, path):
+        if parted(path)[1] is not None:
+            return True
+        if not head.startswith(MAGIC):
+            return is_json_table(head) and path.stat().st_size <= MAX_META and _is_meta(read_whole(path))
+        try:
+            with tables.Archive(path, META) as files:
+                return files.has(META) and _is_meta(files.read(META, MAX_META))
+        except FastGSError:
+            return False
+
+    def load(self, path):
+        place, level = parted(path)
+        level = level or 0
+        zipped = read_whole(place, len(MAGIC)) == MAGIC
+        with (tables.Archive(place, META) if zipped else tables.Folder(place.parent)) as files:
+            meta = read_json(files.read(META, MAX_META) if zipped else read_whole(place, MAX_META))
+            if not isinstance(meta, dict) or meta.get("version", 1) != 1:
+                raise FastGSError("it is of a version of streamed SOG that is not known; export it again.")
+            levels = whole_number(meta.get("lodLevels"), "the number of levels")
+            if level >= levels:
+                raise FastGSError(f"it has the levels 0 to {levels - 1}, of which 0 is the finest; choose one of them.")
+            parts = [_part(_chunk(files, name), ranges) for name, ranges in _ranges(meta, level).items()]
+            if not parts:
+                raise FastGSError(f"its level {level} has no Gaussians; choose another one.")
+            if meta.get("environment"):
+                parts.append(_chunk(files, tables.below(meta["environment"])))
+        return together(parts)
+
+
+def parted(path: Path) -> tuple[Path, int | None]:
+    """The file that a path with a level stands for, and the level; any other path as it is, and None."""
+    found = LEVEL.fullmatch(path.name)
+    return (path.with_name(found[1] + found[3]), int(found[2])) if found and not os.path.lexists(path) else (path, None)
+
+
+def with_level(path: Path, level: int) -> Path:
+    """The path of a level of a lod-meta.json; another path, and the finest level, as they are."""
+    if path.name.lower() != META or not level:
+        return path
+    return path.with_name(f"{path.stem}[{level}]{path.suffix}")
+
+
+def chunk_folders(path: Path) -> list[Path]:
+    """The folders of the chunks that a lod-meta.json names, those that are there.  Raises FastGSError."""
+    meta = read_json(read_whole(parted(path)[0], MAX_META))
+    names = [*meta["filenames"], *filter(None, [meta.get("environment")])] if _is_table(meta) else []
+    folders = {path.parent.joinpath(*tables.below(name)[:-1]) for name in names}
+    return sorted(folder for folder in folders - {path.parent} if folder.is_dir())
+
+
+def _is_meta(text: bytes) -> bool:
+    try:
+        return _is_table(read_json(text))
+    except FastGSError:
+        return False
+
+
+def _is_table(meta) -> bool:
+    return isinstance(meta, dict) and "lodLevels" in meta and isinstance(meta.get("filenames"), list) and isinstance(meta.get("tree"), dict)
+
+
+def _chunk(files, name: tuple[str, ...]) -> GaussianModel:
+    """The model of a chunk."""
+    for folder in name[:-1]:
+        files = files.within(folder)
+    if not name[-1].lower().endswith(".sog"):
+        meta = read_json(files.read(name[-1], tables.MAX_META))
+        return decoded(meta if isinstance(meta, dict) else {}, files)
+    if not isinstance(files, tables.Folder):
+        raise FastGSError("its chunks are zip files in a zip file; unpack it, and open its lod-meta.json.")
+    files.size(name[-1])
+    with tables.Archive(files.folder / name[-1]) as inner:
+        return decoded(inner.meta(), inner)
+
+
+def _part(chunk: GaussianModel, ranges: list[tuple[int, int]]) -> GaussianModel:
+    """The Gaussians of a chunk in ranges of first and last + 1, each once, in the chunk's order."""
+    shown = np.zeros(len(chunk), bool)
+    for first, end in ranges:
+        if end > len(chunk):
+            raise FastGSError("its tree names more Gaussians than a chunk has; export it again.")
+        shown[first:end] = True
+    return chunk if shown.all() else chunk.take(shown)
+
+
+def _ranges(meta: dict, level: int) -> dict[tuple[str, ...], list[tuple[int, int]]]:
+    """{a chunk's name: ranges of first and last + 1 of its Gaussians} of a level, in the order of the chunks.  Raises FastGSError."""
+    names, found = meta.get("filenames"), {}
+    for lods in _leaves(meta.get("tree")):
+        place = lods.get(str(level))
+        if place is None:
+            continue
+        if not isinstance(place, dict) or not isinstance(names, list):
+            raise FastGSError("its tree of chunks is damaged; export it again.")
+        number, first, count = (whole_number(place.get(key, 0), f"the {key} of a chunk") for key in ("file", "offset", "count"))
+        if number >= len(names):
+            raise FastGSError("its tree names a chunk that is not in its list; export it again.")
+        if count:
+            found.setdefault(number, []).append((first, first + count))
+    chunks: dict[tuple[str, ...], list[tuple[int, int]]] = {}
+    for number in sorted(found):  # one file may be listed under two numbers
+        chunks.setdefault(tables.below(names[number]), []).extend(found[number])
+    return chunks
+
+
+def _leaves(tree) -> Iterator[dict]:
+    """The lods of all leaves: nodes that have them, as the engine takes them."""
+    stack = [tree]
+    while stack:
+        node = stack.pop()
+        children = node.get("children", []) if isinstance(node, dict) else None
+        if not isinstance(children, list):
+            raise FastGSError("its tree of chunks is damaged; export it again.")
+        if isinstance(node.get("lods"), dict):
+            yield node["lods"]
+        else:
+            stack += reversed(children)
