@@ -50,6 +50,7 @@ def valid(tmp_path_factory) -> dict[str, bytes]:
     shown = {name: values for name, values in table.items() if not name.startswith(("f_dc", "scale_1", "scale_2"))}
     shown |= {name: np.arange(4) for name in ("red", "green", "blue")}
     files["nerfstudio.ply"] = ply_files.ply(shown, types=dict.fromkeys(("red", "green", "blue"), "uchar"))
+    files["mip.ply"] = ply_files.ply(ply_files.columns(rng, [*ply_files.INRIA, "filter_3D"], 4))
     files["cloudcompare.ply"] = ply_files.ply({name if name in "xyz" else f"scalar_{name}": values for name, values in table.items()})
     return files
 
@@ -89,7 +90,7 @@ def loaded(path: Path, data: bytes, decoder: bytes = b"") -> fg.GaussianModel | 
         return None
 
 
-OTHERS = [*(f"{kind}.ply" for kind in ply_files.FORMATS), "nerfstudio.ply", "cloudcompare.ply"]
+OTHERS = [*(f"{kind}.ply" for kind in ply_files.FORMATS), "nerfstudio.ply", "cloudcompare.ply", "mip.ply"]
 NAMES = [*KINDS, *OTHERS]
 
 
