@@ -100,7 +100,8 @@ def _is_meta(text: bytes) -> bool:
 def pictures(path: Path) -> list[Path]:
     """The pictures that a meta.json names.  Raises FastGSError."""
     meta = read_json(read_whole(path, tables.MAX_META))
-    named = [value["files"] for value in meta.values() if isinstance(value, dict) and isinstance(value.get("files"), list)]
+    parts = meta.values() if isinstance(meta, dict) else ()
+    named = [part["files"] for part in parts if isinstance(part, dict) and isinstance(part.get("files"), list)]
     return [path.parent / tables.plain(name) for name in functools.reduce(operator.iadd, named, [])]
 
 
