@@ -194,8 +194,8 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
         name="Render Density", description="Share of the Gaussians that final renders and exports show, the most important ones first",
         default=1.0, min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
     antialias: BoolProperty(
-        name="Antialias Far Views", description="Draw splats fainter where they are seen from farther than the capture's cameras saw them, "
-        "so that they do not grow into each other and do not flicker. The file must know those cameras; nearer views stay as they are",
+        name="Antialias", description="Draw splats as the capture's cameras saw them: fainter in coarser pixels, so that nothing "
+        "flickers from afar, and softer in finer pixels, so that close-ups show no needles. The file must know those cameras",
         default=True, **_SHOWN)
 
 

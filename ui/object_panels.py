@@ -118,7 +118,7 @@ def draw_look(layout, context):
     settings = context.object.fastgs
     layout.use_property_split = True
     groups = [list(names) for _, names in groupby(LOOKS, lambda name: LOOKS[name].group)]
-    for names in (*groups, ["antialias"], ["viewport_density", "density"]):
+    for names in (*groups[:-1], ["antialias", *groups[-1]], ["viewport_density", "density"]):
         col = layout.column(align=True)
         for name in names:
             col.prop(settings, name)

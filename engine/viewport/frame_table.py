@@ -55,9 +55,10 @@ class InstanceTexel(IntEnum):
     BASES      first run of the motion's weights, number of runs; how the rotation's basis comes, its terms
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
     RASTER     near, alpha_max, alpha_cut, blur
-    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw; growth of
-               pixels beyond the capture's cameras, see ViewedInstance.beyond
-    BEYOND     the ball that holds those cameras: centre, radius
+    FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw; of
+               ViewedInstance.sampling (distance.py): pixel, fades
+    BEYOND     the ball that holds the capture's cameras: centre, radius
+    SAMPLING   coarse, least, reach, number of the cameras, which follow the weights of the bases with two texels each
     LOOK       five texels of the instance's looks, see rendering/looks.py
     """
 
@@ -72,7 +73,8 @@ class InstanceTexel(IntEnum):
     RASTER = 10
     FIRST = 11
     BEYOND = 12
-    LOOK = 13
+    SAMPLING = 13
+    LOOK = 14
 
 
 HEAD = InstanceTexel.LOOK + LOOK_NUMBERS // 4
@@ -122,7 +124,7 @@ def _view_row(camera, instances, count, depths, depth_size):
 
 def _instance_row(instance, texels, first, group, far):
     """The texels of an instance's row; `first` is its first Gaussian's place among all, texels where its texels begin."""
-    model, raster, layout = instance.model, instance.model.raster, texels.layout
+    model, raster, layout, sampling = instance.model, instance.model.raster, texels.layout, instance.sampling
     to_camera, to_model = instance.model_to_camera, instance.camera_to_model
     moving, move_first, move_weights = _basis(model.basis, instance.t, 4)
     turning, turn_first, turn_weights = _basis(model.rotation_basis, instance.t, 1)
@@ -138,12 +140,13 @@ def _instance_row(instance, texels, first, group, far):
         (move_first, len(move_weights), turning, layout.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
         (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
-        (first % WIDTH, far, instance.beyond[4], 0),
-        instance.beyond[:4],
+        (first % WIDTH, far, sampling.pixel, sampling.fades),
+        sampling.ball,
+        (sampling.coarse, sampling.least, sampling.reach, len(sampling.cameras)),
         *instance.look.reshape(-1, 4),
     ]
     assert len(head) == HEAD
-    return [*head, *move_weights, *((w[0], 0, 0, 0) for w in (*turn_weights, *change_weights))]
+    return [*head, *move_weights, *((w[0], 0, 0, 0) for w in (*turn_weights, *change_weights)), *sampling.cameras.reshape(-1, 4)]
 
 
 def _basis(basis: Basis, t: float, size: int):

@@ -57,7 +57,8 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         size *= size_factor(size, instance.look) * per_depth * scale_bound(to_camera[:3, :3])
         strength = sigma[at] * crop_share(instance.settings.crops, position)
         reach = 2 * np.log(strength / raster.alpha_cut)
-        radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + raster.blur))
+        blur = instance.sampling.most_blur(raster.blur, position, np.ones_like(z) if camera.orthographic else z)
+        radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + blur[:, None]))
         seen = (z > instance.near) & (z <= instance.far) & (strength >= raster.alpha_cut)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
     return z[seen].astype(np.float32), at[seen]

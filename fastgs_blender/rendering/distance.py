@@ -1,28 +1,103 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Antialiases far views: lowers the opacity of splats that are seen from farther away than the capture's cameras saw them.
+"""Antialiasing: splats are drawn as the capture's cameras sampled them, in views with coarser pixels and in views with finer ones.
 
-The rasteriser's blur gives every splat a smallest size of about a pixel.  Training adapts the Gaussians to that blur, at the distances of
-the capture's cameras.  From k times farther away the Gaussian shrinks in the picture, but the blur does not: the splat covers too many
-pixels, edges grow thick, and fine detail flickers.  Therefore its opacity, and the cut of its opacity, are multiplied by
+The rasteriser's blur b gives every splat a smallest size of about a pixel.  Training adapts the Gaussians to that blur, with the pixels of
+the capture's cameras.  Let a pixel of the view have the size p at a Gaussian, and let C be the coarsest and F the finest pixel that the
+capture's cameras had there (in units of the model, F <= C).  S is the splat's covariance without the blur.
 
-    sqrt(det(S + b / k^2) / det(S + b)),    S: the splat's covariance without the blur b,
+    p > C    Its Gaussian shrinks in the picture, the blur does not: edges grow thick, fine detail flickers.  Its opacity, and the cut of
+             its opacity, are multiplied by  sqrt(det(S + b C^2/p^2) / det(S + b)).
+    p < F    Nobody saw what lies between the pixels of the capture: needles and gaps appear.  The blur becomes  b F^2/p^2:  as wide on
+             the surface as in training, with the opacity that training gave it.  It is the sampling limit of Mip-Splatting's 3D filter.
+    else     Nothing changes, so from the capture's own cameras pictures keep every byte.
 
-which is what Mip-Splatting (Yu et al. 2024) does with its two filters, for models that were trained without them.  From the places of the
-capture's cameras k is at most 1 and nothing changes.  Their places count as the smallest ball around them, and their sharpness as the
-shortest of their focal lengths: k is how many times larger a pixel is at the Gaussian than at the farthest point of the ball.
+This is what Mip-Splatting (Yu et al. 2024) does with its two filters, for models that were trained without them.
+
+Coarsest: the cameras count as the smallest ball around them, with the shortest of their focal lengths.  Finest: a camera i sees a
+Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis, with pixels of
+
+    p_i = (|z_i| + STEEP max(0, (r_i - reach s) / T_i - z_i)) / f_i,     s: its largest standard deviation,
+
+which is its depth by its focal length where any of the splat may touch the picture (T_i: tangent from the axis to the farthest corner), and
+grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is the least of them, and never more than C.
 """
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from ..model.surroundings import Viewpoint
+from ..util.rotations import to_matrices, unit
 
 MARGIN = 1.01
-"""How many times larger a pixel must be before anything changes: a camera's numbers are rounded on their way through files and Blender."""
+"""How many times larger or smaller a pixel must be before anything changes: a camera's numbers are rounded on their way through files."""
 STEPS = 200
 """Steps towards the centre of the ball, which is found to about one part in as many."""
+STEEP = 8.0
+"""How fast a camera's pixels grow outside of its picture: an eighth of its half diagonal beyond, they count as twice as large."""
+
+
+class Sampling(NamedTuple):
+    """How the capture's cameras and a view sample a model, in the model's space.
+
+    ball     the ball that holds the capture's cameras: centre, radius
+    pixel    size of a pixel of the view at depth 1, or, orthographic, at any; 0: nothing changes with the distance
+    coarse   C is `coarse` times the distance to the farthest point of the ball; 0: no cameras are known
+    least    no camera's pixels count as finer
+    reach    standard deviations from its centre at which a splat still touches a picture
+    fades    whether opacity is lowered where p > C
+    cameras  [K, 8] float64: place, 1 / f_i, the axis (a unit vector), 1 / T_i
+    """
+
+    ball: tuple[float, float, float, float]
+    pixel: float
+    coarse: float
+    least: float
+    reach: float
+    fades: bool
+    cameras: np.ndarray
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """All but the cameras, as nine numbers for kernels."""
+        return (*self.ball, self.pixel, self.coarse, self.least, self.reach, float(self.fades))
+
+    def coarsest(self, position: np.ndarray) -> np.ndarray:
+        """C at positions [M, 3]."""
+        away = np.linalg.norm(position - np.array(self.ball[:3]), axis=1)
+        return np.maximum(self.least, self.coarse * (away + self.ball[3]))
+
+    def finest(self, position: np.ndarray, largest: np.ndarray) -> np.ndarray:
+        """F of Gaussians at positions [M, 3] with these largest standard deviations [M]."""
+        found = self.coarsest(position)
+        for camera in self.cameras:
+            away = position - camera[:3]
+            z = away @ camera[4:7]
+            r = np.sqrt(np.maximum((away**2).sum(1) - z**2, 0))
+            outside = np.maximum((r - self.reach * largest) * camera[7] - z, 0)
+            found = np.minimum(found, (np.abs(z) + STEEP * outside) * camera[3])
+        return np.maximum(self.least, found)
+
+    def blurs(self, blur: float, position: np.ndarray, largest: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The blur [M] with which Gaussians at depths [M] before the view are drawn, and the one whose share of opacity they keep."""
+        if not self.pixel > 0:
+            return np.full(len(position), blur), np.full(len(position), blur)
+        size = np.maximum(self.pixel * depth, 1e-30)
+        finer = np.maximum(self.finest(position, largest) / (MARGIN * size), 1)
+        coarser = np.maximum(size / (MARGIN * np.maximum(self.coarsest(position), 1e-30)), 1) if self.fades else 1
+        return blur * finer**2, blur * finer**2 / coarser**2
+
+    def most_blur(self, blur: float, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """What the blur [M] is at most, found without a look at each camera."""
+        if not self.pixel > 0:
+            return np.full(len(position), blur)
+        return blur * np.maximum(self.coarsest(position) / (MARGIN * np.maximum(self.pixel * depth, 1e-30)), 1) ** 2
+
+
+OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, np.zeros((0, 8)))
+"""Nothing changes with the distance."""
 
 
 @lru_cache(maxsize=64)
@@ -39,8 +114,26 @@ def camera_ball(cameras: tuple[Viewpoint, ...]) -> tuple[float, float, float, fl
     return (*map(float, centre), radius, min(float(np.sqrt(camera.fx * camera.fy)) for camera in cameras))
 
 
-def share(k: np.ndarray, sharp: np.ndarray, trace: np.ndarray, blur: float) -> np.ndarray:
-    """What an opacity is multiplied by at k times the distance; sharp, trace: determinant and trace of the covariance without the blur."""
-    small = blur / np.maximum(k, 1) ** 2
+@lru_cache(maxsize=64)
+def camera_rows(cameras: tuple[Viewpoint, ...], blur: float, alpha_cut: float) -> tuple[np.ndarray, float]:
+    """Sampling.cameras and Sampling.reach, for splats that end where their opacity falls to alpha_cut.
+
+    Where projections are linearised nearer than at the centre (oracle.nearness), splats are up to twice as large; the Jacobian's third
+    column adds up to 1.3 T to its length.
+    """
+    end = float(np.sqrt(-2 * np.log(alpha_cut)))
+    rows, widest = [], 0.0
+    for camera in cameras:
+        axis = to_matrices(unit(np.array(camera.rotation))[None])[0][:, 2]
+        corner = np.hypot(max(abs(camera.cx), abs(camera.width - camera.cx)) / camera.fx,
+                          max(abs(camera.cy), abs(camera.height - camera.cy)) / camera.fy)
+        tangent = corner + end * np.sqrt(2 * blur) / min(camera.fx, camera.fy)
+        rows.append([*camera.position, 1 / np.sqrt(camera.fx * camera.fy), *axis, 1 / tangent])
+        widest = max(widest, tangent)
+    return np.array(rows), 2 * end * float(np.sqrt(2 + (1.3 * widest) ** 2))
+
+
+def share(small: np.ndarray, blur: np.ndarray, sharp: np.ndarray, trace: np.ndarray) -> np.ndarray:
+    """What an opacity is multiplied by: sqrt(det(S + small) / det(S + blur)); sharp, trace: determinant and trace of S."""
     before, after = (sharp + b * trace + b**2 for b in (small, blur))
-    return np.where(k > 1, np.sqrt(np.divide(before, after, out=np.ones_like(after), where=after > 0)), 1.0)
+    return np.where(small < blur, np.sqrt(np.divide(before, after, out=np.ones_like(after), where=after > 0)), 1.0)

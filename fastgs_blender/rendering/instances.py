@@ -17,7 +17,7 @@ from ..model.surroundings import WITHIN
 from ..util.arguments import numbers, real
 from ..util.errors import FastGSError
 from .crops import Crop
-from .distance import MARGIN, camera_ball
+from .distance import OFF, Sampling, camera_ball, camera_rows
 from .filters import Filter, hidden
 from .looks import look_numbers
 
@@ -57,7 +57,7 @@ class ObjectSettings:
     exposure to max_size  the looks (LOOKS), in the units of looks.py
     density   share of the Gaussians that are shown, the most important ones
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
-    antialias whether splats become fainter where they are seen from farther than the capture's cameras saw them (distance.py)
+    antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
     """
 
@@ -80,6 +80,9 @@ class ObjectSettings:
                             1e9, "SIZE", np.maximum, soft_max=1.0, unit="LENGTH", precision=4)
     max_size: float = _look(0.0, "Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0, 1e9,
                             "SIZE", lambda a, b: min(a or b, b or a), soft_max=1.0, unit="LENGTH", precision=4)
+    pixel_size: float = _look(0.0, "Trained Pixel Size", "Size of a pixel of the training pictures on the surface. Views with finer pixels "
+                              "are smoothed to it. For files that do not know their cameras; 0 turns it off", 0, 1e9, "SAMPLING",
+                              np.maximum, soft_max=0.1, unit="LENGTH", precision=5)
     filters: tuple[Filter, ...] = ()
     mask: str = ""
     density: float = 1.0
@@ -208,17 +211,18 @@ class ViewedInstance(Instance):
         return float(np.cbrt(abs(np.linalg.det(self.placement[:3, :3]))))
 
     @cached_property
-    def beyond(self) -> tuple[float, float, float, float, float]:
-        """The ball that holds the capture's cameras (centre, radius) in the model's space, and the growth of pixels: at a position p and a
-        depth z a pixel is growth z / (|p - centre| + radius) times as large as any of the capture's was; orthographic: without z.
-
-        A growth of 0: nothing changes with the distance.
-        """
-        cameras, size = self.model.surroundings.cameras, self.scale
-        if not self.settings.antialias or self.model.raster.antialiased or not cameras or not size > 0:
-            return 0.0, 0.0, 0.0, 0.0, 0.0
+    def sampling(self) -> Sampling:
+        """How the capture's cameras and this one sample the model.  Models that were trained antialiased need no help from afar."""
+        cameras, size, raster = self.model.surroundings.cameras, self.scale, self.model.raster
+        least = self.settings.pixel_size
+        if not self.settings.antialias or not (cameras or least) or not size > 0:
+            return OFF
+        pixel = 1 / (float(np.sqrt(abs(self.camera.fx * self.camera.fy))) * size)
+        if not cameras:
+            return OFF._replace(pixel=pixel, least=least)
         x, y, z, radius, focal = camera_ball(cameras)
-        return x, y, z, radius, focal / (float(np.sqrt(self.camera.fx * self.camera.fy)) * size * MARGIN)
+        rows, reach = camera_rows(cameras, raster.blur, raster.alpha_cut)
+        return Sampling((x, y, z, radius), pixel, 1 / focal, least, reach, not raster.antialiased, rows)
 
     @cached_property
     def ball(self) -> tuple[float, float, float, float]:

@@ -123,14 +123,13 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
     covariance = factor @ factor.transpose(0, 2, 1)
     sharp = (np.cross(factor[:, 0], factor[:, 1]) ** 2).sum(1)
     trace = covariance[:, 0, 0] + covariance[:, 1, 1]
-    determinant = sharp + raster.blur * trace + raster.blur**2
-    covariance = covariance + raster.blur * np.eye(2)
+    depth = np.ones(len(z)) if camera.orthographic else z
+    blur, small = instance.sampling.blurs(raster.blur, s.position, s.scale.max(1, initial=0), depth)
+    determinant = sharp + blur * trace + blur**2
+    covariance = covariance + blur[:, None, None] * np.eye(2)
     opacity = s.opacity
     if raster.antialiased:
         opacity = opacity * np.sqrt(np.divide(sharp, determinant, out=np.zeros_like(sharp), where=determinant > 0))
-
-    x, y, z_, radius, growth = instance.beyond
-    pixel = growth * (1 if camera.orthographic else z) / np.maximum(np.linalg.norm(s.position - (x, y, z_), axis=1) + radius, 1e-30)
 
     channels = np.zeros((len(z), layout.channels))
     colour = colours(s, instance, camera)
@@ -142,12 +141,12 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         channels[:, layout.depth] = z
     if layout.plane is not None:
         box = np.sqrt(2 * np.log(opacity / raster.alpha_cut)[:, None] * np.diagonal(covariance, axis1=1, axis2=2))
-        blurred = (raster.blur, determinant) if layout.by_pixel else (0.0, sharp)
+        blurred = (blur, determinant) if layout.by_pixel else (0.0, sharp)
         channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, *blurred, box, mean, z, camera)
     shown = Shown(instance, s.index)
     for name, quantity in layout.quantities.items():
         channels[:, layout.places[name]] = quantity.of(shown)
-    same, faint = np.ones(len(z)), share(pixel, sharp, trace, raster.blur)
+    same, faint = np.ones(len(z)), share(small, blur, sharp, trace)
     splats = Splats(mean, covariance, determinant, opacity * faint, z, channels, raster.alpha_max * same, raster.alpha_cut * faint)
     drawn = (determinant > 0) & (opacity >= raster.alpha_cut) & np.isfinite(covariance).all((1, 2)) & (np.abs(channels) <= LIMIT).all(1)
     drawn &= faint > 0

@@ -6,6 +6,7 @@ from enum import IntEnum
 
 from ....fastgs_blender.model import appearance, temporal
 from ....fastgs_blender.rendering import colour
+from ....fastgs_blender.rendering.distance import MARGIN, STEEP
 from ....fastgs_blender.rendering.oracle import REACH
 from .. import frame_table, model_texels, textures
 from ..covering_table import MARKS, CoveringTexel
@@ -27,7 +28,7 @@ def texels(prefix: str, names: type[IntEnum]) -> dict[str, int]:
 
 VIEW = defines(**texels("VIEW", frame_table.ViewTexel))
 INSTANCES = defines(
-    REACH=REACH, FARTHEST=FARTHEST, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
+    REACH=REACH, FARTHEST=FARTHEST, MARGIN=MARGIN, STEEP=STEEP, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
     INSTANCE_TEXELS=frame_table.HEAD,
     **texels("INSTANCE", frame_table.InstanceTexel),
     BASIS_WEIGHTS=frame_table.WEIGHTS, BASIS_POWERS=frame_table.POWERS, COLOURS_HARMONICS=model_texels.HARMONICS,

@@ -162,14 +162,27 @@ vec3 colour_now(int o, int at, int texels, int degree, bool harmonic_colours, ve
 }
 """
 
-FAR = """
-/* distance.share(): what an opacity is multiplied by where it is seen from farther than from the capture's cameras */
-float far_share(vec4 ball, float growth, vec3 p, float z, float sharp, float trace, float blur, float det) {
-  float limit = length(p - ball.xyz) + ball.w;
-  float k = growth * z;
-  if (!(k > limit)) { return 1.0; }
-  float little = blur * (limit / k) * (limit / k);
-  return sqrt((sharp + little * trace + little * little) / det);
+SAMPLED = """
+/* distance.Sampling.blurs(): the blur, and the one whose share of opacity is kept; size: of a pixel; cameras: their first texel */
+vec2 blurs(int o, float blur, float size, bool fades, vec3 p, float largest, int cameras) {
+  vec4 ball = instance_texel(o, INSTANCE_BEYOND), sampling = instance_texel(o, INSTANCE_SAMPLING);
+  float found = max(sampling.y, sampling.x * (length(p - ball.xyz) + ball.w));
+  if (size > MARGIN * found) {
+    float k = MARGIN * found / size;
+    return vec2(blur, fades ? blur * k * k : blur);
+  }
+  for (int i = 0; i < whole(sampling.w) && found > MARGIN * size; i++) {
+    vec4 place = instance_texel(o, cameras + 2 * i), axis = instance_texel(o, cameras + 2 * i + 1);
+    vec3 away = p - place.xyz;
+    float along = dot(away, axis.xyz);
+    float close = abs(along) * place.w;
+    if (close < found) {
+      float r = sqrt(max(dot(away, away) - along * along, 0.0));
+      found = min(found, close + STEEP * max((r - sampling.z * largest) * axis.w - along, 0.0) * place.w);
+    }
+  }
+  float finer = max(max(found, sampling.y) / (MARGIN * size), 1.0);
+  return vec2(blur * finer * finer);
 }
 """
 
@@ -190,7 +203,7 @@ float nearness(vec3 p, vec2 along, vec3 f0, vec3 f1, vec3 f2) {
 }
 """
 
-VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + grade.GRADE + FETCH + SLICE + HARMONICS + FAR + NEARNESS + """
+VERTEX = constants.VIEW + constants.INSTANCES + constants.HARMONICS + grade.GRADE + FETCH + SLICE + HARMONICS + SAMPLED + NEARNESS + """
 void main()
 {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0); /* not drawn */
@@ -290,7 +303,12 @@ void main()
   float a = dot(u, u), b = dot(u, v), c = dot(v, v);
   vec3 area = cross(u, v); /* det Sigma_2D as a sum of squares (Cauchy-Binet) */
   float sharp = dot(area, area);
-  float blur = raster.w;
+  vec2 both = raster.ww;
+  if (first.z > 0.0) {
+    int cameras = INSTANCE_TEXELS + used + whole(group.y) + whole(instance_texel(o, INSTANCE_CHANGES).w);
+    both = blurs(o, raster.w, first.z * (orthographic ? 1.0 : z), first.w > 0.5, p, max(sd.x, max(sd.y, sd.z)), cameras);
+  }
+  float blur = both.x;
   float det = sharp + blur * (a + c) + blur * blur;
   float trace = a + c;
   a += blur;
@@ -313,8 +331,8 @@ void main()
   mean += v_uv.x * sqrt(large) * axis + v_uv.y * sqrt(small) * vec2(-axis.y, axis.x);
   float depth = depths.x + (orthographic ? depths.y * z : depths.y / z);
   float faint = 1.0;
-  if (first.z > 0.0) {
-    faint = far_share(instance_texel(o, INSTANCE_BEYOND), first.z, p, orthographic ? 1.0 : z, sharp, trace, blur, det);
+  if (both.y < blur) {
+    faint = sqrt((sharp + both.y * trace + both.y * both.y) / det);
     if (!(faint > 0.0)) { return; }
   }
   v_alpha = vec4(sigma * faint, raster.y, raster.z * faint, depth);

@@ -12,6 +12,7 @@ import numpy as np
 from numba import float32
 
 from ...rendering import oracle
+from ...rendering.distance import MARGIN, STEEP
 from ...rendering.instances import LIMIT
 from . import raster
 from .crop import crop_share, in_ball
@@ -22,6 +23,8 @@ from .spherical import sh_colour
 RGB, SH, FEATURES = range(3)
 ALWAYS, RADIAL, WINDOW, WINDOWED_RADIAL = range(4)
 REACH = oracle.REACH
+PIXEL = 4
+"""Place of a view's pixel size in distance.Sampling.row."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -192,15 +195,31 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
 
 
 @inline
-def log2_share(px, py, pz, z, beyond, sharp, trace, det, blur, orthographic):
-    """log2 of what distance.share() gives: 0 where the Gaussian is not seen from farther than from the capture's cameras."""
-    cx, cy, cz, radius, growth = beyond
-    k = growth if orthographic else growth * z
-    limit = radius + math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2)
-    if not k > limit:
-        return 0.0
-    small = blur * (limit / k) ** 2
-    return 0.5 * math.log2((sharp + small * trace + small * small) / det)
+def coarsest(px, py, pz, row):
+    """distance.Sampling.coarsest() of one Gaussian; row: Sampling.row."""
+    cx, cy, cz, radius, _, coarse, least, _, _ = row
+    return max(least, coarse * (radius + math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2)))
+
+
+@inline
+def _blurs(px, py, pz, depth, largest, blur, sampling):
+    """distance.Sampling.blurs() of one Gaussian."""
+    row, cameras = sampling
+    _, _, _, _, pixel, _, least, reach, fades = row
+    size, found = pixel * depth, coarsest(px, py, pz, row)
+    if size > MARGIN * found:
+        return blur, blur * (MARGIN * found / size) ** 2 if fades > 0.0 else blur
+    for i in range(len(cameras)):
+        if not found > MARGIN * size:
+            break
+        x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
+        along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
+        near = abs(along) * cameras[i, 3]
+        if near < found:
+            r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+            found = min(found, near + STEEP * max((r - reach * largest) * cameras[i, 7] - along, 0.0) * cameras[i, 3])
+    finer = max(max(found, least) / (MARGIN * size), 1.0)
+    return blur * finer * finer, blur * finer * finer
 
 
 @kernel
@@ -214,7 +233,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     view       [5, 3] float64: rows 0-2 model to camera, row 3 its translation, row 4 the camera's centre (or, orthographic,
                its direction) in model space
     lens       [14] float64: fx, fy, cx, cy, near, far, limits of x/z and y/z (4), first and last pixel centre in x and in y (4)
-    constants  (blur, alpha max, alpha cut, antialiased, orthographic, ViewedInstance.beyond, ObjectSettings.bends)
+    constants  (blur, alpha max, alpha cut, antialiased, orthographic, (Sampling.row, Sampling.cameras), ObjectSettings.bends)
     channel_plan       (appearance code, degree, first channel, weight channel or -1, depth channel or -1, (first of the plane's channels
                        or -1, the middle of the image in x and in y, whether planes are blurred))
     geometry, attributes, depth   of the splats, see raster.py
@@ -224,11 +243,11 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
     t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
     fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
-    blur, alpha_max, alpha_cut, antialiased, orthographic, beyond, bends = constants
+    trained_blur, alpha_max, alpha_cut, antialiased, orthographic, sampling, bends = constants
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
-    hides, filtered = len(crops[1]) > 0, len(hidden) > 0
+    hides, filtered, sampled = len(crops[1]) > 0, len(hidden) > 0, sampling[0][PIXEL] > 0.0
     out = first
     for n in range(first, last):
         if (filtered and hidden[n]) or not in_ball(position, n, ball):
@@ -272,6 +291,10 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             unit *= resized
         size0, size1, size2 = _exp(scale[n, 0]) * unit, _exp(scale[n, 1]) * unit, _exp(scale[n, 2]) * unit
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
+        blur, small = trained_blur, trained_blur
+        if sampled:
+            largest = _exp(max(scale[n, 0], scale[n, 1], scale[n, 2])) * resized
+            blur, small = _blurs(px, py, pz, 1.0 if orthographic else z, largest, trained_blur, sampling)
         s00, s01, s11, sharp, det = _covariance(u, v, blur)
         if not (det > 0.0 and s00 + s11 < np.inf):
             continue
@@ -317,8 +340,8 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             attributes[out, plane + 1] = slope_x
             attributes[out, plane + 2] = slope_y
         faint = 0.0
-        if beyond[4] > 0.0:
-            faint = log2_share(px, py, pz, z, beyond, sharp, s00 + s11 - 2.0 * blur, det, blur, orthographic)
+        if small < blur:
+            faint = 0.5 * math.log2((sharp + small * (s00 + s11 - 2.0 * blur) + small * small) / det)
             if not faint > -np.inf:
                 continue
         root = math.sqrt(s11)

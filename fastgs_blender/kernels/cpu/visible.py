@@ -8,11 +8,12 @@ import numpy as np
 
 from ...rendering.crops import crop_arrays
 from ...rendering.culling import scale_bound, spread
+from ...rendering.distance import MARGIN
 from ...util.threads import ranges, run
 from .crop import crop_share, in_ball
 from .jit import kernel
 from .look import FAINTEST, OPACITY, SIZED, size_factor
-from .project import _exp, _moved3, _temporal_factor
+from .project import PIXEL, _exp, _moved3, _temporal_factor, coarsest
 from .sort import order_by
 from .splats import CHUNK, plain, weights_at
 
@@ -28,7 +29,7 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
     view       [4, 3] float64: rows 0-2 model to camera, row 3 its translation
     lens       (fx, fy, cx, cy, near, far, right, bottom, spread x, spread y): the picture is 0..right, 0..bottom; the spreads bound
                the pixels that a unit of standard deviation covers at depth 1
-    constants  (blur, alpha cut, orthographic)
+    constants  (blur, alpha cut, orthographic, distance.Sampling.row)
     boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
     rank       [N] float32, or [0]; (limit, rank): Gaussians whose rank is not under the limit are left out
     depth      float32, along the view axis; index int32
@@ -37,7 +38,7 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
     position, scale, opacity, motion, mu_tau, temporal = arrays
     t, temporal_code, (terms, weights, centred) = times
     fx, fy, cx, cy, near, far, right, bottom, spread_x, spread_y = lens
-    blur, cut, orthographic = constants
+    trained_blur, cut, orthographic, sampling = constants
     limit, ranks = rank
     crops, ball, hidden = boxes
     hides, filtered = len(crops[1]) > 0, len(hidden) > 0
@@ -71,6 +72,9 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
         if look[SIZED] != 0.0:
             size *= size_factor(size, look)
         size *= per_depth
+        blur = trained_blur
+        if sampling[PIXEL] > 0.0:
+            blur *= max(coarsest(px, py, pz, sampling) / (MARGIN * sampling[PIXEL] * (1.0 if orthographic else z)), 1.0) ** 2
         reach = math.sqrt(2.0 * math.log(sigma / cut))
         radius_x = reach * math.sqrt(size * size * spread_x * spread_x + blur)
         radius_y = reach * math.sqrt(size * size * spread_y * spread_y + blur)
@@ -106,7 +110,7 @@ def _visible(instance, camera, offset, rank):
     depth, index = np.empty(len(model), np.float32), np.empty(len(model), np.int32)
     arrays = tuple(plain(a) for a in (model.position, model.scale, model.opacity, model.motion, model.mu_tau, model.temporal))
     common = (offset, instance.look, arrays, (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t)), view, lens,
-              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic)),
+              (float(raster.blur), float(raster.alpha_cut), bool(camera.orthographic), instance.sampling.row),
               (crop_arrays(instance.settings.crops), instance.ball, instance.hidden), rank, depth, index)
     pieces = ranges(len(model), CHUNK)
     counts = run(lambda first, last: visible(first, last, *common), pieces)

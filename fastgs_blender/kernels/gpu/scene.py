@@ -68,6 +68,8 @@ class View:
         crops = np.zeros((len(remove), 16))
         crops[:, :12], crops[:, 12], crops[:, 13], crops[:, 14] = rows.reshape(-1, 12), remove, kinds, soft
         parts = [*(each.ravel() for each in pairs), crops.ravel()]
+        self.cameras = sum(map(len, parts))
+        parts.append(instance.sampling.cameras.ravel())
         self.volumes = sum(map(len, parts)), volumes.shape[1]
         self.terms = [*map(len, pairs), len(crops)]
         self.extra = device.array(np.concatenate([*parts, volumes.ravel()]).astype(np.float32))
@@ -86,7 +88,7 @@ class View:
         x0, y0, width, height = camera.window
         look = instance.look.copy()
         look[Look.GRADED] *= not isinstance(model.appearance, Features)  # a decoder's colours are changed when it has made them
-        ball = np.minimum(instance.ball, FARTHEST)
+        ball, sampling = np.minimum(instance.ball, FARTHEST), instance.sampling
 
         def plus_one(place):
             return 0 if place is None else place + 1
@@ -97,7 +99,8 @@ class View:
             [x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5],
             [float(instance.near), instance.far, camera.width / 2, camera.height / 2],
             [raster.blur, raster.alpha_max, raster.alpha_cut, math.log2(raster.alpha_cut)], ball,
-            [instance.t, instance.beyond[4]], instance.beyond[:4], look,
+            [instance.t], sampling.ball, [sampling.pixel, sampling.coarse, sampling.least, sampling.reach],
+            [int(sampling.fades), len(sampling.cameras), self.cameras], look,
             [pack.count, row, channels, pack.first],
             [model.basis.terms, model.rotation_basis.terms, model.temporal.shape[1], model.features.shape[1]],
             [model.temporal_kind.code, CODES[type(momentarily)], getattr(momentarily, "degree", 0), momentarily.width],

@@ -15,6 +15,7 @@ import numpy as np
 from ...model.appearance import SH_C0, SH_C1, SH_C2, SH_C3, SH_C4
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
 from ...rendering.crops import SPHERE, VOLUME
+from ...rendering.distance import MARGIN, STEEP
 from ...rendering.holdout import EDGE, SAMPLES
 from ...rendering.instances import LIMIT
 from ...rendering.layout import CORE, DEPTH_FROM, REST
@@ -28,7 +29,7 @@ FARTHEST = 3e38
 
 CONSTANTS = {
     "TILE": TILE, "LIMIT": LIMIT, "T_STOP": T_STOP, "REACH": REACH, "SPHERE": SPHERE, "VOLUME": VOLUME,
-    "SAMPLES": SAMPLES, "EDGE": EDGE, "FARTHEST": FARTHEST,
+    "SAMPLES": SAMPLES, "EDGE": EDGE, "FARTHEST": FARTHEST, "MARGIN": MARGIN, "STEEP": STEEP,
     "MEDIAN_FROM": DEPTH_FROM["median"], "FIRST_FROM": DEPTH_FROM["first"], "CORE_FROM": CORE[0], "CORE_TO": CORE[1], "REST": REST,
     "SH_C0": SH_C0, "SH_C1": SH_C1, **{f"SH_C{degree}_{i}": value for degree, values in ((2, SH_C2), (3, SH_C3), (4, SH_C4))
                                        for i, value in enumerate(values)},

@@ -188,6 +188,21 @@ def test_far_views(module, fg, moving, camera, drawn, orthographic):
     assert psnr(drawn([(model, np.eye(4), 0.4, plain)], eye), want) < 35
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_views_in_finer_pixels(module, fg, moving, camera, drawn, orthographic):
+    """Splats are as soft as in the final render, each as the cameras of the capture saw it that have it in their picture."""
+    eye, viewpoint_of = camera(orthographic), module("fastgs_blender.cameras.viewpoints").viewpoint_of
+    films = [replace(camera(distance=distance), fx=camera().fx / k, fy=camera().fy / k) for k, distance in ((4, 4.0), (8, 2.5))]
+    around = module("fastgs_blender.model.surroundings").Surroundings(cameras=tuple(map(viewpoint_of, films)))
+    model = replace(moving(fg.SH(1), "paper"), surroundings=around)
+    model.scale[:] -= 2.5
+    model.opacity[:] = 4.0
+    plain = module("fastgs_blender.rendering.instances").ObjectSettings(antialias=False)
+    want = expected(module, [(model, np.eye(4), 0.4)], eye)
+    assert psnr(drawn([(model, np.eye(4), 0.4)], eye), want) >= 45
+    assert psnr(drawn([(model, np.eye(4), 0.4, plain)], eye), want) < 35
+
+
 def test_a_camera_among_the_splats(module, fg, moving, camera, drawn):
     agree(module, [(moving(fg.SH(2), "paper"), np.eye(4), 0.5)], camera(distance=0.3), drawn)
     large = moving(fg.RGB(), n=40, scale=np.random.default_rng(3).uniform(-3, -0.3, (40, 3)), raster=fg.Raster(near=0.05))

@@ -8,7 +8,7 @@ import pytest
 from panel_recorder import Layout
 
 LOOK = dict(exposure=0.5, gamma=1.5, contrast=1.5, saturation=0.5, hue=0.6, tint=(1.0, 0.75, 0.5), opacity=0.75, opacity_cut=0.25,
-            splat_scale=1.5, min_size=0.25, max_size=0.5)
+            splat_scale=1.5, min_size=0.25, max_size=0.5, pixel_size=0.125)
 """Numbers that single precision holds, but for the hue."""
 
 
@@ -49,7 +49,7 @@ def test_the_panel_draws_the_librarys_looks_in_their_order(module, shown):
     module("ui.object_panels").draw_look(layout, bpy.context)
     names = [name for kind, name, _ in layout.record if kind == "prop"]
     looks = list(module("fastgs_blender.rendering.instances").LOOKS)
-    assert looks == list(LOOK) and names == [*looks, "antialias", "viewport_density", "density"]
+    assert looks == list(LOOK) and names == [*looks[:-1], "antialias", "pixel_size", "viewport_density", "density"]
 
 
 def test_f12_shows_the_look_of_each_object_and_of_its_instances(module, shown, render, scene, now):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Far views: splats become fainter beyond the capture's cameras, gradually, and nothing changes where these stood."""
+"""Antialiasing: fainter in coarser pixels than the capture's, softer in finer ones; nothing changes where the cameras stood."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -16,6 +16,7 @@ from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering import distance
 from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.visibility import order
 
 SOFT, PLAIN = ObjectSettings(), ObjectSettings(antialias=False)
 
@@ -151,3 +152,127 @@ def test_the_ball_around_the_cameras(rng):
     assert away.max() <= radius * (1 + 1e-12) and radius < 1.25 * 2.0 * np.sqrt(1.09) and focal == 60
     alone = distance.camera_ball(cameras[:1])
     assert alone[:3] == pytest.approx(cameras[0].position) and alone[3] == pytest.approx(0, abs=1e-12)
+
+
+def finer(camera, k: float):
+    """The camera with pixels k times as fine."""
+    lens = {name: getattr(camera, name) * k for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, width=round(camera.width * k), height=round(camera.height * k), window=None, **lens)
+
+
+def uneven() -> list[fg.Camera]:
+    """Two cameras with unlike lenses near the middle, and one three times as far away: each sees places that others do not."""
+    places = ([0.1, -2.0, 0.3], [1.9, 0.4, -0.2], [-4.0, -5.0, 1.0])
+    focals, targets = (45.0, 90.0, 60.0), ([0.6, 0, 0], [0, 0.7, 0], [0, 0, 0])
+    return [fg.Camera(64, 48, focal, 1.1 * focal, 30, 25, look_at(np.array(place), np.array(target)))
+            for place, focal, target in zip(places, focals, targets)]
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_uneven_cameras_see_what_they_always_saw(rng, backend):
+    """Large Gaussians reach into a picture from far outside, where another camera saw them less sharply."""
+    model = random_model(rng, 300, "paper", "line", "radial", "rgb", size=0.02)
+    model.scale[:100] += 3
+    model = knowing(model, uneven())
+    for camera in uneven():
+        for settings in (SOFT, ObjectSettings(bends=False)):
+            one, other = (shot(model, camera, replace(settings, antialias=on), backend) for on in (True, False))
+            assert one["alpha"].max() > 0.3 and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("appearance", ["sh1", "sigmoid"])
+def test_kernels_agree_with_the_oracle_in_fine_pixels(rng, appearance, orthographic):
+    model = knowing(random_model(rng, 200, "paper", "line", "radial", appearance, size=0.01), uneven())
+    camera = replace(finer(uneven()[0], 3), orthographic=orthographic)
+    camera = replace(camera, fx=64.0, fy=64.0) if orthographic else camera
+    fast, exact, plain = (shot(model, camera, settings, backend, passes=("rgb", "alpha", "depth"))
+                          for settings, backend in ((SOFT, "cpu"), (SOFT, "reference"), (PLAIN, "cpu")))
+    assert np.abs(fast["rgb"] - exact["rgb"]).max() < 2e-4 and np.abs(fast["alpha"] - exact["alpha"]).max() < 2e-4
+    assert np.abs(plain["alpha"] - fast["alpha"]).max() > 0.05
+    covered = exact["alpha"] > 1e-3
+    np.testing.assert_allclose(fast["depth"][covered], exact["depth"][covered], rtol=1e-3)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_in_fine_pixels_the_blur_is_as_wide_on_the_surface_as_in_training(rng, antialiased):
+    """One camera, enlarged: as a rasteriser draws it whose constant blur is that many pixels."""
+    model, camera = board(rng, 24)
+    model = replace(model, raster=fg.Raster(antialiased=antialiased))
+    for k in (2, 4):
+        wide = replace(model, raster=fg.Raster(blur=0.3 * (k / distance.MARGIN) ** 2, antialiased=antialiased))
+        one, other, before = shot(model, finer(camera, k)), shot(wide, finer(camera, k), PLAIN), shot(model, finer(camera, k), PLAIN)
+        assert np.abs(one["rgb"] - other["rgb"]).max() < 1e-5 and np.abs(one["rgb"] - before["rgb"]).max() > 0.1
+
+
+def test_the_finest_pixel_is_that_of_the_sharpest_camera_that_sees_a_place(rng):
+    """Depth by focal length, the least over those in whose picture the place is; never more than the coarsest."""
+    cameras = uneven()
+    sampling = Instance(knowing(random_model(rng, 3), cameras), np.eye(4), 0.0).viewed(cameras[0]).sampling
+    places = rng.uniform(-2.5, 2.5, (400, 3))
+    least = np.full(400, np.inf)
+    for camera in cameras:
+        p = places @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        x, y = camera.fx * p[:, 0] / p[:, 2] + camera.cx, camera.fy * p[:, 1] / p[:, 2] + camera.cy
+        inside = (p[:, 2] > 0) & (x > 0) & (x < 64) & (y > 0) & (y < 48)
+        least = np.where(inside, np.minimum(least, p[:, 2] / np.sqrt(camera.fx * camera.fy)), least)
+    found, seen = sampling.finest(places, np.zeros(400)), np.isfinite(least)
+    assert 50 < seen.sum() < 400 and (found <= sampling.coarsest(places)).all()
+    assert (found[seen] <= least[seen] * (1 + 1e-9)).all() and np.mean(np.isclose(found[seen], least[seen])) > 0.5
+    assert (found[~seen] > 0).all()
+
+
+def test_nothing_jumps_where_a_gaussian_leaves_a_picture(rng):
+    """Along lines through all three pictures and past the cameras."""
+    sampling = Instance(knowing(random_model(rng, 3), uneven()), np.eye(4), 0.0).viewed(uneven()[0]).sampling
+    for start, end in rng.uniform(-5, 5, (20, 2, 3)):
+        found = sampling.finest(start + (end - start) * np.linspace(0, 1, 4000)[:, None], np.full(4000, 0.01))
+        assert np.abs(np.diff(found)).max() < 0.03 * found.max()
+
+
+def test_it_softens_without_a_jump(rng):
+    """In ever finer pixels the splats cover what they covered in training."""
+    model, camera = board(rng, 8)
+    covered = []
+    for k in np.geomspace(1.05, 5, 20):
+        eye = finer(camera, k)
+        covered.append(shot(model, eye, passes=("alpha",))["alpha"].sum() / k**2)
+    assert max(covered) / min(covered) < 1.001
+
+
+def test_files_that_know_no_cameras_have_a_setting(rng):
+    """The size of a pixel on the surface, in the model's own units.  Far views stay as they are, and so does all without it."""
+    model, camera = board(rng, 24)
+    model, size = replace(model, surroundings=Surroundings()), 0.02
+    asked = ObjectSettings(pixel_size=size)
+    for focal in (30.0, 90.0, 200.0):
+        eye = replace(camera, orthographic=True, fx=focal, fy=focal)
+        wide = replace(model, raster=fg.Raster(blur=0.3 * max(size * focal / distance.MARGIN, 1) ** 2))
+        one, other, before = shot(model, eye, asked), shot(wide, eye, PLAIN), shot(model, eye)
+        assert np.abs(one["rgb"] - other["rgb"]).max() < 1e-5 and np.array_equal(before["rgb"], shot(model, eye, PLAIN)["rgb"])
+        assert np.array_equal(one["rgb"], before["rgb"]) == (size * focal < 1)
+    assert np.array_equal(shot(model, eye, replace(asked, antialias=False))["rgb"], before["rgb"])
+
+
+def test_an_object_that_is_enlarged_is_a_near_view_of_it(rng):
+    """Three times as large at three times the distance: the same picture."""
+    model, camera = board(rng, 24)
+    for eye in (finer(camera, 3), coarser(camera, 4)):
+        away = replace(eye, world_to_camera=eye.world_to_camera @ np.diag([1 / 3, 1 / 3, 1 / 3, 1]))
+        away = replace(away, world_to_camera=np.diag([3.0, 3.0, 3.0, 1]) @ away.world_to_camera)
+        large = fg.render([Instance(model, np.diag([3.0, 3.0, 3.0, 1.0]), 0.4)], away, backend="cpu")
+        assert np.abs(large["rgb"] - shot(model, eye)["rgb"]).max() < 1e-4
+
+
+def test_viewports_list_all_that_is_soft_enough_to_be_seen(rng):
+    """A speck outside of the picture whose blur reaches into it."""
+    model = fg.GaussianModel(position=[[0.0, 0, 0]], rotation=[[1.0, 0, 0, 0]], scale=np.full((1, 3), -12.0), opacity=[5.0],
+                             features=[[1.0, 1, 1]])
+    camera = fg.Camera(32, 32, 32, 32, 16, 16, look_at(np.array([0, -4.0, 0]), np.zeros(3)))
+    eye = finer(camera, 8)
+    eye = replace(eye, cx=-8.0)
+    instance = Instance(knowing(model, [camera]), np.eye(4), 0.0)
+    assert fg.render([instance], eye, backend="cpu")["alpha"].max() > 0.1
+    for backend in ("cpu", "reference"):
+        assert len(order([instance.viewed(eye)], eye, 1.0, None, backend)) == 1
+        assert len(order([replace(instance, settings=PLAIN).viewed(eye)], eye, 1.0, None, backend)) == 0

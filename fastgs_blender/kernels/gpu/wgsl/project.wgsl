@@ -33,10 +33,10 @@ fn size_factor(largest: f32) -> f32 {
 // Change of a splat's depth by pixel in x and y (oracle.plane); deep: how far the ends of the axes lie in depth; normal: u x v.
 // Written with cross products, which lose fewer digits than the covariances.
 // With BLURRED planes the blur is a part of the covariance, and det its determinant.
-fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, det: f32, z: f32, radius: vec2f) -> vec2f {
+fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, blur: f32, det: f32, z: f32, radius: vec2f) -> vec2f {
     var change = vec2f(dot(cross(deep, v), normal), dot(cross(u, deep), normal));
     if has(BLURRED) {
-        change = (change + view.raster.x * vec2f(dot(u, deep), dot(v, deep))) / det;
+        change = (change + blur * vec2f(dot(u, deep), dot(v, deep))) / det;
     } else {
         change /= dot(normal, normal);
     }
@@ -50,15 +50,27 @@ fn slope(deep: vec3f, u: vec3f, v: vec3f, normal: vec3f, det: f32, z: f32, radiu
     return change;
 }
 
-// log2 of what an opacity is multiplied by where a Gaussian is seen from farther than from the capture's cameras (rendering/distance.py).
-fn log2_share(position: vec3f, z: f32, sharp: f32, trace: f32, det: f32) -> f32 {
-    let k = view.time.y * select(z, 1.0, has(ORTHOGRAPHIC));
-    let limit = view.beyond.w + length(position - view.beyond.xyz);
-    if !(k > limit) {
-        return 0.0;
+// rendering/distance.py, Sampling.blurs() of one Gaussian: the blur, and the one whose share of opacity is kept.
+fn blurs(position: vec3f, z: f32, largest: f32) -> vec2f {
+    let blur = view.raster.x;
+    let size = view.sampling.x * select(z, 1.0, has(ORTHOGRAPHIC));
+    var found = max(view.sampling.z, view.sampling.y * (view.beyond.w + length(position - view.beyond.xyz)));
+    if size > {MARGIN} * found {
+        let k = {MARGIN} * found / size;
+        return vec2f(blur, select(blur, blur * k * k, view.sampled.x != 0u));
     }
-    let small = view.raster.x * (limit / k) * (limit / k);
-    return 0.5 * log2((sharp + small * trace + small * small) / det);
+    for (var i = 0u; i < view.sampled.y && found > {MARGIN} * size; i++) {
+        let at = view.sampled.z + 8u * i;
+        let away = position - vec3f(extra[at], extra[at + 1u], extra[at + 2u]);
+        let along = dot(away, vec3f(extra[at + 4u], extra[at + 5u], extra[at + 6u]));
+        let near = abs(along) * extra[at + 3u];
+        if near < found {
+            let r = sqrt(max(dot(away, away) - along * along, 0.0));
+            found = min(found, near + {STEEP} * max((r - view.sampling.w * largest) * extra[at + 7u] - along, 0.0) * extra[at + 3u]);
+        }
+    }
+    let finer = max(max(found, view.sampling.z) / ({MARGIN} * size), 1.0);
+    return vec2f(blur * finer * finer);
 }
 
 // oracle.nearness of a Gaussian beside the picture; factor: its axes in the camera, times their sizes.
@@ -138,7 +150,11 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let deep = view.row2.xyz * axes;
     let u = view.lens.x * (view.row0.xyz * axes + bent.x * deep) * (sizes * bent.z);
     let v = view.lens.y * (view.row1.xyz * axes + bent.y * deep) * (sizes * bent.z);
-    let blur = view.raster.x;
+    var both = view.raster.xx;
+    if view.sampling.x > 0.0 {
+        both = blurs(position, p.z, max(sizes.x, max(sizes.y, sizes.z)));
+    }
+    let blur = both.x;
     let normal = cross(u, v);
     let sharp = dot(normal, normal);
     let s00 = dot(u, u) + blur;
@@ -205,14 +221,14 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         channels[first + view.plan.z - 1u] = p.z;
     }
     if view.plan.w > 0u {
-        let change = slope(deep * sizes, u, v, normal, det, p.z, radius);
+        let change = slope(deep * sizes, u, v, normal, blur, det, p.z, radius);
         channels[first + view.plan.w - 1u] = p.z - dot(change, centre - view.depths.zw);
         channels[first + view.plan.w] = change.x;
         channels[first + view.plan.w + 1u] = change.y;
     }
     var faint = 0.0;
-    if view.time.y > 0.0 {
-        faint = log2_share(position, p.z, sharp, dot(u, u) + dot(v, v), det);
+    if both.y < blur {
+        faint = 0.5 * log2((sharp + both.y * (dot(u, u) + dot(v, v)) + both.y * both.y) / det);
         if !(faint >= -{LIMIT}) {
             return;
         }

@@ -11,8 +11,10 @@ struct View {
     depths: vec4f,   // near, far, middle of the image in x and in y
     raster: vec4f,   // blur, highest alpha, alpha cut, log2 of the cut
     ball: vec4f,     // centre, squared radius
-    time: vec4f,     // t, growth of pixels beyond the capture's cameras, or 0
-    beyond: vec4f,   // the ball that holds those cameras: centre, radius
+    time: vec4f,     // t
+    beyond: vec4f,   // rendering/distance.py, Sampling: the ball that holds the capture's cameras
+    sampling: vec4f, // pixel, coarse, least, reach
+    sampled: vec4u,  // whether it fades; number of cameras; their first number in `extra`
     look: array<vec4f, 5>,
     size: vec4u,     // Gaussians, row of the first splat, numbers of a splat's channels, Gaussians of the whole model before these
     widths: vec4u,   // coefficients of the motion, of the rotation; columns of temporal, of features

@@ -17,7 +17,7 @@ from fastgs_blender.kernels.gpu import blend, device, picture, scene
 from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
-from fastgs_blender.rendering.passes import PASSES
+from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.volumes import mesh_volume
 from fastgs_blender.util import backends
 
@@ -99,6 +99,24 @@ def test_far_views_agree_with_the_cpu(gpu, adapter, orthographic):
     camera = replace(near, width=60, height=40, fx=focal, fy=focal, cx=30, cy=20, window=None, orthographic=orthographic)
     wanted, got, plain = (fg.render([Instance(model, np.eye(4), 0.3, ObjectSettings(antialias=antialias))], camera, backend=backend)
                           for backend, antialias in (("cpu", True), (name_of(adapter), True), (name_of(adapter), False)))
+    assert np.abs(got["rgb"] - wanted["rgb"]).max() < CLOSE and np.abs(got["alpha"] - wanted["alpha"]).max() < CLOSE
+    assert np.abs(plain["alpha"] - got["alpha"]).max() > 0.05
+
+
+@pytest.mark.parametrize("sorting", ["centre", "pixel"])
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_views_in_finer_pixels_agree_with_the_cpu(gpu, adapter, orthographic, sorting):
+    """Splats are as soft as on the CPU, each as the capture's cameras saw it that have it in their picture; beside crops with volumes."""
+    rng = np.random.default_rng(9)
+    films = [fg.Camera(40, 30, focal, focal, 20, 15, random_pose(rng, distance)) for focal, distance in ((30, 2.5), (15, 4.0), (30, 1.5))]
+    model = random_model(rng, 400, "fourier", "line", "radial", "sh1", size=0.01)
+    model = replace(model, surroundings=Surroundings(cameras=tuple(map(viewpoint_of, films))))
+    focal = 40.0 if orthographic else 120.0
+    camera = replace(films[0], width=160, height=120, fx=focal, fy=focal, cx=80, cy=60, window=None, orthographic=orthographic)
+    looks = (ObjectSettings(pixel_size=0.02, crops=(Crop(np.eye(4)),)), ObjectSettings(antialias=False, crops=(Crop(np.eye(4)),)))
+    wanted, got, plain = (fg.render([Instance(model, np.eye(4), 0.3, look)], camera, ("rgb", "alpha", "depth"), backend=backend,
+                                    settings=PassSettings(sorting=sorting))
+                          for backend, look in (("cpu", looks[0]), (name_of(adapter), looks[0]), (name_of(adapter), looks[1])))
     assert np.abs(got["rgb"] - wanted["rgb"]).max() < CLOSE and np.abs(got["alpha"] - wanted["alpha"]).max() < CLOSE
     assert np.abs(plain["alpha"] - got["alpha"]).max() > 0.05
 
