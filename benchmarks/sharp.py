@@ -3,8 +3,8 @@
 
     .venv/bin/python benchmarks/sharp.py CAPTURE [--source MODEL] [--scale X] [--steps 1600] [--folder DIR] [--pictures]
 
-CAPTURE is trained on at --scale with its held-out cameras left out (once: the model stays in the folder).  Truth at half, 2 and 4
-times the pixels are its own pictures where these are so large, or, with --source, pictures of the model that was filmed.  With a source there are
+CAPTURE is trained on at --scale with its held-out cameras left out (once: the model stays in the folder).  Truth at half, 2 and 4 times
+the pixels are its own pictures where these are so large, or, with --source, pictures of the model that was filmed.  With a source there are
 also cameras that moved: to half the distance, a fifth farther, and between two cameras.
 
 Each row: PSNR over all channels, mean of views and frames, with antialiasing off, on, and of the small picture enlarged (Lanczos), which is

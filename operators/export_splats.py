@@ -144,7 +144,7 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
         instances, left_out = snapshot.take(depsgraph, chosen, rendered=False, final=True).load()
         if left_out:
             raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
-        return as_seen([take(instance) for instance in instances])
+        return as_seen([take(instance) for instance in instances], formats.says_antialiased(self.extension))
 
     def execute(self, context):
         self._remarks = []

@@ -81,6 +81,11 @@ def writable() -> tuple[str, ...]:
     return tuple(dict.fromkeys(extension for known in WRITERS for extension in known.extensions))
 
 
+def says_antialiased(extension: str) -> bool:
+    """Whether files of static Gaussians with this extension can say that they are antialiased."""
+    return any(known.antialiased for known in WRITERS if extension in known.extensions)
+
+
 def open_source(path: str | os.PathLike) -> Source:
     """What a path shows, as a source: the model in a file, or a Sequence whose frames are read when they are shown.
 

@@ -33,12 +33,14 @@ class Format:
     extensions  of the files it writes, lower case, with the dot
     reads       what file dialogs offer to read: extensions, lower case, with the dot, or whole names of files
     says_axes   whether the format, or each of its files, says which way is up
+    antialiased whether it can say that the model is antialiased (Mip-Splatting)
     """
 
     name = ""
     extensions: tuple[str, ...] = ()
     reads: tuple[str, ...] = ()
     says_axes = False
+    antialiased = False
 
     def sniff(self, head: bytes, path: Path) -> bool:
         """Whether the file is of this format, by its first bytes `head` and, where these do not tell, its header."""

@@ -61,6 +61,7 @@ class Inria(Format):
 
     name = "INRIA PLY"
     extensions = reads = (".ply",)
+    antialiased = True
 
     def sniff(self, head, path):
         if not head.startswith(b"ply"):

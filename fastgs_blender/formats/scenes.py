@@ -16,6 +16,7 @@ from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
 from ..util.errors import FastGSError
 from .colour_spaces import in_colour_space
+from .sampled import sampled
 from .static import plain_harmonics
 from .turning import turned
 
@@ -23,14 +24,18 @@ STEP = 1e-4
 """Of colours, to find how a look changes small differences."""
 
 
-def as_seen(instances: list[Instance]) -> tuple[GaussianModel, list[str]]:
+def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[GaussianModel, list[str]]:
     """One static model, in Blender's axes, of what the instances show, and one clause for everything that is lost on the way.
 
+    antialiased: it is for files that say so; then the capture's sampling limit is a part of the Gaussians, where all instances know theirs
     Raises FastGSError where nothing is shown.
     """
+    limited = antialiased and all(instance.captured.known or instance.model.raster.antialiased for instance in instances)
     parts, lost = [], {}
     for instance in instances:
         model, clauses = _seen(instance)
+        if limited:
+            model = sampled(model, instance.captured)
         lost |= dict.fromkeys(clauses)
         if len(model):
             parts.append(placed(model, instance.placement))

@@ -30,13 +30,11 @@ SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F
 class StaticFormat(Format):
     """A format of static Gaussians in the axes RDF.
 
-    degree       the highest degree of spherical harmonics that it holds
-    antialiased  whether it can say that the model is antialiased (Mip-Splatting)
-    linear       whether it can say that colours are linear
+    degree  the highest degree of spherical harmonics that it holds
+    linear  whether it can say that colours are linear
     """
 
     degree = 3
-    antialiased = False
     linear = False
 
     def fit(self, model):

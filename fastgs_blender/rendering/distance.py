@@ -64,6 +64,11 @@ class Sampling(NamedTuple):
         """All but the cameras, as nine numbers for kernels."""
         return (*self.ball, self.pixel, self.coarse, self.least, self.reach, float(self.fades))
 
+    @property
+    def known(self) -> bool:
+        """Whether anything is known of the capture's pixels."""
+        return self.coarse > 0 or self.least > 0
+
     def coarsest(self, position: np.ndarray) -> np.ndarray:
         """C at positions [M, 3]."""
         away = np.linalg.norm(position - np.array(self.ball[:3]), axis=1)

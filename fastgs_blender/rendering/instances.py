@@ -174,6 +174,18 @@ class Instance:
         return found[self.rows] if len(found) and self.rows is not None else found
 
     @property
+    def captured(self) -> Sampling:
+        """How the capture's cameras sampled the model, before any view.  Models that were trained antialiased need no help from afar."""
+        cameras, raster, least = self.model.surroundings.cameras, self.model.raster, self.settings.pixel_size
+        if not self.settings.antialias:
+            return OFF
+        if not cameras:
+            return OFF._replace(least=least)
+        x, y, z, radius, focal = camera_ball(cameras)
+        rows, reach = camera_rows(cameras, raster.blur, raster.alpha_cut)
+        return Sampling((x, y, z, radius), 0.0, 1 / focal, least, reach, not raster.antialiased, rows)
+
+    @property
     def identity(self) -> tuple[str, int]:
         """(name, index) of its object."""
         return self.name, self.index
@@ -212,17 +224,11 @@ class ViewedInstance(Instance):
 
     @cached_property
     def sampling(self) -> Sampling:
-        """How the capture's cameras and this one sample the model.  Models that were trained antialiased need no help from afar."""
-        cameras, size, raster = self.model.surroundings.cameras, self.scale, self.model.raster
-        least = self.settings.pixel_size
-        if not self.settings.antialias or not (cameras or least) or not size > 0:
+        """How the capture's cameras and this one sample the model."""
+        captured, size = self.captured, self.scale
+        if not captured.known or not size > 0:
             return OFF
-        pixel = 1 / (float(np.sqrt(abs(self.camera.fx * self.camera.fy))) * size)
-        if not cameras:
-            return OFF._replace(pixel=pixel, least=least)
-        x, y, z, radius, focal = camera_ball(cameras)
-        rows, reach = camera_rows(cameras, raster.blur, raster.alpha_cut)
-        return Sampling((x, y, z, radius), pixel, 1 / focal, least, reach, not raster.antialiased, rows)
+        return captured._replace(pixel=1 / (float(np.sqrt(abs(self.camera.fx * self.camera.fy))) * size))
 
     @cached_property
     def ball(self) -> tuple[float, float, float, float]:
