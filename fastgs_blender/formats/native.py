@@ -12,20 +12,17 @@ from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
-from . import compressed, compressed_v2
+from . import compressed
 from .base import LIMIT, Format, generator
 from .description import describe, read_json, understand, whole_number
 from .rate import Loss
 
-VERSION = 1
-"""Raised when a reader of the old version would misread a new file; additions that it may pass over do not raise it."""
+VERSION, COMPRESSED = 1, 3
+"""Of plain and of compressed files: raised when a reader of the old version would misread a new file; additions that it may pass over do
+not raise it."""
 KEY = "fast-gs"
 DECODER = ("w1", "w2")
 REQUIRED = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space")
-
-
-COMPRESSED = {2: compressed_v2, 3: compressed}
-"""The versions of compressed files, and what reads them; the last one is written."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,8 @@ class Native(Format):
             kinds, version, about = _kinds(file.metadata[KEY])
             look = kinds["appearance"]
             empty = GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, look.width)), **kinds)
-            if version in COMPRESSED:
-                model = COMPRESSED[version].unpacked(file, about, empty)
+            if version == COMPRESSED:
+                model = compressed.unpacked(file, about, empty)
                 return replace(model, appearance=_with_decoder(file, look))
             position = file.entries.get("position")
             shapes = empty.shapes(position.shape[0] if position and position.shape else 1)
@@ -84,7 +81,7 @@ class Native(Format):
             tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
         else:
             tensors, about["compressed"] = compressed.packed(model, self.loss, self.progress or (lambda share: None))
-            about["version"] = max(COMPRESSED)
+            about["version"] = COMPRESSED
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
         write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
@@ -103,9 +100,11 @@ def _kinds(text: str) -> tuple[dict, int, dict]:
     """The model's kinds from the JSON in the metadata, the version of the format, and how it is compressed, if it is."""
     about = read_json(text)
     version = whole_number(about.get("version") if isinstance(about, dict) else None, "the version of its format")
-    if version > max(COMPRESSED):
-        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {max(COMPRESSED)}); "
+    if version > COMPRESSED:
+        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {COMPRESSED}); "
                           "update FAST-GS for Blender.")
+    if version not in (VERSION, COMPRESSED):
+        raise FastGSError(f"its format version {version} was never released; make the file again from the model's source.")
     values = about.get("model")
     missing = [key for key in REQUIRED if not isinstance(values, dict) or key not in values]
     if missing:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import mutations
 import numpy as np
@@ -19,7 +18,6 @@ from fastgs_blender.model.pruning import pruned, scores
 from fastgs_blender.util.tensor_files import open_tensors
 
 pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
-OLD = Path(__file__).with_name("compressed_v2.safetensors")
 CAMERA = fg.Camera(96, 72, 90.0, 90.0, 48.0, 36.0, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 6], [0, 0, 0, 1]]))
 
 
@@ -256,13 +254,6 @@ def test_columns_of_noise_cost_little_more_than_their_entropy():
     share = np.bincount(codes - codes.min()) / len(codes)
     entropy = -(share[share > 0] * np.log2(share[share > 0])).sum()
     assert 8 * len(columns.packed("x", codes, columns.Order())[0]) / len(codes) < 1.0115 * entropy
-
-
-def test_files_of_version_2_are_read():
-    model, found = random_model(np.random.default_rng(6), 20, "cubic", "line", "radial", "sh1", extent=2.0), fg.load(OLD)
-    assert len(found) == 20 and found.basis == model.basis and found.appearance == model.appearance
-    for t in (0.1, 0.6):
-        assert psnr(model, found, t) > 40
 
 
 def test_windows_keep_their_edges_to_the_bit(tmp_path):
