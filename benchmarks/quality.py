@@ -2,7 +2,7 @@
 """How good are trained models in new views?  Trains the development scenes as users do, and prints one table.
 
     python benchmarks/make_capture.py --scene robot --out captures/robot          (and procedural, room)
-    python ../shared/tools/recapture.py ../shared/data/splatv/spinach_4.splatv captures/kitchen 50 480 360 500
+    python benchmarks/refilm.py ../shared/data/splatv/spinach_4.splatv captures/kitchen --frames 50
     python benchmarks/quality.py captures/robot captures/procedural captures/room captures/kitchen ../shared/data/people
 
 A folder's name says which scene it holds (SCENES).  Three cameras are never trained on.  Choices are made by two of them, an inner and an

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sentences of the documentation are short: on average under 18 words, and none over 35 (tools/readability.py)."""
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MEAN, LONGEST = 18.0, 35
+LATER = {"CHANGELOG.md", "CONTRIBUTING.md", "docs/baking.md", "docs/captures.md", "docs/colour.md", "docs/file-format.md",
+         "docs/formats.md", "docs/geometry-nodes.md", "docs/gpu.md", "docs/guide.md", "docs/meshes.md", "docs/paper.md", "docs/passes.md",
+         "docs/training-in-blender.md", "docs/training.md", "docs/viewport.md"}
+"""Pages that are still to be rewritten."""
+
+
+def tool():
+    spec = importlib.util.spec_from_file_location("readability", ROOT / "tools" / "readability.py")
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+readability = tool()
+
+
+@pytest.mark.parametrize("page", [page for page in readability.pages() if page.relative_to(ROOT).as_posix() not in LATER],
+                         ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_sentences_are_short(page):
+    mean, every = readability.measure(page)
+    assert mean < MEAN
+    assert not [" ".join(words) for words in every if len(words) > LONGEST]
+
+
+def test_what_counts_as_a_sentence():
+    prose, cells = readability.blocks("# A heading\n\nOne two. Three\nfour `five six`.\n* An item\n  of a list\n\n"
+                                      "| a | cell of it |\n|---|---|\n\n```\ncode. Code.\n```\n")
+    assert prose == ["One two. Three four `five six`.", "An item of a list"] and [cell.strip() for cell in cells] == ["a", "cell of it"]
+    assert [len(words) for words in readability.sentences(prose[0])] == [2, 3]
+    assert [len(words) for words in readability.sentences("See [the words](of-a-link.md), 0.5 dB. (Then more.)")] == [5, 2]
