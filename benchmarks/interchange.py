@@ -33,6 +33,7 @@ from random_models import random_model  # noqa: E402
 
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.formats.straight import logit  # noqa: E402
+from fastgs_blender.formats.streamed_sog import with_level  # noqa: E402
 from fastgs_blender.formats.turning import into_rdf, turned, with_axes  # noqa: E402
 from fastgs_blender.util import rotations  # noqa: E402
 
@@ -65,7 +66,7 @@ def main(argv=None) -> None:
         model = random_model(np.random.default_rng(7), args.gaussians, appearance="sh3", extent=5.0)
         for name in OURS:
             fg.save(model, here / name)
-        for part in (splat_transform, spark, gsply, usd, fourdgs):
+        for part in (splat_transform, niantic, spark, gsply, usd, fourdgs):
             good += [compare(*pair) for pair in part(args, here, model)]
     sys.exit(0 if all(good) else 1)
 
@@ -84,9 +85,14 @@ def splat_transform(args, folder: Path, model: fg.GaussianModel) -> Iterator[tup
     rng = np.random.default_rng(8)
     fg.save(random_model(rng, args.gaussians, appearance="sh0", extent=5.0), folder / "plain.ply")
 
-    def theirs(name: str, *options: str, source=None) -> Path:
-        source = source or folder / "ours.ply"
-        subprocess.run(["node", str(cli), "-q", "-w", str(source), str(folder / name), *options], check=True, capture_output=True)
+    def theirs(name: str, *options: str, source=None, tagged=()) -> Path:
+        source = folder / (source or "ours.ply")
+        command = ["node", str(cli), "-q", "-w", str(source), *tagged]
+        if name.endswith("lod-meta.json"):  # here the options name other sources, which come first
+            command += [*options, str(folder / name)]
+        else:
+            command += [str(folder / name), *options]
+        subprocess.run(command, check=True, capture_output=True)
         return folder / name
 
     version = json.loads((cli.parents[1] / "package.json").read_text("utf-8"))["version"]
@@ -107,6 +113,54 @@ def splat_transform(args, folder: Path, model: fg.GaussianModel) -> Iterator[tup
         path = folder / f"level{level}.ksplat"
         path.write_bytes(test_formats_ksplat.file([test_formats_ksplat.gaussians(rng, args.gaussians, 2)], level)[0])
         yield both(f"splat-transform reads .ksplat {level}", path)
+    if as_they_are:  # older ones write streamed SOG, and do not read it
+        yield from _streamed(folder, theirs)
+
+
+def _streamed(folder: Path, theirs: Callable) -> Iterator[tuple]:
+    """Each level of a scene in chunks, without its environment, in the order of the chunks."""
+    levels = ("plain.ply", "coarse.ply")
+    plain = fg.load(folder / "plain.ply")
+    fg.save(plain.take(slice(0, None, 4)), folder / "coarse.ply")
+    fg.save(plain.take(slice(0, 50)), folder / "around.ply")
+    (folder / "scene").mkdir()
+    sources = [part for number, name in enumerate(levels) for part in (str(folder / name), "-l", str(number))]
+    theirs("scene/lod-meta.json", *sources[3:], str(folder / "around.ply"), "-l", "-1", "--lod-chunk-count", "1", "--lod-chunk-extent", "2",
+           "-g", "cpu", source=levels[0], tagged=sources[1:3])
+    for level in range(len(levels)):
+        ours = fg.load(with_level(folder / "scene" / "lod-meta.json", level))
+        back = fg.load(theirs(f"level{level}.ply", source=folder / "scene" / "lod-meta.json", tagged=("-L", str(level))))
+        yield f"streamed SOG of splat-transform, {level}", ours.take(slice(0, len(ours) - 50)), back, {}
+
+
+def niantic(args, folder: Path, model: fg.GaussianModel) -> Iterator[tuple]:
+    """Both ways, with harmonics of degree 4, which none of the others has."""
+    modules = (args.tools / "node_modules").resolve()
+    if not _there("Niantic's library", (modules / "@adobe/spz").is_dir() and bool(shutil.which("node")), "npm install @adobe/spz"):
+        return
+
+    def library(*arguments) -> None:
+        subprocess.run(["node", str(WITH / "spz.mjs"), str(modules), *map(str, arguments)], check=True, capture_output=True)
+
+    def table(m: fg.GaussianModel) -> np.ndarray:
+        return np.concatenate([m.position, m.scale, rotations.unit(m.rotation)[:, [1, 2, 3, 0]], m.opacity[:, None], m.features], 1)
+
+    four = random_model(np.random.default_rng(10), args.gaussians, appearance="sh4", extent=5.0)
+    four.features = np.clip(four.features, -0.9, 0.9)
+    table(four).astype("<f4").tofile(folder / "rows.bin")
+    for version in (3, 4):
+        library("write", folder / "rows.bin", folder / "four.spz", version, "RUB")
+        yield _as_niantic(f".spz {version} of Niantic's library, degree 4", folder / "four.spz", library)
+    fg.save(four, folder / "ours4.spz")
+    yield _as_niantic("Niantic's library reads our .spz, degree 4", folder / "ours4.spz", library)
+
+
+def _as_niantic(label: str, path: Path, library: Callable) -> tuple:
+    library("read", path, path.with_suffix(".bin"))
+    rows = np.fromfile(path.with_suffix(".bin"), "<f4").reshape(-1, 86)
+    theirs = fg.GaussianModel(position=rows[:, :3], scale=rows[:, 3:6], rotation=rows[:, [9, 6, 7, 8]], features=rows[:, 11:],
+                              opacity=np.clip(rows[:, 10], -30, 30), appearance=fg.SH(4))
+    return label, fg.load(path), theirs, {}
 
 
 def spark(args, folder: Path, model: fg.GaussianModel) -> Iterator[tuple]:

@@ -90,9 +90,12 @@ def checkpoints(folder: Path, rng) -> dict[str, tuple[Path, Path]]:
     import test_formats_deformed
     import test_formats_realtime4dgs
     import test_formats_research
+    import test_formats_splat_checkpoints
     import test_formats_straight
 
-    made = {name: (folder / name,) * 2 for name in ("freetime.pt", "realtime.pth", "rotor.ckpt")}
+    made = {name: (folder / name,) * 2 for name in ("freetime.pt", "realtime.pth", "rotor.ckpt", "gsplat.pt", "nerfstudio.ckpt")}
+    test_formats_splat_checkpoints.gsplat(folder / "gsplat.pt", test_formats_splat_checkpoints.raw(rng))
+    test_formats_splat_checkpoints.nerfstudio(folder / "nerfstudio.ckpt", test_formats_splat_checkpoints.raw(rng))
     test_formats_straight.checkpoint(folder / "freetime.pt", test_formats_straight.raw(rng))
     test_formats_realtime4dgs.saved(folder / "realtime.pth", test_formats_realtime4dgs.raw(rng))
     test_formats_research.saved(folder / "rotor.ckpt", test_formats_research.rotor(rng))

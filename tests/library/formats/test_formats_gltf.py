@@ -68,6 +68,18 @@ def random_file(packed=False, short=False) -> tuple[bytes, dict]:
     return glb(*tree_of(attributes, {"translation": [1, 2, 3], "scale": [2, 2, 2]})), attributes
 
 
+def assumed_file() -> bytes:
+    """A .glb with another kernel, scales as logarithms and a second mesh with linear colours."""
+    attributes = random_attributes(np.random.default_rng(9), degree=1)
+    attributes[f"{EXT}:SCALE"] = np.log(attributes[f"{EXT}:SCALE"])
+    tree, binary = tree_of(attributes, kernel="cube")
+    second = {**tree["meshes"][0]["primitives"][0], "extensions": {EXT: {"kernel": "ellipse", "colorSpace": "lin_rec709_display"}}}
+    tree["meshes"].append({"primitives": [second]})
+    tree["nodes"].append({"mesh": 1})
+    tree["scenes"][0]["nodes"] = [0, 1]
+    return glb(tree, binary)
+
+
 def packed_file(rng, version=2, draft=False, name=None):
     arrays = packed(rng, version, 13, 1)
     data = spz_file(version, 13, 1, arrays)

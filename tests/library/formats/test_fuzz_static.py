@@ -38,7 +38,7 @@ def spz(folder):
     from test_formats_spz import file, packed
 
     rng = np.random.default_rng(5)
-    written = {f"v{v}-{d}": {"m.spz": file(v, 6, d, packed(rng, v, 6, d))} for v, d in ((1, 0), (2, 1), (3, 3), (4, 0), (4, 2))}
+    written = {f"v{v}-{d}": {"m.spz": file(v, 6, d, packed(rng, v, 6, d))} for v, d in ((1, 0), (2, 1), (3, 3), (3, 4), (4, 0), (4, 2))}
     return {"written": {"m.spz": saved(folder, "m.spz", appearance="sh2")}, **written}
 
 
@@ -70,10 +70,10 @@ def sog_folder(folder):
 
 
 def glb(folder):
-    from test_formats_gltf import random_file
+    from test_formats_gltf import assumed_file, random_file
 
     return {"written": {"m.glb": saved(folder, "m.glb", appearance="sh1")}, "packed": {"m.glb": random_file(packed=True)[0]},
-            "short": {"m.glb": random_file(short=True)[0]}}
+            "short": {"m.glb": random_file(short=True)[0]}, "assumed": {"m.glb": assumed_file()}}
 
 
 def gltf(folder):

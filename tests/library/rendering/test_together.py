@@ -37,6 +37,21 @@ def test_overlapping_objects_are_one_merged_model(appearance, stretched):
         assert np.abs(apart[name] - one[name]).max() < 1e-4, name
 
 
+def test_objects_in_two_colour_spaces_become_one_in_srgb():
+    """Colours that are the same from everywhere are those of the sRGB curve (IEC 61966-2-1), and the export says so."""
+    rng = np.random.default_rng(4)
+    linear = random_model(rng, 20, appearance="sh0", colour_space="linear")
+    linear.features[:] = (rng.random((20, 3)) - 0.5) / 0.28209479177387814
+    plain = random_model(rng, 10, appearance="sh0")
+    merged, lost = as_seen([Instance(plain, np.eye(4), 0.0), Instance(linear, np.eye(4), 0.0)])
+    assert merged.colour_space == "srgb" and any("linear" in clause and "sRGB" in clause for clause in lost)
+    np.testing.assert_array_equal(merged.features[:10], plain.features)
+    shown = 0.5 + 0.28209479177387814 * linear.features.astype(np.float64)
+    wanted = np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(0.5 + 0.28209479177387814 * merged.features[10:], wanted, atol=1e-5)
+    assert not any("linear" in clause for clause in as_seen([Instance(linear, np.eye(4), 0.0)])[1])
+
+
 @pytest.mark.parametrize("backend", ["reference", "cpu"])
 def test_parts_of_a_model_with_a_decoder_are_decoded_together(backend):
     """Separated by a filter they look as the whole does; at another place, or with another look, a part has a decoding of its own."""
