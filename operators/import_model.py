@@ -74,8 +74,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         layout.use_property_decorate = False
         layout.prop(self, "relative_path")
         layout.prop(self, "as_sequence")
-        if any(Path(path).name.lower() == "lod-meta.json" for path in self.paths()):
-            layout.prop(self, "level")
+        layout.prop(self, "level")
         layout.prop(self, "orientation")
         layout.prop(self, "proxy_points")
         layout.prop(self, "view")
