@@ -21,11 +21,11 @@ def render(instances: list[Instance], camera: fg.Camera, working: np.ndarray, pa
     working   [3, 3] from linear Rec.709 to the primaries of the picture, see colour.rec709_to_working()
     passes    of the library's table; "rgb" and "alpha" are always there, and so is "holdout" with a holdout
     progress  called with 0..1; what it raises cancels the render
-    settings, exposure, holdout, backend  as the library takes them
+    settings, exposure, holdout, backend  as the library takes them; the film is transparent, for Blender puts something behind
     Returns float32 arrays of the camera's window, the top row first.  Raises FastGSError as the library does.
     """
     passes = tuple(dict.fromkeys(("rgb", "alpha", *([] if holdout is None else ["holdout"]), *passes)))
-    options = {"settings": settings, "exposure": exposure, "holdout": holdout, "backend": backend}
+    options = {"settings": replace(settings, film="transparent"), "exposure": exposure, "holdout": holdout, "backend": backend}
     colours = [name for name in passes if PASSES[name].colour]
     spaces = {instance.model.colour_space for instance in instances}
     if len(spaces) < 2:

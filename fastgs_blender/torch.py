@@ -149,7 +149,7 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
             if isinstance(look, Features):
                 weight = np.asarray(ctx.backend.numpy(ctx.picture.alpha), np.float64)
                 features = np.asarray(ctx.backend.numpy(ctx.picture.features), np.float64)
-                return (decode_features(features, weight, instance, eye) * by_rgb).sum()
+                return (decode_features(features, weight, instance, eye, look.decode) * by_rgb).sum()
             seen = colours(replace(now, position=now.position - step * steady), instance, eye)
             return (seen * by["features"][:, :3].astype(np.float64) / SH_C0).sum()
 

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.model.appearance import ACTIVATIONS, Features
+from ...fastgs_blender.model.appearance import ACTIVATIONS, DECODES, Features
 from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
 from .frame_table import Depths
 
@@ -21,7 +21,7 @@ class ResolveTexel(IntEnum):
     KIND        whether colours are decoded from sRGB, the activation's code, whether it is a sum of groups, whether it is to be summed
     BACKGROUND  colour, and whether there is one; the colour does not count where there is a panorama
     BORDER      part of the framebuffer to draw: left, bottom, right, top, 0..1
-    WHOLE       whether the background and the coverage are drawn, the opacity
+    WHOLE       whether the background and the coverage are drawn, the opacity, what the decoder is given
     SIZE        width, height, orthographic, share of their colour that pixels outside FRAME keep
     LENS        fx, fy, cx, cy
     TO_MODEL    three rows from the camera's space to the model's
@@ -75,7 +75,7 @@ def resolve_table(camera: Camera, size, group, working: np.ndarray, background=N
         row[at.SKY] = *sky, camera.width, camera.height
         row[at.TO_WORLD:at.TO_WORLD + 3, :3] = np.linalg.inv(camera.world_to_camera)[:3, :3]
     row[at.BORDER] = border
-    row[at.WHOLE] = first, opacity, 0, 0
+    row[at.WHOLE] = first, opacity, DECODES.index(appearance.decode) if appearance else 0, 0
     row[at.SIZE] = *size, camera.orthographic, outside
     row[at.LENS] = camera.fx, camera.fy, camera.cx, camera.cy
     if appearance:

@@ -24,6 +24,8 @@ from ..util.progress import progress
 from .shared import add_backend, chosen_backend, image_size, model_file, note, print_json, use_threads
 
 NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
+OWN = "own"
+"""The background that a model brings."""
 
 
 def add_arguments(parser):
@@ -38,7 +40,8 @@ def add_arguments(parser):
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--view", "--camera-index", metavar="NAME", help="the camera to use: its name, or its number from 0")
     which.add_argument("--path", action="store_true", help="the cameras are a path: frame f takes camera f")
-    parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB (default: transparent)")
+    parser.add_argument("--background", metavar="COLOUR", help="an opaque background, #rrggbb in sRGB, or own: what the "
+                        "model itself shows where nothing is, as Spacetime Gaussians does, else black (default: transparent)")
     blur = parser.add_argument_group("motion blur and depth of field")
     blur.add_argument("--shutter", type=float, default=0.0, metavar="FRAMES", help="how long the shutter is open around each frame")
     blur.add_argument("--steps", type=int, default=32, metavar="N", help="steps of the motion blur, at the most (default: 32)")
@@ -66,7 +69,11 @@ def run(args):
     use_threads(args.threads)
     passes = _passes(args)
     exposure = _exposure(args)
-    background = None if args.background is None else _colour(args.background)
+    own = args.background == OWN
+    if own and exposure is not None:
+        raise FastGSError(f"--background {OWN} goes with sharp frames; leave --shutter and --aperture out, or name a colour.")
+    background = None if args.background is None else NAMED_COLOURS["black"] if own else args.background
+    background = None if background is None else _colour(background)
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = sight(args.camera).views
@@ -86,7 +93,7 @@ def run(args):
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
-    drawing = ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
+    drawing = ({"film": "opaque"} if own else {}) | ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
     options = {"passes": passes, "background": background, "backend": args.backend} | blur | drawing
     notes = KeptFrames(out, model, options)
     states = [notes.state(*each) for each in zip(files, cameras, times, strict=True)]
@@ -126,7 +133,8 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
     from ..rendering.passes import PassSettings
 
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
-    look, settings = ObjectSettings(antialias=not args.no_antialias), PassSettings(sorting=args.sorting)
+    look, film = ObjectSettings(antialias=not args.no_antialias), "opaque" if args.background == OWN else "transparent"
+    settings = PassSettings(sorting=args.sorting, film=film)
     with _stop_on_sigterm(), progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
         try:
             for done, i in enumerate(todo):
@@ -193,7 +201,7 @@ def _colour(text: str) -> list[float]:
             raise ValueError
         return [value / 255 for value in bytes.fromhex(digits)]
     except ValueError as error:
-        raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
+        raise FastGSError(f"a colour is written #rrggbb, or is {OWN} or one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
 
 
 def _over(image, background, colour_space):

@@ -132,7 +132,8 @@ def _basis(values) -> Basis:
 
 
 def _described(look: Appearance) -> dict:
-    values = {"name": look.name} | {key: getattr(look, key) for key in look.recorded}
+    usual = {key: getattr(type(look), key) for key in look.optional}
+    values = {"name": look.name} | {key: getattr(look, key) for key in look.recorded if getattr(look, key) != usual.get(key)}
     return values | {"look": _described(look.look), "basis": basis_to_dict(look.basis)} if isinstance(look, Changing) else values
 
 
@@ -146,7 +147,8 @@ def _appearance(values) -> Appearance:
         if not isinstance(look, dict) or look.get("name") == Changing.name:
             raise FastGSError("colours that change in time are of nothing known; the file is damaged.")
         return Changing(_appearance(look), _basis(values.get("basis")))
-    return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded})
+    return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded
+                   if key in values or key not in kind.optional})
 
 
 def _surroundings_described(around: Surroundings) -> dict:

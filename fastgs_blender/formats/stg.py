@@ -6,6 +6,7 @@ Columns: x y z, trbf_center, trbf_scale (ln of the width), nx ny nz, motion_*, f
   (w0) sin1 cos1 sin2 cos2 ..., with or without the constant w0, which joins the position.  Our comments tell the phase
   and a linear term (at the end); half-period cosines are a Fourier series of half the frequency whose sines are 0.
 * lite: f_dc_0..2 is RGB.  full: f_dc_0..5 and f_t_0..2 are features, and the decoder lies beside the file, as .pt.
+  STG gives it the sum of features as blending leaves it; our comments tell where a model's is given their mean.
 """
 from __future__ import annotations
 
@@ -64,8 +65,9 @@ class SpacetimeGaussians(Format):
             raise FastGSError("it has some but not all of the columns f_dc_0..5 and f_t_0..2; export it again.")
         appearance = RGB()
         if full:
-            activation = recorded.activation if isinstance(recorded, Features) else _activation(path, settings)
-            appearance = _read_decoder(path.with_suffix(".pt"), activation)
+            ours = isinstance(recorded, Features)
+            look = (recorded.activation, recorded.decode) if ours else (_activation(path, settings), "premultiplied")
+            appearance = _read_decoder(path.with_suffix(".pt"), *look)
         arrays = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": FULL if full else LITE,
             "motion": powers, "constant": constant, "rotation_motion": OMEGA, "mu_tau": ("trbf_center",), "temporal": ("trbf_scale",)})
@@ -85,6 +87,8 @@ class SpacetimeGaussians(Format):
         steps = [bell_opacity, polynomial_motion, linear_rotation, lambda m: plain_colour(m, keep_features=True)]
         if isinstance(model.basis, (Fourier, Cosine)):
             steps.remove(polynomial_motion)
+        if isinstance(model.appearance, Features) and model.appearance.decode != "premultiplied":
+            lost = [*lost, "Spacetime Gaussians' own renderer does not divide features by alpha, so it shows half-transparent parts otherwise"]
         for step in steps:
             model, clauses = step(model)
             lost += clauses
@@ -96,7 +100,7 @@ class SpacetimeGaussians(Format):
         decoder = path.with_suffix(".pt")
         if decoder.exists():
             try:
-                _read_decoder(decoder, "sigmoid")
+                _read_decoder(decoder, "sigmoid", "premultiplied")
             except (FastGSError, OSError) as error:
                 raise FastGSError(f"the decoder would replace {decoder.name}, which is something else; choose another name.") from error
         return [decoder, path]
@@ -171,7 +175,7 @@ def _settings(path: Path) -> dict:
     return settings
 
 
-def _read_decoder(path: Path, activation: str) -> Features:
+def _read_decoder(path: Path, activation: str, decode: str) -> Features:
     """The decoder in a .pt file; raises FastGSError."""
     if not path.exists():
         raise FastGSError(f"its decoder {path.name} is missing; put it beside the model.")
@@ -185,7 +189,7 @@ def _read_decoder(path: Path, activation: str) -> Features:
                     raise FastGSError(f"it has no {name} of {shape[0]} x {shape[1]} numbers.")
                 with np.errstate(over="ignore", invalid="ignore"):
                     weights[key] = tensor.read().astype(np.float32).reshape(shape[:2])
-            return Features(**weights, activation=activation)
+            return Features(**weights, activation=activation, decode=decode)
     except FastGSError as error:
         reason = str(error).removeprefix(printable(f"{path}: "))
         raise FastGSError(f"its decoder {path.name} cannot be used: {reason}") from error

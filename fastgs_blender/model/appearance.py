@@ -27,6 +27,8 @@ SH_C4 = (2.5033429417967046, -1.7701307697799304, 0.9461746957575601, -0.6690465
 """Factors of the spherical harmonics of each degree, in the order of sh_basis.  Shaders take them from here."""
 ACTIVATIONS = ("sigmoid", "clamp", "none")
 """Output activations of STG's decoder: N3V, Technicolor, Immersive (`sandwich`, `sandwichnoact`, `sandwichnoactss`)."""
+DECODES = ("normalised", "premultiplied")
+"""What a decoder is given: the mean of the features that cover a pixel, or their sum as blending leaves it (STG)."""
 
 
 class Appearance:
@@ -34,11 +36,13 @@ class Appearance:
 
     name, width    as files name it; F, the number of columns
     recorded       the fields that a file records of it, beside arrays
+    optional       those of them that a file may lack; they have their default then
     """
 
     name: ClassVar[str] = ""
     width: ClassVar[int]
     recorded: ClassVar[tuple[str, ...]] = ()
+    optional: ClassVar[tuple[str, ...]] = ()
 
     def features_of(self, rgb: np.ndarray) -> np.ndarray:
         """Features [N, F] that show the display colours rgb [N, 3] from everywhere and at all times."""
@@ -97,8 +101,13 @@ class SH(Appearance):
 class Features(Appearance):
     """STG full and FAST-GS.  Columns: base (3), direction (3), time (3, multiplied by t - mu_tau).
 
-    Per pixel, from the blended features f and the ray (camera centre, unit direction; both in the model's space):
-    rgb = activation(base + w2 @ relu(w1 @ [direction, time, ray])), w1 [6, 12], w2 [3, 6], no biases.
+    Per pixel, from features f and the ray (camera centre, unit direction; both in the model's space):
+    decode(f) = activation(base + w2 @ relu(w1 @ [direction, time, ray])), w1 [6, 12], w2 [3, 6], no biases.
+
+    With the blended sum F of the features and its weight alpha, `decode` says what a pixel shows:
+    normalised     alpha decode(F / alpha): a surface has one colour, however much of the pixel it covers
+    premultiplied  decode(F), as STG's renderer does.  Its picture is opaque: where nothing is, it is decode(0).
+                   Over something else it is max(0, decode(F) - (1 - alpha) decode(0)), at most alpha; see lifted()
 
     Example:
         look = fg.Features(w1=np.zeros((6, 12)), w2=np.zeros((3, 6)))
@@ -106,10 +115,12 @@ class Features(Appearance):
 
     name: ClassVar[str] = "features"
     width: ClassVar[int] = 9
-    recorded: ClassVar[tuple[str, ...]] = ("activation",)
+    recorded: ClassVar[tuple[str, ...]] = ("activation", "decode")
+    optional: ClassVar[tuple[str, ...]] = ("decode",)
     w1: np.ndarray = field(default_factory=lambda: np.zeros((6, 12), np.float32))
     w2: np.ndarray = field(default_factory=lambda: np.zeros((3, 6), np.float32))
     activation: str = "sigmoid"
+    decode: str = "normalised"
 
     def __post_init__(self) -> None:
         for key, shape in (("w1", (6, 12)), ("w2", (3, 6))):
@@ -118,6 +129,7 @@ class Features(Appearance):
                 raise FastGSError(f"the decoder's {key} must be {shape[0]} x {shape[1]} finite numbers.")
             object.__setattr__(self, key, value)
         one_of(self.activation, "the decoder's activation", ACTIVATIONS)
+        one_of(self.decode, "what the decoder is given", DECODES)
 
     def features_of(self, rgb: np.ndarray) -> np.ndarray:
         """Features [N, 9] of colours rgb [N, 3], as base and direction: the first shows them as long as w2 is 0, the second gives the
@@ -225,3 +237,17 @@ def decode(features: np.ndarray, centre: np.ndarray, ray: np.ndarray, appearance
     hidden = np.maximum(inputs @ appearance.w1.T.astype(f.dtype), 0)
     rgb = f[..., :3] + hidden @ appearance.w2.T.astype(f.dtype)
     return appearance.activated(rgb)
+
+
+def lifted(whole: np.ndarray, empty: np.ndarray, weight: np.ndarray, appearance: Features) -> np.ndarray:
+    """The picture of a decoder of premultiplied sums without what it shows behind them: premultiplied colour [..., 3].
+
+    STG's picture is opaque, with the decoder's colour of no features at all behind the splats.  This is what lies before that, so that
+    something else can be put behind.  Straight colours stay in the activation's range, which the difference may leave.
+
+    whole   [..., 3] decode() of the blended sum, empty of zeros
+    weight  [...] of the splats
+    """
+    share = weight[..., None]
+    straight = np.divide(whole - (1 - share) * empty, share, out=np.zeros_like(whole), where=share > 0)
+    return (straight if appearance.activation == "none" else np.clip(straight, 0, 1)) * share

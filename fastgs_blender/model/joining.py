@@ -63,7 +63,8 @@ def _same(first: GaussianModel, other: GaussianModel):
     if isinstance(look, Changing):
         raise FastGSError("the segments cannot be joined: their colours change in time.")
     if isinstance(look, Features):
-        same = np.array_equal(look.w1, its.w1) and np.array_equal(look.w2, its.w2) and look.activation == its.activation
+        same = np.array_equal(look.w1, its.w1) and np.array_equal(look.w2, its.w2) and (
+            look.activation, look.decode) == (its.activation, its.decode)
     else:
         same = look == its
     if not same:

@@ -120,7 +120,8 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))
     planes = holdout is not None
-    layout = Layout(instances, False, quantities, planes or "plane" in needs, settings.by_pixel)
+    opaque = settings.film == "opaque" and holdout is None
+    layout = Layout(instances, False, quantities, planes or "plane" in needs, settings.by_pixel, opaque)
     buffers = backend.draw(instances, camera, layout, needs & set(PROBES), lambda f: progress(f / draws), holdout=holdout)
     rgb = backend.numpy(backend.colour(buffers, layout, camera)) if "rgb" in needs else None
     sums, probes = ({name: backend.numpy(array) for name, array in found.items()} for found in (buffers.sums, buffers.probes))

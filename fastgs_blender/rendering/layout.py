@@ -39,7 +39,7 @@ def decoding(instance: ViewedInstance) -> Hashable:
     look = instance.model.appearance
     if not isinstance(look, Features):
         return None
-    return (look.activation, look.w1.tobytes(), look.w2.tobytes(), instance.camera_to_model.tobytes(),
+    return (look.activation, look.decode, look.w1.tobytes(), look.w2.tobytes(), instance.camera_to_model.tobytes(),
             instance.look[Look.GRADED:].tobytes())
 
 
@@ -51,11 +51,20 @@ class ChannelGroup:
     offset    first channel
     weight    channel that holds this group's own share of alpha; None: alpha itself
     instance  one of those, whose decoder turns the features into colour; None: the channels are rgb
+    opaque    whether nothing is to lie behind the group or beside it
     """
 
     offset: int
     weight: int | None = None
     instance: ViewedInstance | None = None
+    opaque: bool = False
+
+    @property
+    def decode(self) -> str:
+        """How the decoder's colour is made: one of Features' ways, or "lifted" where premultiplied sums go over something else."""
+        assert self.instance is not None
+        way = self.instance.model.appearance.decode
+        return way if way == "normalised" or self.opaque else "lifted"
 
 
 class Layout:
@@ -63,6 +72,8 @@ class Layout:
 
     Three channels for all instances with plain colour, nine for those with one decoding, plus its share of alpha where
     it is not alone; then the depth, if wanted, and further quantities.
+
+    opaque      whether nothing is put behind the picture (Features says what that changes); only a group that is alone can be
 
     groups      list of ChannelGroup
     core        from which channel to which they are summed over the core of each pixel; (0, 0): there are none.  These come right after
@@ -78,7 +89,7 @@ class Layout:
     """
 
     def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False,
-                 by_pixel: bool = False):
+                 by_pixel: bool = False, opaque: bool = False):
         kinds: dict[Hashable, list[ViewedInstance]] = {}
         for instance in instances:
             kinds.setdefault(decoding(instance), []).append(instance)
@@ -88,7 +99,7 @@ class Layout:
         self._of: dict[int, ChannelGroup] = {}
         offset = 3 * plain
         for alike in kinds.values():
-            self.groups.append(ChannelGroup(offset, None if alone else offset + 9, alike[0]))
+            self.groups.append(ChannelGroup(offset, None if alone else offset + 9, alike[0], opaque and alone))
             self._of |= dict.fromkeys(map(id, alike), self.groups[-1])
             offset += 9 if alone else 10
         self.by_pixel, self.quantities = by_pixel, quantities or {}

@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.appearance import SH, Features, decode, momentary, sh_basis
+from ..model.appearance import SH, Features, decode, lifted, momentary, sh_basis
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import crop_share
@@ -263,18 +263,28 @@ def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
         yield np.s_[:, :], alpha, np.finfo(float).tiny, depth, depth, channels[which]
 
 
-def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera) -> np.ndarray:
+def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedInstance, camera: Camera, way: str) -> np.ndarray:
     """Premultiplied colour [h, w, 3] of blended features [h, w, 9] with their blending weight [h, w].
 
-    The decoder sees the features of the surface, un-premultiplied, so that colour does not depend on coverage.
+    way  "normalised": the decoder sees the features of the surface, so that colour does not depend on coverage
+         "premultiplied": it sees the sum, and its picture is opaque
+         "lifted": as before, without what it shows behind the splats
     Colours beyond LIMIT are 0.
     """
     appearance: Features = instance.model.appearance
     centre, rays = camera.rays(instance.model_to_camera)
-    covered = weight[..., None] > 0
-    surface = np.divide(features, weight[..., None], out=np.zeros_like(features), where=covered)
+    share = weight[..., None]
     with np.errstate(over="ignore", invalid="ignore"):
-        colour = graded(decode(surface, centre, rays, appearance), instance.look) * weight[..., None]
+        if way == "normalised":
+            surface = np.divide(features, share, out=np.zeros_like(features), where=share > 0)
+            colour = graded(decode(surface, centre, rays, appearance), instance.look) * share
+        elif way == "premultiplied":
+            colour = graded(decode(features, centre, rays, appearance), instance.look)
+        else:
+            whole, empty = (decode(f, centre, rays, appearance) for f in (features, np.zeros_like(features)))
+            colour = lifted(whole, empty, weight, appearance)
+            straight = np.divide(colour, share, out=np.zeros_like(colour), where=share > 0)
+            colour = graded(straight, instance.look) * share
     return np.where(np.abs(colour) <= LIMIT, colour, 0)
 
 
@@ -307,7 +317,7 @@ class Oracle:
         if group.instance is None:
             return buffers.channels[..., group.offset:group.offset + 3]
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
-        return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
+        return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera, group.decode)
 
     def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress, holdout=None, objects=(), by_pixel=False):
         """The average of as many samples as the exposure allows."""

@@ -20,6 +20,7 @@ from .shadow import Shadow
 FAR = np.float32(1e10)
 """Depth where there is nothing, in files and in Blender, as Blender's own engines write it: filters turn an infinity into NaN."""
 SORTINGS = ("centre", "pixel")
+FILMS = ("opaque", "transparent")
 LEVELS = 8
 """Levels of Cryptomatte that can be had: as many as Blender's most, 16 objects a pixel, needs."""
 
@@ -33,8 +34,10 @@ class PassSettings:
     shadow         the light and the meshes of the pass of shadows, see shadow.py; None: there are no shadows
     sorting        "centre": all splats by the depth of their centres; "pixel": in each pixel by the depth of the greatest density on its
                    ray, so that none comes suddenly before another while the camera turns (StopThePop, Radl et al. 2024)
+    film           "opaque": nothing is put behind the picture, so a model of Spacetime Gaussians shows what its decoder makes of no
+                   features there; "transparent": that is left out, and alpha says what can be put behind.  Other models are the same
 
-    Raises FastGSError for another sorting.
+    Raises FastGSError for another sorting or film.
     """
 
     mist: Mist = field(default_factory=Mist)
@@ -42,9 +45,11 @@ class PassSettings:
     after: Moment | None = None
     shadow: Shadow | None = None
     sorting: str = "centre"
+    film: str = "opaque"
 
     def __post_init__(self) -> None:
         one_of(self.sorting, "how splats are sorted", SORTINGS)
+        one_of(self.film, "the film", FILMS)
 
     @property
     def by_pixel(self) -> bool:

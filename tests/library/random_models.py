@@ -18,8 +18,8 @@ BASES = {
 }
 TEMPORALS = {"always": fg.Always(), "radial": fg.Radial(), "window": fg.Window(),
              "radial-window": fg.WindowedRadial()}
-APPEARANCES = ("rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "changing rgb", "changing sh1")
-"""SH by degree, features by the decoder's activation."""
+APPEARANCES = ("rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "stg", "changing rgb", "changing sh1")
+"""SH by degree, features by the decoder's activation; stg: given premultiplied sums, as Spacetime Gaussians does."""
 
 
 def random_appearance(rng: np.random.Generator, name: str) -> fg.RGB | fg.SH | fg.Features:
@@ -30,7 +30,8 @@ def random_appearance(rng: np.random.Generator, name: str) -> fg.RGB | fg.SH | f
         return fg.Changing(random_appearance(rng, name.split()[1]), BASES["fourier" if name.endswith("rgb") else "cubic"])
     if name.startswith("sh"):
         return fg.SH(int(name[2:]))
-    return fg.Features(rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6)), name)
+    weights = rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6))
+    return fg.Features(*weights, "sigmoid", "premultiplied") if name == "stg" else fg.Features(*weights, name)
 
 
 def random_model(rng: np.random.Generator, n: int = 40, basis="static", rotation_basis="static", temporal="always", appearance="rgb",

@@ -43,4 +43,5 @@ GRADE = defines(
     SRGB_GAMMA=colour.SRGB_GAMMA)
 RESOLVE = defines(
     **texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN,
-    **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)})
+    **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)},
+    **{f"DECODE_{name.upper()}": code for code, name in enumerate(appearance.DECODES)})

@@ -16,7 +16,7 @@ FRAGMENT = constants.RESOLVE + grade.GRADE + """
 vec4 row(int j) { return texelFetch(t_resolve, ivec2(j, 0), 0); }
 
 #ifdef FEATURES
-/* appearance.decode of un-premultiplied features, for the ray through a pixel */
+/* appearance.decode, for the ray through a pixel */
 vec3 decoded(vec3 base, vec3 direction, vec3 time, vec2 pixel, int activation)
 {
   vec4 size = row(RESOLVE_SIZE), lens = row(RESOLVE_LENS);
@@ -79,8 +79,18 @@ void main()
   if (weight > 0.0) {
     rgb = first.rgb / weight;
 #ifdef FEATURES
-    rgb = decoded(rgb, texelFetch(t_second, pixel, 0).rgb / weight, texelFetch(t_third, pixel, 0).rgb / weight,
-                  vec2(pixel) + vec2(0.5), int(kind.y + 0.5));
+    vec2 place = vec2(pixel) + vec2(0.5);
+    vec3 second = texelFetch(t_second, pixel, 0).rgb, third = texelFetch(t_third, pixel, 0).rgb;
+    int activation = int(kind.y + 0.5);
+    if (int(whole_picture.z + 0.5) == DECODE_PREMULTIPLIED) { /* appearance.lifted, straight */
+      vec3 whole = decoded(first.rgb, second, third, place, activation);
+      vec3 nothing = decoded(vec3(0.0), vec3(0.0), vec3(0.0), place, activation);
+      rgb = (whole - (1.0 - weight) * nothing) / weight;
+      if (activation != ACTIVATION_NONE) { rgb = clamp(rgb, 0.0, 1.0); }
+    }
+    else {
+      rgb = decoded(rgb, second / weight, third / weight, place, activation);
+    }
     rgb = graded(rgb, row(RESOLVE_LOOK + 1), row(RESOLVE_LOOK + 2), row(RESOLVE_LOOK + 3), row(RESOLVE_LOOK + 4));
 #endif
     vec4 frame = row(RESOLVE_FRAME);

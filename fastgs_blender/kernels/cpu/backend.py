@@ -9,7 +9,6 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from ...rendering.looks import graded_picture
 from . import initial, resample, steps, training, visible
 from .decoder import decode_features
 from .expose import expose
@@ -62,8 +61,7 @@ class CPU:
         if group.instance is None:
             return buffers.channels[..., group.offset:group.offset + 3]
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
-        rgb = decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera)
-        return graded_picture(rgb, weight, group.instance.look)
+        return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera, group.decode)
 
     surface = staticmethod(surface)
     front_to_back = staticmethod(visible.front_to_back)

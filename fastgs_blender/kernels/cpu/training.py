@@ -39,14 +39,14 @@ def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Ca
     """TrainingBackend.splat()."""
     asserts.splat(parameters, template)
     instance = Instance(model_of(template, parameters), np.eye(4), t, AS_TRAINED).viewed(camera)
-    layout = Layout([instance], depth)
+    layout = Layout([instance], depth, opaque=True)
     splats = project_instances([instance], camera, layout)
     picture, state = rasterise_forward(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, band)
     channels, alpha = picture.channels, picture.alpha
     features = None
     if isinstance(instance.model.appearance, Features):
         features = channels[..., :9]
-        rgb = decode_features(channels, alpha, instance, camera)
+        rgb = decode_features(channels, alpha, instance, camera, layout.groups[0].decode)
     else:
         rgb = channels if channels.shape[2] == 3 else channels[..., :3]
     deep = None if layout.depth is None else channels[..., layout.depth]
@@ -113,8 +113,10 @@ def backward(picture: Splatted, rgb, alpha=None, depth=None, *, into=None, stati
     camera, appearance = view.instance.camera, view.instance.model.appearance
     gradients = {}
     if isinstance(appearance, Features) and rgb is not None:
-        channels, by_weight, w1, w2 = decode_backward(view.channels, picture.alpha, view.instance, camera, rgb)
-        alpha = by_weight if alpha is None else alpha + by_weight
+        way = view.layout.groups[0].decode
+        channels, by_weight, w1, w2 = decode_backward(view.channels, picture.alpha, view.instance, camera, rgb, way)
+        if by_weight is not None:
+            alpha = by_weight if alpha is None else alpha + by_weight
         gradients = {"w1": w1, "w2": w2}
     elif rgb is not None and view.channels.shape[2] == 3 and depth is None:
         channels = rgb

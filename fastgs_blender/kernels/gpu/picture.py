@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import ACTIVATIONS, Features
+from ...model.appearance import ACTIVATIONS, DECODES, Features
 from ...model.gaussians import GaussianModel, unchanging
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Buffers, ChannelGroup, Layout
@@ -23,6 +23,8 @@ from .scene import Pack, packs
 from .splats import front_to_back, project
 
 PLAIN = len(ACTIVATIONS)
+WAYS = (*DECODES, "lifted")
+"""ChannelGroup.decode by its code in wgsl/decoder.wgsl."""
 KEPT = 2 << 30
 """Bytes of models that stay on the device."""
 
@@ -126,12 +128,12 @@ def decoder(group: ChannelGroup, channels: Array, alpha: Array, camera: Camera, 
     """The numbers of wgsl/decoder.wgsl for a group of channels in a band whose first row is `top` of the image."""
     (height, width), numbers = channels.shape[:2], channels.columns[2]
     weight = [0, alpha.columns[2]] if group.weight is None else [group.weight, numbers]
-    to_model, look, activation = np.zeros((3, 4)), np.zeros(20), PLAIN
+    to_model, look, activation, way = np.zeros((3, 4)), np.zeros(20), PLAIN, 0
     if group.instance is not None:
         to_model, look = group.instance.camera_to_model[:3], group.instance.look
-        activation = ACTIVATIONS.index(group.instance.model.appearance.activation)
+        activation, way = ACTIVATIONS.index(group.instance.model.appearance.activation), WAYS.index(group.decode)
     lens = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
-    return [*to_model, lens, [float(camera.window[0]), float(top), float(camera.orthographic), 0.0],
+    return [*to_model, lens, [float(camera.window[0]), float(top), float(camera.orthographic), float(way)],
             look, [height * width, width, numbers, (top - camera.window[1]) * width], [group.offset, *weight, activation]]
 
 

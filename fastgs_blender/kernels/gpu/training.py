@@ -62,7 +62,7 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
     """TrainingBackend.splat()."""
     asserts.splat(parameters, template)
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
-    layout, found = Layout([instance], depth), packs(device, parameters, parameters["position"].shape[0])
+    layout, found = Layout([instance], depth, opaque=True), packs(device, parameters, parameters["position"].shape[0])
     splats = project(device, [instance], camera, layout, [found])
     order = front_to_back(device, splats)
     how = How(trace=True, band=band)

@@ -11,7 +11,7 @@ from typing import Any
 STG: dict[str, Any] = {
     "iterations": 30_000, "batch": 2,
     "motion": "polynomial", "order": 3, "motion_weight": 0.0,
-    "activation": "sigmoid", "decoder_place": True,
+    "activation": "sigmoid", "decode": "premultiplied", "decoder_place": True,
     "loss": "mixed", "dssim": 0.2, "opaque_weight": 0.0, "background": "black", "moving_weight": 1.0,
     "exposures": "off", "clocks": "off", "poses": "off",
     "rate_unit": "extent", "position_rate": 1.6e-4, "position_rate_end": 1.6e-6, "motion_rate": 2.8e-4, "motion_decay": 1.0,

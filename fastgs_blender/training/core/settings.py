@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import MISSING, asdict, dataclass, fields
 
+from ...model.appearance import DECODES
 from ...model.motion import trained_motions
 from ...util.arguments import one_of, shown
 from ...util.errors import FastGSError
@@ -13,6 +14,7 @@ from .presets import PRESETS
 CHOICES = {
     "appearance": ("features", "rgb", "sh1", "sh2", "sh3"),
     "activation": ("clamp", "sigmoid", "none"),
+    "decode": DECODES,
     "temporal": ("radial", "always"),
     "density": ("default", "mcmc"),
     "regulariser": ("mean", "group", "printed"),
@@ -47,6 +49,7 @@ class Settings:
       temporal        opacity over time: radial (eq. 6), or always the same
       appearance      features with decoder (STG, FAST-GS), or plain colours, or spherical harmonics by degree
       activation      of the decoder's output
+      decode          what the decoder is given: the features divided by alpha (normalised), or their sum, as STG (premultiplied)
       decoder_place   whether the decoder gets the camera's position, as STG's does; with few cameras it overfits to them
       antialiased     opacity compensated for the blur of a pixel
 
@@ -139,6 +142,7 @@ class Settings:
     temporal: str = "radial"
     appearance: str = "features"
     activation: str = "clamp"
+    decode: str = "normalised"
     decoder_place: bool = False
     antialiased: bool = False
 

@@ -85,7 +85,9 @@ def drawn(module, gpu_scene):
 
 def decoder(fg, activation):
     rng = np.random.default_rng(3)
-    return fg.Features(rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6)), activation)
+    weights = rng.normal(0, 0.5, (6, 12)), rng.normal(0, 0.5, (3, 6))
+    activation, _, way = activation.partition(" ")
+    return fg.Features(*weights, activation, way or "normalised")
 
 
 def expected(module, parts, camera):
@@ -108,7 +110,8 @@ def agree(module, parts, camera, drawn, **options):
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-@pytest.mark.parametrize("look", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none"])
+@pytest.mark.parametrize("look", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none",
+                                  *(f"{name} premultiplied" for name in ("sigmoid", "clamp", "none"))])
 def test_every_appearance(module, fg, moving, camera, drawn, look, orthographic):
     appearance = fg.RGB() if look == "rgb" else fg.SH(int(look[2])) if look[:2] == "sh" else decoder(fg, look)
     agree(module, [(moving(appearance), np.eye(4), 0.4)], camera(orthographic), drawn)
@@ -131,14 +134,14 @@ def test_every_basis_of_time(module, fg, moving, camera, drawn, basis, t):
         module, [(moving(fg.RGB(), basis, temporal=fg.Always()), np.eye(4), t)], camera(), drawn)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "sh2", "sigmoid"])
+@pytest.mark.parametrize("kind", ["rgb", "sh2", "sigmoid", "sigmoid premultiplied"])
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 def test_looks(module, fg, moving, camera, drawn, kind, space):
     """Colour, opacity and size of objects: what the viewport draws is what F12 shows, and not what the file says."""
     settings = module("fastgs_blender.rendering.instances").ObjectSettings
     look = settings(exposure=0.5, gamma=1.2, contrast=1.2, saturation=0.5, hue=2.0, tint=(1.0, 0.7, 0.4), opacity=0.6, opacity_cut=0.2,
                     splat_scale=1.5, min_size=0.1, max_size=0.25)
-    model = moving({"rgb": fg.RGB(), "sh2": fg.SH(2), "sigmoid": decoder(fg, "sigmoid")}[kind], "paper", colour_space=space)
+    model = moving({"rgb": fg.RGB(), "sh2": fg.SH(2)}.get(kind) or decoder(fg, kind), "paper", colour_space=space)
     _, want = agree(module, [(model, np.eye(4), 0.4, look)], camera(), drawn)
     assert psnr(want, expected(module, [(model, np.eye(4), 0.4)], camera())) < 30
 
@@ -210,12 +213,13 @@ def test_a_camera_among_the_splats(module, fg, moving, camera, drawn):
 
 
 PAIRS = {"both plain": ("rgb", "sh", "srgb", "srgb"), "a decoder": ("rgb", "features", "srgb", "srgb"),
-         "two decoders": ("features", "features", "srgb", "srgb"), "two colour spaces": ("rgb", "sh", "srgb", "linear")}
+         "two decoders": ("features", "features", "srgb", "srgb"), "a decoder of sums": ("rgb", "sums", "srgb", "srgb"),
+         "two colour spaces": ("rgb", "sh", "srgb", "linear")}
 
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_objects_that_interpenetrate_are_one_cloud(module, fg, moving, camera, drawn, pair):
-    looks = {"rgb": fg.RGB(), "sh": fg.SH(2), "features": decoder(fg, "sigmoid")}
+    looks = {"rgb": fg.RGB(), "sh": fg.SH(2), "features": decoder(fg, "sigmoid"), "sums": decoder(fg, "sigmoid premultiplied")}
     first, second, *spaces = PAIRS[pair]
     placement = np.array([[0.9, -0.4, 0, 0.2], [0.4, 0.9, 0, 0], [0, 0, 1.3, -0.1], [0, 0, 0, 1]])
     models = [moving(looks[look], "paper", seed=seed, colour_space=space)

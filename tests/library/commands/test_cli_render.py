@@ -228,6 +228,20 @@ def test_background(run, work, model):
     assert (pixels(work, "0000.png")[..., 3] == 255).all()
 
 
+def test_the_own_background_is_what_a_decoder_of_sums_shows(run, work, model, rng, make_model):
+    """As Spacetime Gaussians' renderer; on the usual transparent film nothing is where no splat is."""
+    shown = make_model(rng, 30, appearance="stg", size=0.2)
+    fg.save(shown, work / "m.safetensors")
+    run("--frames", "0", "--background", "own")
+    wanted = fg.render(shown, camera(), 0, backend="reference")
+    assert (wanted["alpha"] == 0).any() and (wanted["rgb"][wanted["alpha"] == 0] > 0.1).all()
+    written = pixels(work, "0000.png")
+    assert np.abs(written[..., :3] / 255 - wanted["rgb"]).max() <= 0.51 / 255 and (written[..., 3] == 255).all()
+    run("--frames", "0", "--overwrite")
+    assert (pixels(work, "0000.png")[..., 3] == 0).any()
+    assert run("--frames", "0", "--background", "own", "--shutter", "1")[0] == 2
+
+
 def test_size(run, work, model):
     run("--frames", "0", "--size", "48x32")
     np.testing.assert_array_equal(pixels(work, "0000.png"), png_of(model, camera(width=48, height=32, fx=40, fy=40), 0))

@@ -47,7 +47,7 @@ def same(a: fg.GaussianModel, b: fg.GaussianModel) -> None:
     if isinstance(a.appearance, fg.Features):
         np.testing.assert_array_equal(b.appearance.w1, a.appearance.w1)
         np.testing.assert_array_equal(b.appearance.w2, a.appearance.w2)
-        assert b.appearance.activation == a.appearance.activation
+        assert (b.appearance.activation, b.appearance.decode) == (a.appearance.activation, a.appearance.decode)
     else:
         assert b.appearance == a.appearance
 
@@ -74,6 +74,20 @@ def test_all_fields_come_back_exactly(rich, tmp_path):
     same(rich, fg.load(tmp_path / "m.safetensors"))
     assert about(tmp_path / "m.safetensors")["generator"] == f"FAST-GS for Blender {fg.__version__}"
     assert identify(tmp_path / "m.safetensors").name == "FAST-GS safetensors"
+
+
+def test_files_say_how_a_decoder_is_given_its_features_only_where_it_is_not_the_usual_way(rng, make_model, tmp_path):
+    """So the usual ones have the bytes that earlier versions wrote, and those of earlier versions open as they were drawn."""
+    for name, wanted in (("sigmoid", None), ("stg", "premultiplied")):
+        fg.save(make_model(rng, appearance=name), tmp_path / "m.safetensors")
+        assert about(tmp_path / "m.safetensors")["model"]["appearance"].get("decode") == wanted
+
+
+@pytest.mark.parametrize("compress", ["fine", "small"])
+def test_compressed_files_say_it_too(rng, make_model, tmp_path, compress):
+    with pytest.warns(fg.LossWarning):
+        fg.save(make_model(rng, 30, appearance="stg"), tmp_path / "m.safetensors", compress)
+    assert fg.load(tmp_path / "m.safetensors").appearance.decode == "premultiplied"
 
 
 def test_the_name_does_not_matter_for_reading(rich, tmp_path):

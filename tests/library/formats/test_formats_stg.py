@@ -7,6 +7,8 @@ trbfunction, helper_train.py, 390; scaling, opacity: scene/oursfull.py, 33-41.
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import ply_files
 import pytest
@@ -83,6 +85,7 @@ def test_full(rng, model_folder):
     np.testing.assert_array_equal(model.appearance.w1, w1)
     np.testing.assert_array_equal(model.appearance.w2, w2)
     assert (model.appearance.activation, model.clip.frame_count) == ("sigmoid", 50)
+    assert model.appearance.decode == "premultiplied", "rendering/test_premultiplied.py says by which lines of STG's"
 
 
 @pytest.mark.parametrize(("function", "activation"), [("sandwich", "sigmoid"), ("sandwichnoact", "clamp"), ("sandwichnoactss", "none")])
@@ -184,6 +187,8 @@ def test_comments_that_make_no_sense(rng, tmp_path, comment):
 def test_round_trip_of_what_the_layout_holds(rng, make_model, tmp_path, basis, rotation, temporal, appearance):
     model = make_model(rng, basis=basis, rotation_basis=rotation, temporal=temporal, appearance=appearance, axes="RUB",
                        clip=fg.Clip(81, 24.0, 3), raster=fg.Raster(antialiased=True), provenance={"a": "b"})
+    if appearance != "rgb":
+        model = replace(model, appearance=replace(model.appearance, decode="premultiplied"))
     fg.save(model, tmp_path / "m.ply")
     back = fg.load(tmp_path / "m.ply")
     for name, array in model.arrays.items():
@@ -192,10 +197,22 @@ def test_round_trip_of_what_the_layout_holds(rng, make_model, tmp_path, basis, r
         assert getattr(back, name) == getattr(model, name)
     if appearance != "rgb":
         np.testing.assert_array_equal(back.appearance.w1, model.appearance.w1)
-        assert back.appearance.activation == appearance
+        assert (back.appearance.activation, back.appearance.decode) == (appearance, "premultiplied")
 
 
-@pytest.mark.parametrize(("appearance", "names"), [("rgb", STG), ("sigmoid", STG_FULL)])
+def test_a_decoder_of_means_comes_back_and_what_others_show_is_said(rng, make_model, tmp_path):
+    """Without our comments it is one of STG's, and so STG's own programs show it."""
+    model = make_model(rng, basis="cubic", rotation_basis="line", temporal="radial", appearance="clamp")
+    with pytest.warns(fg.LossWarning, match="alpha"):
+        fg.save(model, tmp_path / "m.ply")
+    assert fg.load(tmp_path / "m.ply").appearance.decode == "normalised"
+    head, body = (tmp_path / "m.ply").read_bytes().split(b"end_header\n", 1)
+    head = b"".join(line for line in head.splitlines(True) if not line.startswith(b"comment fastgs"))
+    (tmp_path / "m.ply").write_bytes(head + b"end_header\n" + body)
+    assert fg.load(tmp_path / "m.ply").appearance.decode == "premultiplied"
+
+
+@pytest.mark.parametrize(("appearance", "names"), [("rgb", STG), ("stg", STG_FULL)])
 def test_columns_stand_in_stgs_order(rng, make_model, tmp_path, appearance, names):
     fg.save(make_model(rng, basis="cubic", rotation_basis="line", temporal="radial", appearance=appearance), tmp_path / "m.ply")
     header = (tmp_path / "m.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()

@@ -81,7 +81,7 @@ class Functional:
     def of_reference(self, model, t=T) -> float:
         """Its value by the oracle."""
         instance = Instance(model, np.eye(4), t, AS_TRAINED).viewed(self.camera)
-        layout = Layout([instance], self.depth)
+        layout = Layout([instance], self.depth, opaque=True)
         out = ORACLE.draw([instance], self.camera, layout, (), lambda fraction: None, band=BAND)
         value = (ORACLE.colour(out, layout, self.camera) * self.rgb).sum() + (out.alpha * self.alpha).sum()
         return value + (out.sums["depth"][..., 0] * self.deep).sum() if self.depth else value
@@ -137,8 +137,8 @@ def test_every_temporal_opacity(rng, temporal):
     assert got["temporal"].any(0).all()
 
 
-@pytest.mark.parametrize("appearance", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "changing rgb",
-                                        "changing sh1"])
+@pytest.mark.parametrize("appearance", ["rgb", "sh0", "sh1", "sh2", "sh3", "sh4", "sigmoid", "clamp", "none", "stg",
+                                        "changing rgb", "changing sh1"])
 def test_every_appearance(rng, appearance):
     names = ("position", "opacity", "features", "mu_tau", "w1", "w2")
     compare(small_model(rng, "static", "static", "always", appearance), Functional(rng, small_camera(rng), depth=True), names)
@@ -183,7 +183,7 @@ def test_the_temporal_centre_can_be_left_out_of_the_motion(rng):
     assert np.abs(whole - got).max() > 0.1 * np.abs(got).max()
 
 
-@pytest.mark.parametrize("appearance", ["rgb", "sh3", "sigmoid", "clamp", "none"])
+@pytest.mark.parametrize("appearance", ["rgb", "sh3", "sigmoid", "clamp", "none", "stg"])
 def test_pictures_are_the_renderers(rng, appearance):
     """Bit for bit, of the whole and of a part, with and without depth."""
     model = random_model(rng, 300, "paper", "line", "radial", appearance)

@@ -26,9 +26,15 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let first = pixel * view.size.z + view.plan.x;
     var colour = vec3f(channels[first], channels[first + 1u], channels[first + 2u]);
     if view.plan.w != PLAIN {
-        let share = weights[pixel * view.plan.z + view.plan.y];
+        let share = share_of(pixel);
         if share > 0.0 {
-            colour = activated(decoded(pixel, first, 1.0 / share).base) * share;
+            if view.corner.w == LIFTED { // see appearance.lifted
+                let whole = activated(decoded(pixel, first, 1.0).base);
+                let straight = (whole - (1.0 - share) * activated(decoded(pixel, first, 0.0).base)) / share;
+                colour = select(clamp(straight, vec3f(0.0), vec3f(1.0)), straight, view.plan.w == NONE) * share;
+            } else {
+                colour = activated(decoded(pixel, first, 1.0 / share).base) * share;
+            }
             colour = select(vec3f(0.0), colour, abs(colour) <= vec3f({LIMIT}));
             if look_at({LOOK_GRADED}u) != 0.0 {
                 colour = graded(colour / share) * share;

@@ -32,7 +32,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let own = view.size.w + pixel; // in the whole picture
     var share = 0.0;
     if column < view.size.y && pixel < view.size.x {
-        share = weights[pixel * view.plan.z + view.plan.y];
+        share = share_of(pixel);
         for (var c = 0u; c < 9u; c++) {
             slopes[9u * pixel + c] = 0.0;
         }
@@ -72,7 +72,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             along += g * channels[first + 3u + i];
             slopes[9u * pixel + 3u + i] = g;
         }
-        by_alpha[own] += by_weight - along * inverse;
+        if view.corner.w == NORMALISED {
+            by_alpha[own] += by_weight - along * inverse;
+        }
     } else {
         for (var j = 0u; j < 6u; j++) {
             by_hidden[j * PIXELS + lane] = 0.0;

@@ -6,6 +6,11 @@ struct Decoded {
     base: vec3f, // before the activation
 }
 
+// The weight that the features are divided by, and their colour multiplied with.
+fn share_of(pixel: u32) -> f32 {
+    return select(weights[pixel * view.plan.z + view.plan.y], 1.0, view.corner.w == PREMULTIPLIED);
+}
+
 fn decoded(pixel: u32, first: u32, inverse: f32) -> Decoded {
     var out: Decoded;
     for (var i = 0u; i < 6u; i++) {

@@ -69,6 +69,21 @@ def test_random_scenes_agree_with_the_oracle(gpu, adapter, first):
     assert all(np.array_equal(got[name], again[name]) for name in got)
 
 
+@pytest.mark.parametrize("activation", ["sigmoid", "clamp", "none"])
+def test_decoders_of_premultiplied_sums_agree_with_the_oracle(gpu, adapter, rng, activation):
+    """On both films, with a look, and beside another model."""
+    look = fg.Features(rng.normal(0, 0.7, (6, 12)), rng.normal(0, 0.7, (3, 6)), activation, "premultiplied")
+    model = random_model(rng, 40, "cubic", "line", "radial", look, extent=0.5, size=0.2)
+    camera = fg.Camera(48, 36, 26, 28, 23.3, 18.4, random_pose(rng, 3.0))
+    other = random_model(rng, 20, size=0.05)
+    for settings in (PassSettings(), PassSettings(film="transparent")):
+        for given in ([Instance(model, np.eye(4), 0.3, ObjectSettings())], [Instance(model, np.eye(4), 0.3, ObjectSettings(exposure=0.5))],
+                      [Instance(model, np.eye(4), 0.3), Instance(other, np.eye(4), 0.0)]):
+            got, exact = (fg.render(given, camera, backend=backend, settings=settings) for backend in (name_of(adapter), "reference"))
+            assert (exact["alpha"] == 0).any() and (exact["alpha"] > 0.9).any()
+            np.testing.assert_allclose(got["rgb"], exact["rgb"], atol=CLOSE)
+
+
 @pytest.fixture(scope="module")
 def crowd():
     """Instances of every kind of look and crop, and their camera, whose window is part of an image."""

@@ -55,6 +55,17 @@ def test_gradients_are_the_cpus(gpu, seed):
         assert all(np.array_equal(again[name], array) for name, array in found.items())
 
 
+def test_gradients_of_premultiplied_sums_are_the_cpus(gpu, rng):
+    """Pixels without any splat have one too: of the decoder's matrices.  The background's goes through alpha alone."""
+    model = random_model(rng, 30, "cubic", "line", "radial", "stg", size=0.1)
+    camera = fg.Camera(WIDTH, HEIGHT, 30, 32, 22, 21, random_pose(rng, 3.0))
+    target = rng.uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    wanted, found = (two_passes(backend, model, camera, 0.4, target, None, np.float32([0.2, 0.5, 0.1]), None, False, 0.0, None)
+                     for backend in (load_backend("cpu"), gpu))
+    for name, array in wanted.items():
+        assert relative(found[name], array) <= 1e-3, name
+
+
 @pytest.mark.parametrize("reading", ["mean", "group"])
 def test_steps_are_the_cpus(gpu, rng, reading):
     """Penalty, hold, MCMC's weights, waits, count and Adam, on random numbers."""
