@@ -93,7 +93,8 @@ def run(args):
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
-    drawing = ({"film": "opaque"} if own else {}) | ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
+    drawing = ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
+    drawing |= {"film": "opaque"} if own else {}
     options = {"passes": passes, "background": background, "backend": args.backend} | blur | drawing
     notes = KeptFrames(out, model, options)
     states = [notes.state(*each) for each in zip(files, cameras, times, strict=True)]

@@ -32,7 +32,7 @@ from .perceptual import Lpips, Unavailable
 from .pictures import comparison
 from .training_record import TrainingRecord, evened, recorded
 
-MEASURES = ("psnr", "psnr_right", "psnr_foreground", "dssim1", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
+MEASURES = ("psnr", "psnr_right", "psnr_foreground", "dssim1", "dssim1_skimage", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
 """What is measured of each frame, and averaged; None where a measure does not apply.  psnr_right is that of the right half,
 where colours are fitted."""
 
@@ -280,7 +280,7 @@ def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | N
                                               for image in (picture, truth, valid)))
     if foreground is not None:
         values["psnr_foreground"] = metrics.psnr(picture, truth, foreground)
-    values["dssim1"], values["dssim2"] = metrics.dssim1(picture, truth, valid), metrics.dssim2(picture, truth, valid)
+    values |= {name: getattr(metrics, name)(picture, truth, valid) for name in ("dssim1", "dssim1_skimage", "dssim2")}
     if perceptual:
         values["lpips"], values["lpips_normalised"] = perceptual(picture, truth, valid)
     if flip:

@@ -43,19 +43,30 @@ def dssim1(picture, truth, valid=None) -> float:
 
 
 def dssim2(picture, truth, valid=None) -> float:
-    """(1 - SSIM) / 2 with scikit-image's structural_similarity(..., channel_axis=-1, data_range=2.0).
+    """(1 - SSIM) / 2 with scikit-image's structural_similarity(..., channel_axis=-1, data_range=2.0); see _skimage().
 
-    Uniform window of 7 x 7 pixels, sample covariances (N / (N - 1)), only windows that lie inside the picture.  Older versions
-    of scikit-image took 2 as the range of any floating-point picture, and the published figures stem from them.
+    Older versions of scikit-image took 2 as the range of any floating-point picture, and the published figures stem from them.
+    """
+    return _skimage(picture, truth, valid, 2.0)
+
+
+def dssim1_skimage(picture, truth, valid=None) -> float:
+    """The same with data_range=1.0: the DSSIM1 that the paper on Spacetime Gaussians defines.  Its code measures dssim1()."""
+    return _skimage(picture, truth, valid, 1.0)
+
+
+def _skimage(picture, truth, valid, data_range: float) -> float:
+    """Uniform window of 7 x 7 pixels, sample covariances (N / (N - 1)), only windows that lie inside the picture.
+
     With valid [h, w], only windows of valid pixels count; nan where there is none.
     """
     picture, truth = _pair(picture, truth)
     if min(picture.shape[:2]) < UNIFORM_WINDOW:
-        raise FastGSError(f"DSSIM2 needs pictures of at least 7 x 7 pixels, not {picture.shape[1]} x {picture.shape[0]}.")
+        raise FastGSError(f"scikit-image's SSIM needs pictures of at least 7 x 7 pixels, not {picture.shape[1]} x {picture.shape[0]}.")
     count = UNIFORM_WINDOW**2
     window = np.full(UNIFORM_WINDOW, 1 / UNIFORM_WINDOW)
     whole = None if valid is None else _filtered((np.asarray(valid) > 0).astype(np.float64), window) > 1 - 0.5 / count
-    return (1 - _ssim(picture, truth, window, 2.0, count / (count - 1), whole)) / 2
+    return (1 - _ssim(picture, truth, window, data_range, count / (count - 1), whole)) / 2
 
 
 def temporal_error(picture, before, truth, truth_before, valid=None) -> float:

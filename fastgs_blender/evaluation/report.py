@@ -12,7 +12,7 @@ from ..util.outputs import replacing
 from .evaluate import MEASURES
 
 COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_right": ("right half", ".2f"), "psnr_foreground": ("fg PSNR", ".2f"),
-           "dssim1": ("DSSIM1", ".4f"), "dssim2": ("DSSIM2", ".4f"),
+           "dssim1": ("DSSIM1", ".4f"), "dssim1_skimage": ("DSSIM1 sk", ".4f"), "dssim2": ("DSSIM2", ".4f"),
            "lpips": ("LPIPS", ".4f"), "lpips_normalised": ("LPIPS +-1", ".4f"), "flip": ("FLIP", ".4f"),
            "flicker": ("flicker", ".4f")}
 """Heading and number format of each measure in the table."""

@@ -88,7 +88,7 @@ class SpacetimeGaussians(Format):
         if isinstance(model.basis, (Fourier, Cosine)):
             steps.remove(polynomial_motion)
         if isinstance(model.appearance, Features) and model.appearance.decode != "premultiplied":
-            lost = [*lost, "Spacetime Gaussians' own renderer does not divide features by alpha, so it shows half-transparent parts otherwise"]
+            lost = [*lost, "Spacetime Gaussians' own renderer does not divide features by alpha: half-transparent parts differ there"]
         for step in steps:
             model, clauses = step(model)
             lost += clauses

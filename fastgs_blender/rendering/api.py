@@ -41,7 +41,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     model     one source (a model or a sequence), or a list of instances, sorted and blended together: instances.Instance, or (source,
               placement [4, 4] in the world, t), which a fourth member may crop (crops.Crop boxes, or instances.ObjectSettings)
     camera    Camera, or Panorama
-    passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space
+    passes    rgb           [h, w, 3]  premultiplied, in the model's own colour space.  A model of Spacetime Gaussians that is alone,
+                            without holdout and exposure, comes as its trainer shows it, with a colour where alpha is 0; see settings
               alpha         [h, w]
               holdout       [h, w]  the light that the holdout's triangles stop; alpha, this and what lies behind make up a pixel
               shadow        [h, w]  the share of settings.shadow's light that arrives at its meshes, 1 where the camera sees none
@@ -59,8 +60,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     backend   "cpu" (numba), "reference" (NumPy, slow), "auto" (of these two the first that is there), "gpu" (the best GPU; "gpu:PART": the
               one whose name holds PART), which lets the CPU draw what it fails at
     progress  called with 0..1 between pieces of work; what it raises cancels the render and passes through
-    settings  PassSettings: the mist's distances, the frames before and after for vectors, the light that casts shadows, and how splats
-              are sorted
+    settings  PassSettings: the film, the mist's distances, the frames before and after for vectors, the light that casts shadows, and how
+              splats are sorted
     exposure  Exposure: motion blur and depth of field, of rgb, alpha, holdout and Cryptomatte.  The other passes show the middle of the
               exposure's time through the middle of the lens
     holdout   opaque triangles [F, 3, 3] in the world, which hide the splats behind them (rendering/holdout.py)

@@ -62,8 +62,9 @@ class ChannelGroup:
     @property
     def decode(self) -> str:
         """How the decoder's colour is made: one of Features' ways, or "lifted" where premultiplied sums go over something else."""
-        assert self.instance is not None
-        way = self.instance.model.appearance.decode
+        look = self.instance and self.instance.model.appearance
+        assert isinstance(look, Features)
+        way = look.decode
         return way if way == "normalised" or self.opaque else "lifted"
 
 

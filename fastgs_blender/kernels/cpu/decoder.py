@@ -40,7 +40,8 @@ def _decoded(features, weight, instance: ViewedInstance, camera: Camera) -> np.n
 def decode_backward(features, weight, instance: ViewedInstance, camera: Camera, grad, way: str):
     """From d loss / d colour [h, w, 3] to that of features [h, w, C], weight [h, w] (None: zeros), w1 [6, 12] and w2 [3, 6].
 
-    way: "normalised" or "premultiplied", of decode_features.  Every piece of rows has its own sums for the matrices, added in order: the same bytes for any number of threads.
+    way: "normalised" or "premultiplied", see decode_features.  Every piece of rows has its own sums for the matrices, added in order: the
+    same bytes for any number of threads.
     """
     summed = way == "premultiplied"
     weight = np.ones(weight.shape, np.float32) if summed else weight

@@ -125,7 +125,7 @@ class Settings:
       warm_up         fractions of the run that see pictures at a quarter and at half the size end here
     Long captures (segments.py)
       segment_frames  clips with more frames are cut into segments of at most this many, 0: never
-      segment_overlap frames that neighbouring segments share
+      segment_overlap frames that neighbouring segments share; 0: none, and they change over between two frames
 
     Bookkeeping (without influence on the result)
       checkpoint_seconds, log_every, preview_every (0: none)
@@ -257,7 +257,7 @@ LIMITS = (
     ("moving_life", 1e-4, 1e4),
     ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
     ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
-    ("segment_frames", 0, 10**8), ("segment_overlap", 2, 10**6),
+    ("segment_frames", 0, 10**8), ("segment_overlap", 0, 10**6),
     ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1),
     ("known_rate", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
     ("position_rate_end", 0, 1), ("motion_rate", 0, 1),

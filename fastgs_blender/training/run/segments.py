@@ -27,7 +27,7 @@ class Span:
 
 
 def spans(frame_count: int, segment_frames: int, overlap: int) -> list[Span]:
-    """The segments of a clip: all equally long, at most segment_frames, each sharing at least `overlap` frames with the next.
+    """The segments of a clip: all equally long, at most segment_frames, each sharing at least `overlap` frames (0: none) with the next.
 
     One span where the clip is no longer than a segment, or segment_frames is 0.
     """
@@ -58,10 +58,11 @@ def part(capture: Capture, span: Span) -> Capture:
 def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> GaussianModel:
     """Join the segments' models into one of the whole clip.  In an overlap the later one fades in first, then the earlier one fades out.
 
-    A flank takes a quarter of the overlap: it lies where the neighbour is fully shown.
+    A flank takes a quarter of the overlap: it lies where the neighbour is fully shown.  Segments that share no frame change over between
+    two frames, so each frame is one segment's.
     """
     whole = clip.frame_count
-    seams = [(after.first, before.first + before.count - 1) for before, after in pairwise(cuts)]  # first and last common frame
+    seams = [tuple(sorted((after.first, before.first + before.count - 1))) for before, after in pairwise(cuts)]  # where they change over
     parts = []
     for i, (model, cut) in enumerate(zip(models, cuts)):
         beside = seams[max(i - 1, 0):i + 1]

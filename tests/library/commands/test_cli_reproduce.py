@@ -13,10 +13,11 @@ from toy_captures import toy_cameras, toy_scene
 import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.captures import open_capture
+from fastgs_blender.commands.reproduce import table
 from fastgs_blender.evaluation.protocols import PROTOCOLS, parts
 
 FRAMES = 3
-FEW = ["--set", "iterations=3", "--set", "preview_every=0", "--no-lpips", "--quiet"]
+FEW = ["--set", "iterations=3", "--set", "preview_every=0", "--set", "max_gaussians=300", "--no-lpips", "--quiet"]
 
 
 def quaternion(rotation):
@@ -102,14 +103,23 @@ def reproduce(capsys, *arguments) -> list[dict]:
 def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeypatch):
     n3v(tmp_path / "data" / "cook_spinach")
     arguments = ["n3v", tmp_path / "data", "--out", tmp_path / "out"]
-    row, = reproduce(capsys, *arguments)
+    loud = [*map(str, arguments), *(option for option in FEW if option != "--quiet"), "--json"]
+    assert cli.main(["reproduce", *loud]) == 0
+    told = capsys.readouterr()
+    row, = json.loads(told.out)
+    assert told.err.index("training will take about") < told.err.index("cook_spinach: training"), "before it starts"
+    assert "3 steps" in told.err and "210 Gaussians at 24 x 18" in told.err
     assert row["scene"] == "cook_spinach" and row["view"] == "cam00"
+    assert row["costs"]["megabytes"] == (tmp_path / "out" / "cook_spinach" / "model.safetensors").stat().st_size / 1e6
+    assert row["costs"]["fps"] > 0 and 0 < row["costs"]["minutes"] < 5 and row["measured"]["dssim1_skimage"] > row["measured"]["dssim2"]
     assert row["paper"]["psnr"] == 33.49 and row["stg"]["psnr"] == 33.30 and 5 < row["measured"]["psnr"] < 60
     plan = json.loads((tmp_path / "out" / "cook_spinach" / "run.json").read_text())
     assert plan["settings"]["start"] == "file" and plan["settings"]["preset"] == "paper" and row["gaussians"] <= 9
     assert json.loads((tmp_path / "out" / "reproduce.json").read_text())["rows"] == [row]
     monkeypatch.setattr("fastgs_blender.training.run.launch.launch", lambda *rest: pytest.fail("it was trained again"))
-    assert reproduce(capsys, *arguments)[0]["measured"] == row["measured"]
+    assert cli.main(["reproduce", *loud]) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)[0]["measured"] == row["measured"] and "will take" not in told.err
     assert cli.main(["reproduce", *map(str, arguments), *FEW, "--preset", "stg"]) == 2 and "preset = paper" in capsys.readouterr().err
     assert cli.main(["reproduce", *map(str, arguments), *FEW]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -121,6 +131,11 @@ def test_immersive_has_a_row_for_each_view_of_the_paper(tmp_path, capsys):
     rows = reproduce(capsys, "immersive", tmp_path / "data", "--out", tmp_path / "out", "--set", "start=random", "--set", "points=60")
     assert [(row["view"], row["paper"]["psnr"]) for row in rows] == [("camera_0010", 30.56), ("camera_0037", 31.54)]
     assert all("psnr" in row["measured"] for row in rows)
+    plan = json.loads((tmp_path / "out" / "02_Flames" / "run.json").read_text())
+    assert plan["settings"]["activation"] == "none" and plan["settings"]["decode"] == "premultiplied", "STG's configuration of the scene"
+    first, second = table(rows).splitlines()[2:6:3]
+    assert first.split()[-3:] == ["146", "363", "40.6"] and second.split()[-3:] == ["-", "-", "-"], "the paper's second table"
+    assert table(rows).splitlines()[3].split()[-3:] == ["154", "248", "34.2"]
 
 
 def test_technicolor_trains_on_the_published_frames(tmp_path, capsys):

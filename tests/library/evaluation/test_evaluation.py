@@ -108,7 +108,7 @@ def test_the_files_hold_what_the_terminal_shows(run, work):
     assert code == 0 and "%" in err, "a progress bar"
     result = json.loads((work / "out" / "evaluation.json").read_text())
     lines = out.splitlines()
-    assert lines[0].split() == ["view", "frame", "PSNR", "dB", "DSSIM1", "DSSIM2", "FLIP", "flicker"]
+    assert lines[0].split() == ["view", "frame", "PSNR", "dB", "DSSIM1", "DSSIM1", "sk", "DSSIM2", "FLIP", "flicker"]
     assert [line.split()[:3] for line in lines[1:1 + FRAMES]] == [["cam00", str(r["frame"]), f"{r['psnr']:.2f}"] for r in result["rows"]]
     assert f"{result['average']['psnr']:.2f}" in lines[FRAMES + 2]
     assert "80 Gaussians" in out and "frames per second" in out and "evaluation.csv, 4 pictures, 1 film" in out

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from fastgs_blender import FastGSError
 from fastgs_blender.evaluation import metrics
 
-SKIMAGE_SSIM, SKIMAGE_PSNR = 0.9353527954578574, 18.03315726073039
-"""What scikit-image 0.26 says of waves(): structural_similarity(channel_axis=-1, data_range=2.0), peak_signal_noise_ratio(data_range=1)."""
+SKIMAGE_SSIM, SKIMAGE_SSIM_1, SKIMAGE_PSNR = 0.9353527954578574, 0.9346400739559485, 18.03315726073039
+"""What scikit-image 0.26 says of waves(): structural_similarity(channel_axis=-1, data_range=2.0), the same with 1.0, and
+peak_signal_noise_ratio(data_range=1)."""
 
 
 def waves():
@@ -51,6 +52,8 @@ def test_ssim_is_what_plain_loops_say(seed, noise, height, width):
     picture = np.clip(truth + noise * rng.normal(size=truth.shape), 0, 1)
     uniform = np.full((7, 7), 1 / 49)
     assert metrics.dssim2(picture, truth) == pytest.approx((1 - ssim_by_loops(picture, truth, uniform, 2.0, 49 / 48)) / 2, abs=1e-12)
+    assert metrics.dssim1_skimage(picture, truth) == pytest.approx((1 - ssim_by_loops(picture, truth, uniform, 1.0, 49 / 48)) / 2,
+                                                                   abs=1e-12)
     # 3DGS's window reaches over the edges, where it finds zeros; its moments are not centred, which is the same while weights add up to 1
     padded = (np.pad(v, ((5, 5), (5, 5), (0, 0))) for v in (picture, truth))
     assert metrics.dssim1(picture, truth) == pytest.approx((1 - ssim_by_loops(*padded, gaussian_weights(), 1.0, 1.0)) / 2, abs=1e-12)
@@ -59,6 +62,7 @@ def test_ssim_is_what_plain_loops_say(seed, noise, height, width):
 def test_dssim2_and_psnr_are_scikit_images():
     picture, truth = waves()
     assert metrics.dssim2(picture, truth) == pytest.approx((1 - SKIMAGE_SSIM) / 2, abs=1e-12)
+    assert metrics.dssim1_skimage(picture, truth) == pytest.approx((1 - SKIMAGE_SSIM_1) / 2, abs=1e-12)
     assert metrics.psnr(picture, truth) == pytest.approx(SKIMAGE_PSNR, abs=1e-10)
 
 
@@ -112,7 +116,7 @@ def test_equal_pictures_have_no_dissimilarity():
 
 def test_pictures_that_cannot_be_compared():
     picture, truth = waves()
-    for measure in (metrics.psnr, metrics.dssim1, metrics.dssim2):
+    for measure in (metrics.psnr, metrics.dssim1, metrics.dssim1_skimage, metrics.dssim2):
         with pytest.raises(FastGSError, match="cannot be compared"):
             measure(picture[:-1], truth)
     with pytest.raises(FastGSError, match="at least 7 x 7"):

@@ -15,6 +15,7 @@ from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
 from fastgs_blender.training.core.moving import Moving
+from fastgs_blender.training.core.presets import SCENES
 from fastgs_blender.training.initial.model import model_from_points, reach_of
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
@@ -44,9 +45,25 @@ def test_published_setups():
     differ = {name for name, value in paper.to_dict().items() if stg.to_dict()[name] != value}
     assert differ == {"preset", "motion", "order", "motion_weight", "regulariser", "loss"}
     first, last = (schedule.learning_rates(stg, i, 2.0, 12.0, fg.Polynomial(3)) for i in (0, stg.iterations))
-    assert [rates["position"] for rates in (first, last)] == pytest.approx([2 * 1.6e-4, 2 * 1.6e-6]), "in extents, whatever is filmed"
+    assert [rates["position"] for rates in (first, last)] == pytest.approx([2 * 1.6e-4, 2 * 1.6e-4 * 0.01 ** (25 / 30)]), "in extents"
     assert first["motion"] == pytest.approx(2 * 2.8e-4) and last["motion"] == pytest.approx(first["motion"])
     assert first["scale"] == last["scale"] == 1.5e-3 and set(first["w1"]) == {1e-4}
+
+
+@pytest.mark.parametrize(("data_set", "scene", "steps", "scaling_lr", "last"), [
+    ("n3v", "cook_spinach", 25_000, 0.0015, 9000), ("n3v", "coffee_martini", 10_000, 0.003, 9000),
+    ("n3v", "flame_salmon", 12_000, 0.003, 9000), ("technicolor", "Fabien", 25_000, 0.005, 9000),
+    ("immersive", "02_Flames", 20_000, 0.001, 12_000)])
+def test_published_scenes_are_trained_as_published(data_set, scene, steps, scaling_lr, last):
+    """Transcribed from STG's configs/*_full/<scene>.json, commit 427abfc: test_iteration, scaling_lr, densify_until_iter; densification
+    from step 500 (arguments/__init__.py, densify_from_iter); and get_expon_lr_func of 30 000 steps (position_lr_max_steps)."""
+    chosen = options.settings("stg", **SCENES[data_set].get(scene, {}))
+    assert (chosen.iterations, chosen.scale_rate) == (steps, scaling_lr)
+    for step in (0, 5000, steps):
+        rate = schedule.learning_rates(chosen, step, 1.0, 12.0, fg.Polynomial(3))["position"]
+        assert rate == pytest.approx(np.exp(np.log(1.6e-4) * (1 - step / 30_000) + np.log(1.6e-6) * step / 30_000))
+    control = density.Default(chosen, 1.0, starting.empty_model(chosen, fg.Clip(50), "RDF"), np.zeros((1, 3)))
+    assert (control.first, control.last) == (500, last)
 
 
 def test_the_printed_loss_is_a_sum():

@@ -11,10 +11,11 @@ from toy_captures import toy_capture
 
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
+from fastgs_blender.training.core import settings
 from fastgs_blender.training.run.segments import Span, joined_model, part, spans
 
 
-@given(st.integers(1, 2000), st.integers(4, 300), st.integers(2, 20))
+@given(st.integers(1, 2000), st.integers(4, 300), st.integers(0, 20))
 def test_segments_cover_the_clip_overlap_and_are_equally_long(frames, most, overlap):
     cuts = spans(frames, most, overlap)
     assert cuts[0].first == 0 and cuts[-1].first + cuts[-1].count == frames
@@ -22,6 +23,25 @@ def test_segments_cover_the_clip_overlap_and_are_equally_long(frames, most, over
     for before, after in pairwise(cuts):
         assert before.first < after.first <= before.first + before.count - min(overlap, most - 1)
     assert (len(cuts) == 1) == (frames <= most)
+
+
+def test_published_clips_are_cut_into_spans_that_share_nothing():
+    """Spacetime Gaussians trains frames 0 to 49, 50 to 99 ... of the 300 that are measured, each for itself (pre_n3d.py)."""
+    chosen = settings.settings("stg")
+    assert spans(300, chosen.segment_frames, chosen.segment_overlap) == [Span(first, 50) for first in range(0, 300, 50)]
+
+
+def test_segments_that_share_no_frame_change_over_between_two(rng, make_model):
+    """Each frame is one segment's, and between two frames nothing shines through."""
+    cuts, clip = spans(30, 10, 0), fg.Clip(30)
+    first = make_model(rng, 60, "paper", "line", "radial", "stg", motion=0.0, size=0.6)
+    first = replace(first, opacity=np.full(60, 6.0), temporal=np.full((60, 1), -9.0))
+    joined = joined_model([replace(first, clip=fg.Clip(10))] * 3, cuts, clip, {})
+    for frame in np.arange(0, 29.01, 0.125):
+        shown = fg.slice_model(joined, frame / 30, cull=False).opacity.reshape(3, 60)[:, 0]
+        assert shown.max() > 0.99, frame
+        if frame == int(frame):
+            assert shown[int(frame) // 10] > 0.99 and np.delete(shown, int(frame) // 10).max() < 1 / 255, frame
 
 
 def test_segments_can_be_switched_off():
@@ -58,7 +78,6 @@ def test_what_is_joined_shows_each_segment_and_fades_without_a_gap(rng, make_mod
 
 def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from fastgs_blender.training.core import settings
     from fastgs_blender.training.run import session
 
     capture, store, points = toy_capture(frames=14, views=3)
