@@ -23,9 +23,9 @@ from ..util.errors import FastGSError
 from ..util.progress import progress
 from .shared import add_backend, chosen_backend, image_size, model_file, note, print_json, use_threads
 
-NAMED_COLOURS = {"black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 OWN = "own"
-"""The background that a model brings."""
+"""The background that a model's decoder shows; a model without one shows black."""
+NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
 def add_arguments(parser):
@@ -72,8 +72,7 @@ def run(args):
     own = args.background == OWN
     if own and exposure is not None:
         raise FastGSError(f"--background {OWN} goes with sharp frames; leave --shutter and --aperture out, or name a colour.")
-    background = None if args.background is None else NAMED_COLOURS["black"] if own else args.background
-    background = None if background is None else _colour(background)
+    background = None if args.background is None else _colour(args.background)
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = sight(args.camera).views
@@ -202,7 +201,7 @@ def _colour(text: str) -> list[float]:
             raise ValueError
         return [value / 255 for value in bytes.fromhex(digits)]
     except ValueError as error:
-        raise FastGSError(f"a colour is written #rrggbb, or is {OWN} or one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
+        raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
 
 
 def _over(image, background, colour_space):
