@@ -22,7 +22,7 @@ EXTENSIONS = (".safetensors", ".ply", ".splatv")
 @pytest.fixture
 def model(rng, make_model):
     """A model that every format holds, splatv with roundings."""
-    return make_model(rng, basis="cubic", rotation_basis="line", temporal="radial", appearance="sigmoid")
+    return make_model(rng, basis="cubic", rotation_basis="line", temporal="radial", appearance="stg")
 
 
 @pytest.fixture
@@ -246,7 +246,7 @@ def test_a_model_with_nan_is_written_without_complaint_of_numpy(model, tmp_path,
 @pytest.mark.parametrize("extension", [".ply", ".safetensors"])
 @pytest.mark.parametrize("weight", [3e38, -1e19])
 def test_decoders_that_have_diverged_are_refused(rng, make_model, tmp_path, extension, weight):
-    model = make_model(rng, temporal="radial", appearance="sigmoid")
+    model = make_model(rng, temporal="radial", appearance="stg")
     model.appearance.w2[1, 2] = weight
     fg.save(model, tmp_path / f"m{extension}")
     with pytest.raises(fg.FastGSError, match="decoder has weights above 1e\\+18.*diverged"):
