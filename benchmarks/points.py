@@ -4,7 +4,7 @@
 A node tree moves, fades and recolours every Gaussian of a moving model.  Milliseconds of processor time a frame, medians:
 
 * plain frame    a frame change without points, and the instances of the new frame
-* points         the same with *Points: All*, without a modifier: what giving points costs
+* points         the same with *Modifiers Change: Splats*, without a modifier: what giving points costs
 * native copy    a frame change with a copy that holds the frame as a mesh of discs
 * nodes          the same with the tree: giving, Blender's evaluation, reading back, and the edited model
 * F12            the library's picture of 960 x 540 of each of these

@@ -29,6 +29,7 @@ from . import (
     training_python,
     training_runs,
     upright,
+    view_camera,
 )
 from .bake import FASTGS_OT_bake
 from .example import FASTGS_OT_import_example
@@ -69,6 +70,7 @@ CLASSES = (
     *train.CLASSES,
     *training_runs.CLASSES,
     *upright.CLASSES,
+    *view_camera.CLASSES,
 )
 
 

@@ -42,7 +42,7 @@ class FASTGS_OT_bake(Stepwise, bpy.types.Operator, ExportHelper):
         "it holds hands and feet, which the mean hides",
         subtype='PERCENTAGE', default=1.0, min=0.001, max=100.0, soft_max=10.0, precision=3)
     max_order: IntProperty(
-        name="Highest Order", description="Largest number of motion terms; 0: as many as the number of frames safely supports",
+        name="Most Motion Terms", description="Largest number of terms that describe a path; 0: as many as the frames safely support",
         default=0, min=0, soft_max=100)
     basis: EnumProperty(
         name="Basis",

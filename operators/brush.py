@@ -1,22 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The brush: hides Gaussians of the active object under a circle or a box in the 3D view, at all times and depths."""
+"""Erases Gaussians of the active object in the 3D view: one stroke of a round brush, one lasso or one box, at all times and depths.
+
+The tools of the toolbar (ui/tools.py) call this operator when the mouse button goes down; it ends when the button comes up.
+"""
 from __future__ import annotations
 
-import math
+from itertools import pairwise
 
 import bpy
 import gpu
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty
 from gpu_extras.batch import batch_for_shader
+from mathutils import Vector
 
 from ..engine.viewport.eye import eye
-from ..fastgs_blender.rendering.brush import Box, Stroke
+from ..fastgs_blender.rendering.brush import Box, Lasso, Stroke
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import brush, objects
 from ..scene.splats.splat_object import sentence
 
-HELP = "Drag: hide   Shift drag: show   C / B: circle or box   Wheel, [ ]: size of the circle   Middle button: turn the view   Esc: done"
-COLOUR = (1.0, 1.0, 1.0, 0.9)
+HIDES, SHOWS = (1.0, 0.45, 0.35, 0.35), (0.45, 0.8, 1.0, 0.35)
+"""Colours of the trail of a brush."""
+LINE = (1.0, 1.0, 1.0, 0.9)
+NEAR = 2.0
+"""Pixels that the mouse must move until the path gets another point."""
 
 
 def _editable(context) -> bool:
@@ -24,36 +31,37 @@ def _editable(context) -> bool:
 
 
 class FASTGS_OT_brush(bpy.types.Operator):
-    """Hide Gaussians of the active object with a circle or a box in the 3D view, at all times and depths. The file stays as it is"""
+    """Hide Gaussians of the active object under a brush, in a lasso or in a box, at all times and depths. The file stays as it is"""
 
     bl_idname = "fastgs.brush"
-    bl_label = "Brush"
+    bl_label = "Erase Splats"
     bl_options = {'UNDO'}
 
     shape: EnumProperty(
         name="Shape", description="What is drawn",
         items=(
-            ('CIRCLE', "Circle", "A round brush that is dragged over the Gaussians", 0),
+            ('CIRCLE', "Brush", "A round brush that is dragged over the Gaussians", 0),
             ('BOX', "Box", "A rectangle", 1),
+            ('LASSO', "Lasso", "A line around the Gaussians", 2),
         ), default='CIRCLE')
     radius: FloatProperty(
-        name="Radius", description="Radius of the circle, in pixels", default=40.0, min=1.0, max=2000.0, subtype='PIXEL')
-    show: BoolProperty(name="Show", description="Show again what was hidden, instead of hiding", options={'SKIP_SAVE'})
+        name="Radius", description="Radius of the brush, in pixels", default=40.0, min=1.0, max=2000.0, subtype='PIXEL')
+    show: BoolProperty(name="Restore", description="Show again what was hidden, instead of hiding", options={'SKIP_SAVE'})
     path: CollectionProperty(
-        name="Path", description="Where the brush went, in pixels of the region from its lower left; of a box two corners",
+        name="Path", description="Where the mouse went, in pixels of the region from its lower left; of a box two corners",
         type=bpy.types.OperatorMousePath, options={'SKIP_SAVE'})
 
     @classmethod
     def poll(cls, context):
-        if not _editable(context):
-            cls.poll_message_set("Select an object that shows splats")
+        if context.mode != 'OBJECT' or not _editable(context):
+            cls.poll_message_set("Select an object that shows splats, in Object Mode")
             return False
         return True
 
     def execute(self, context):
         region, view = context.region, context.region_data
         if view is None:
-            self.report({'ERROR'}, "The brush works in a 3D view alone; call it with one as context")
+            self.report({'ERROR'}, "Splats are erased in a 3D view; call this with one as context")
             return {'CANCELLED'}
         camera, _ = eye(region.width, region.height, view.view_matrix, view.window_matrix)
         points = [(point.loc[0], region.height - point.loc[1]) for point in self.path]
@@ -63,76 +71,87 @@ class FASTGS_OT_brush(bpy.types.Operator):
             x, y = zip(points[0], points[-1], strict=True)
             shape = Box((min(x), min(y)), (max(x), max(y)))
         else:
-            shape = Stroke(tuple(points), self.radius)
+            shape = Lasso(tuple(points)) if self.shape == 'LASSO' else Stroke(tuple(points), self.radius)
         try:
             count = brush.brush(context.object, context.evaluated_depsgraph_get(), camera, shape, not self.show)
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
-        self.report({'INFO'}, f"{count:,} Gaussians {'shown' if self.show else 'hidden'}")
-        return {'FINISHED'}
+        self.report({'INFO'}, f"{count:,} Gaussians {'shown again' if self.show else 'hidden'}")
+        return {'FINISHED'} if count else {'CANCELLED'}  # what changes nothing is no undo step
 
     def invoke(self, context, event):
         if context.region_data is None:
             return self.execute(context)
-        self._mouse, self._down = (event.mouse_region_x, event.mouse_region_y), False
+        self.radius = context.scene.fastgs.eraser_radius
+        self.path.clear()
+        self.path.add().loc = event.mouse_region_x, event.mouse_region_y
         self._handle = bpy.types.SpaceView3D.draw_handler_add(self._draw, (context.region,), 'WINDOW', 'POST_PIXEL')
-        context.workspace.status_text_set(HELP)
         context.window_manager.modal_handler_add(self)
         context.area.tag_redraw()
         return {'RUNNING_MODAL'}
 
     def modal(self, context, event):
-        self._mouse = event.mouse_region_x, event.mouse_region_y
-        context.area.tag_redraw()
-        if event.type in {'ESC', 'RIGHTMOUSE', 'RET'} and event.value == 'PRESS':
+        mouse = event.mouse_region_x, event.mouse_region_y
+        if event.type in {'MOUSEMOVE', 'INBETWEEN_MOUSEMOVE'} and (Vector(mouse) - Vector(self.path[-1].loc)).length >= NEAR:
+            self.path.add().loc = mouse
+            context.area.tag_redraw()
+        elif event.type == 'LEFTMOUSE' and event.value == 'RELEASE':
+            self.path.add().loc = mouse
             self.cancel(context)
-            return {'CANCELLED'}  # each stroke is an undo step of its own
-        if event.type == 'LEFTMOUSE' and event.value == 'PRESS':
-            region = context.region
-            if not (0 <= self._mouse[0] < region.width and 0 <= self._mouse[1] < region.height):
-                return {'PASS_THROUGH'}
-            self._down, self.show = True, event.shift
-            self.path.clear()
-            self.path.add().loc = self._mouse
-        elif event.type == 'MOUSEMOVE' and self._down:
-            self.path.add().loc = self._mouse
-        elif event.type == 'LEFTMOUSE' and event.value == 'RELEASE' and self._down:
-            self._down = False
-            self.path.add().loc = self._mouse
-            if self.execute(context) == {'FINISHED'}:
-                bpy.ops.ed.undo_push(message="Show Gaussians" if self.show else "Hide Gaussians")
-            self.path.clear()
-        elif event.value == 'PRESS' and event.type in {'B', 'C'}:
-            self.shape = 'BOX' if event.type == 'B' else 'CIRCLE'
-        elif event.value == 'PRESS' and event.type in {'WHEELUPMOUSE', 'RIGHT_BRACKET', 'WHEELDOWNMOUSE', 'LEFT_BRACKET'}:
-            self.radius *= 1.15 if event.type in {'WHEELUPMOUSE', 'RIGHT_BRACKET'} else 1 / 1.15
-        elif event.type in {'MIDDLEMOUSE', 'TRACKPADPAN', 'TRACKPADZOOM'} or event.type.startswith("NUMPAD"):
-            return {'PASS_THROUGH'}
+            return self.execute(context)
+        elif event.type in {'ESC', 'RIGHTMOUSE'} and event.value == 'PRESS':
+            self.cancel(context)
+            return {'CANCELLED'}
         return {'RUNNING_MODAL'}
 
     def cancel(self, context):
         bpy.types.SpaceView3D.draw_handler_remove(self._handle, 'WINDOW')
-        context.workspace.status_text_set(None)
         if context.area:
             context.area.tag_redraw()
 
     def _draw(self, region):
         if bpy.context.region != region:
             return
-        x, y = self._mouse
+        points = [Vector(point.loc) for point in self.path]
+        gpu.state.blend_set('ALPHA')
         if self.shape == 'CIRCLE':
-            angles = [2 * math.pi * k / 48 for k in range(49)]
-            points = [(x + self.radius * math.cos(a), y + self.radius * math.sin(a)) for a in angles]
-        elif self._down:
-            left, bottom = self.path[0].loc
-            points = [(left, bottom), (x, bottom), (x, y), (left, y), (left, bottom)]
+            _draw_in(SHOWS if self.show else HIDES, 'TRI_STRIP', trail(points, self.radius))
         else:
-            points = [(x - 12, y), (x + 12, y), (x, y), (x, y + 12), (x, y - 12)]
-        shader = gpu.shader.from_builtin('UNIFORM_COLOR')
-        shader.bind()
-        shader.uniform_float("color", COLOUR)
-        batch_for_shader(shader, 'LINE_STRIP', {"pos": points}).draw(shader)
+            if self.shape == 'BOX':
+                (left, bottom), (right, top) = points[0], points[-1]
+                points = [(left, bottom), (right, bottom), (right, top), (left, top)]
+            _draw_in(SHOWS if self.show else LINE, 'LINE_STRIP', [*points, points[0]])
+        gpu.state.blend_set('NONE')
+
+
+def trail(points: list[Vector], radius: float) -> list[tuple[float, float]]:
+    """The corners of a strip of triangles that covers what a round brush went over, nearly: from its first place to its last."""
+    points = [points[0], *(after for before, after in pairwise(points) if after != before)]
+    ways = [after - before for before, after in pairwise(points)] or [Vector((1, 0))]
+    corners = []
+
+    def across(middle, way, ahead):
+        half = (radius**2 - ahead**2) ** 0.5
+        way = way.normalized()
+        side = Vector((-way.y, way.x)) * half
+        corners.extend((tuple(middle + way * ahead + side), tuple(middle + way * ahead - side)))
+
+    steps = [radius * k / 8 for k in range(9)]
+    for ahead in steps[:0:-1]:
+        across(points[0], ways[0], -ahead)
+    for number, point in enumerate(points):
+        across(point, ways[max(number - 1, 0)] + ways[min(number, len(ways) - 1)], 0.0)
+    for ahead in steps[1:]:
+        across(points[-1], ways[-1], ahead)
+    return corners
+
+
+def _draw_in(colour, kind, points):
+    shader = gpu.shader.from_builtin('UNIFORM_COLOR')
+    shader.bind()
+    shader.uniform_float("color", colour)
+    batch_for_shader(shader, kind, {"pos": points}).draw(shader)
 
 
 class _OnMask:
@@ -140,7 +159,10 @@ class _OnMask:
 
     @classmethod
     def poll(cls, context):
-        return _editable(context) and bool(context.object.fastgs.mask)
+        if not (_editable(context) and context.object.fastgs.mask):
+            cls.poll_message_set("Nothing of the active object was erased")
+            return False
+        return True
 
     def execute(self, context):
         try:
@@ -152,20 +174,20 @@ class _OnMask:
 
 
 class FASTGS_OT_show_hidden(_OnMask, bpy.types.Operator):
-    """Show all Gaussians of the active object that the brush has hidden"""
+    """Show all Gaussians of the active object that were erased"""
 
     bl_idname = "fastgs.show_hidden"
-    bl_label = "Show All"
+    bl_label = "Restore All"
 
     def change(self, obj):
         obj.fastgs.mask = ""
 
 
 class FASTGS_OT_invert_hidden(_OnMask, bpy.types.Operator):
-    """Hide what the brush has left of the active object, and show what it has hidden"""
+    """Show the Gaussians of the active object that were erased, and hide all others"""
 
     bl_idname = "fastgs.invert_hidden"
-    bl_label = "Invert"
+    bl_label = "Swap Erased"
 
     def change(self, obj):
         brush.set_mask(obj, ~brush.mask_of(obj))

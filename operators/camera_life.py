@@ -11,6 +11,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.cameras import moves
 from ..scene import objects, speeds
 from ..scene.cameras import keys as camera_keys
+from ..scene.cameras.from_view import eye_of
 from ..scene.cameras.subjects import subject_of, target_camera
 from ..scene.cameras.tracking import region_track
 from ..scene.splats.splat_object import sentence
@@ -46,10 +47,10 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
             self.start = scene.frame_current
         settings = obj.fastgs
         path = "fastgs.offset"
-        for name in (path, speeds.PATH):
+        for name, title in ((path, "Time Shift"), (speeds.PATH, "Speed")):
             if camera_keys.curve_of(obj, name) or camera_keys.driver_of(obj, name):
-                self.report({'ERROR'}, f'"{obj.name}" has an animated {name.removeprefix("fastgs.")} already; delete its keys and drivers '
-                                       "first (Object Properties > Time).")
+                self.report({'ERROR'}, f'"{obj.name}" has an animated {title} already; delete its keys and drivers first '
+                                       "(Object Properties > 4D Gaussians > Time).")
                 return {'CANCELLED'}
         rate = settings.fps * scene.render.fps_base / scene.render.fps if settings.fps else 1.0
         lost = settings.speed * rate * (1 - self.speed)  # capture frames that each slow frame of the scene takes away
@@ -193,13 +194,6 @@ def _clear(camera, paths):
             setattr(camera, path, rest)
 
 
-def _eye(space, view) -> Matrix:
-    """Where a 3D view looks from, in the world; also before it is drawn, unless it is locked to something."""
-    if space.lock_object or space.lock_cursor:
-        return view.view_matrix.inverted()
-    return Matrix.Translation(view.view_location) @ view.view_rotation.to_matrix().to_4x4() @ Matrix.Translation((0, 0, view.view_distance))
-
-
 def _place(camera, matrix):
     """Put a camera there in the world.  Of the numbers that mean the same turn it gets those next to its former ones: no key spins."""
     quaternion, euler = camera.rotation_quaternion.copy(), camera.rotation_euler.copy()
@@ -227,7 +221,7 @@ class FASTGS_OT_key_from_view(bpy.types.Operator):
         camera = target_camera(context, False) or target_camera(context, True)
         view = context.region_data
         if view.view_perspective != 'CAMERA':
-            _place(camera, _eye(context.space_data, view))
+            _place(camera, eye_of(context.space_data, view))
             # a view shows, at the same focal length, twice what a camera with Blender's standard sensor does
             camera.data.lens = context.space_data.lens * camera.data.sensor_width / 72.0
         channels = {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}

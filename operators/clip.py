@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators on an object's clip: splitting it at the current frame, marking its begin and end, and its sound."""
+"""Operators on an object's clip: splitting it at the current frame, markers at its beginning and end, and its sound."""
 from __future__ import annotations
 
 from math import floor
@@ -70,10 +70,10 @@ class FASTGS_OT_split(_OnClip, bpy.types.Operator):
 
 
 class FASTGS_OT_mark_clip(_OnClip, bpy.types.Operator):
-    """Set markers in the timeline at the first and at the last frame of the clip; those that this object already has are moved"""
+    """Add timeline markers at the first and the last frame of the clip, or move those that this object has already"""
 
     bl_idname = "fastgs.mark_clip"
-    bl_label = "Mark"
+    bl_label = "Add Markers"
 
     def execute(self, context):
         markers, at = context.scene.timeline_markers, played(context.object, context.scene)

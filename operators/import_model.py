@@ -41,7 +41,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         name="Level of Detail", description="Of streamed SOG (lod-meta.json): 0 is the finest level; higher ones have fewer Gaussians",
         default=0, min=0, max=99, options={'SKIP_SAVE'})
     orientation: EnumProperty(
-        name="Upright", description="Which axis of the file points up; the view shows what another one does, when the file is there",
+        name="Up Axis", description="Which axis of the file points up. After the import, another choice shows at once in the view",
         items=(
             ('AUTO', "As the File Says", "The axis that the file names, or that is usual in its format", 0),
             ('KEEP', "Unturned", "The file's own axes are Blender's", 1),

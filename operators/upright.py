@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Set Upright: which axis of a splat object's file points up."""
+"""Up Axis: which axis of a splat object's file points up."""
 from __future__ import annotations
 
 import bpy
@@ -18,7 +18,7 @@ class FASTGS_OT_set_upright(bpy.types.Operator):
     """Choose which axis of the active splat object's file points up; the object's own location, rotation and scale stay as they are"""
 
     bl_idname = "fastgs.set_upright"
-    bl_label = "Upright"
+    bl_label = "Up Axis"
     bl_options = {'REGISTER', 'UNDO'}
 
     axis: EnumProperty(

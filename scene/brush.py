@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.brush import Box, Stroke, under
+from ..fastgs_blender.rendering.brush import Shape, under
 from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from . import objects, snapshot
 
@@ -31,7 +31,7 @@ def set_mask(obj, bits: np.ndarray) -> None:
     obj.fastgs.mask = pack_mask(bits)
 
 
-def brush(obj, depsgraph, camera: fg.Camera, shape: Box | Stroke, hide: bool = True) -> int:
+def brush(obj, depsgraph, camera: fg.Camera, shape: Shape, hide: bool = True) -> int:
     """Hide what an original object shows under a shape of the camera's picture, or show what was hidden there; returns how many."""
     bits = mask_of(obj)
     found = [(item, instance) for item, instance in snapshot.take(depsgraph, rendered=False).pairs()[0] if item.name == obj.name]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads back how modifiers have changed the points of a splat object.
 
-With *Points: All* (splats/feeding.py) a splat object's mesh has a point for each Gaussian, as it is on the frame, with the attributes
-below.  What is evaluated after the object's modifiers is copied here, for whoever takes a snapshot of the scene; in the snapshot's
-thread it is compared with what the points were given, and becomes an edit of the model.
+With *Modifiers Change: Splats* (splats/feeding.py) a splat object's mesh has a point for each Gaussian, as it is on the frame, with the
+attributes below.  What is evaluated after the object's modifiers is copied here, for whoever takes a snapshot of the scene; in the
+snapshot's thread it is compared with what the points were given, and becomes an edit of the model.
 """
 from __future__ import annotations
 

@@ -129,7 +129,8 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
         name="Speed", description="Playback speed; negative plays from the last frame backwards",
         default=1.0, soft_min=-4.0, soft_max=4.0, **_SHOWN)
     offset: FloatProperty(
-        name="Offset", description="Frames of the capture to skip at the beginning", default=0.0, **_SHOWN)
+        name="Time Shift", description="By how many frames of the capture playback runs ahead: at 10 the clip begins with its frame 10. "
+        "Nothing is cut off, as it is by trimming", default=0.0, **_SHOWN)
     before: EnumProperty(
         name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', **_SHOWN)
     after: EnumProperty(
@@ -141,12 +142,12 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
             ('HOLD', "Hold", "The nearer frame", 1),
         ), default='INTERPOLATE', **_SHOWN)
     trim_start: FloatProperty(
-        name="Trim Start", description="Frames of the capture to cut off at its beginning: the clip begins behind them", min=0.0, **_SHOWN)
+        name="Trim Start", description="Frames to cut off the beginning of the capture: the clip starts after them", min=0.0, **_SHOWN)
     trim_end: FloatProperty(
-        name="Trim End", description="Frames of the capture to cut off at its end", min=0.0, **_SHOWN)
+        name="Trim End", description="Frames to cut off the end of the capture", min=0.0, **_SHOWN)
     use_capture_frame: BoolProperty(
-        name="Key the Capture Frame", description="Show the capture frame below, whatever the scene's frame, speed and offset are: "
-        "its keys are speed ramps, freezes and reverses", default=False, **_SHOWN)
+        name="Key the Capture Frame", description="Show the capture frame below, and ignore start, speed and time shift. Its keys make "
+        "speed ramps, freezes and reverses", default=False, **_SHOWN)
     capture_frame: FloatProperty(
         name="Capture Frame", description="The frame of the capture to show; 0 is its first, fractions lie between frames", **_SHOWN)
     fade: FloatProperty(
@@ -162,14 +163,14 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
         name="Echo Fade", description="Opacity of an echo as a share of that of the one before", default=0.5, min=0.0, max=1.0,
         subtype='FACTOR', **_SHOWN)
     points: EnumProperty(
-        name="Points", description="Which Gaussians are points of the object's mesh, for modifiers and for other render engines",
+        name="Modifiers Change", description="What modifiers of this object, such as Geometry Nodes, lattices and armatures, change",
         items=(
-            ('SOME', "Some", "Those that stand for all of them in other render engines", 0),
-            ('ALL', "All", "All, as they are on the frame: what Geometry Nodes, lattices and armatures make of them is shown", 1),
+            ('SOME', "Stand-Ins", "Only the few points that other render engines show in place of the splats", 0),
+            ('ALL', "Splats", "The splats themselves: the object's mesh gets a point for each Gaussian, on every frame", 1),
         ), default='SOME', **_SHOWN)
     still_frame: FloatProperty(
-        name="Still Frame", description="Frame of the capture whose positions and opacities all points carry besides, as the attributes "
-        "still_position and still_opacity: what nodes freeze goes there", default=0.0, min=0.0, **_SHOWN)
+        name="Freeze Frame", description="The frame of the capture to which nodes can freeze splats. Each point carries its place and "
+        "opacity on that frame, as the attributes still_position and still_opacity", default=0.0, min=0.0, **_SHOWN)
     follow_points: BoolProperty(
         name="Turn and Stretch", description="Gaussians turn and stretch with the points around them where a lattice, an armature or "
         "another modifier deforms these; with Geometry Nodes alone they are only moved", default=True, **_SHOWN)
@@ -186,7 +187,7 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
         name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on; switch it "
         "off for glass, smoke and hair", default=True, override=_OWN, update=updates.viewports)
     mask: StringProperty(
-        name="Hidden by Hand", description="Which Gaussians the brush has hidden, packed", options={'HIDDEN'}, **_SHOWN)
+        name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
     viewport_density: FloatProperty(
         name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
         min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
@@ -246,6 +247,9 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     show_splats: BoolProperty(
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
         "Rendered shading, with the scene's meshes", default=True, update=updates.viewports)
+    eraser_radius: FloatProperty(
+        name="Radius", description="Radius of the tool Erase Splats, in pixels", default=40.0, min=1.0, max=2000.0, soft_max=400.0,
+        subtype='PIXEL', precision=0)
     viewport_density: FloatProperty(
         name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the time changes, the most "
         "important ones first", subtype='FACTOR', min=0.01, max=1.0, default=0.8, update=updates.viewports)

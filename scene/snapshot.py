@@ -25,7 +25,7 @@ class FileInstance:
     settings   how the object shows its model
     index      the object's number, its pass index
     place      what finds the instance again on another frame
-    points     what modifiers have made of its points, with *Points: All*
+    points     what modifiers have made of its points, with *Modifiers Change: Splats*
     trouble    why it cannot be shown, whatever its file holds: a sentence, or ""
     """
 

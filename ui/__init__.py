@@ -3,11 +3,25 @@
 import bpy
 
 from ..scene import settings
-from . import camera_panel, capture_panel, keymap, manual, menus, object_panels, preferences, render_panels, training_panel, viewport_panel
+from . import (
+    camera_panel,
+    capture_panel,
+    keymap,
+    manual,
+    menus,
+    object_panels,
+    preferences,
+    render_panels,
+    splats_panel,
+    tools,
+    training_panel,
+    viewport_panel,
+)
 
 CLASSES = (
     *object_panels.CLASSES,
     *render_panels.CLASSES,
+    *splats_panel.CLASSES,
     *viewport_panel.CLASSES,
     *camera_panel.CLASSES,
     *capture_panel.CLASSES,
@@ -21,6 +35,7 @@ def register():
         bpy.utils.register_class(cls)
     menus.register()
     keymap.register()
+    tools.register()
     manual.register()
     training_panel.register()
     if settings.preferences():
@@ -30,6 +45,7 @@ def register():
 def unregister():
     training_panel.unregister()
     manual.unregister()
+    tools.unregister()
     keymap.unregister()
     menus.unregister()
     for cls in reversed(CLASSES):

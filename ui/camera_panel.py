@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel of camera moves in the sidebar of the 3D view."""
+"""The panel of cameras and their moves in the sidebar of the 3D view."""
 import bpy
 
 
 class FASTGS_PT_camera(bpy.types.Panel):
-    bl_label = "Camera Moves"
+    bl_label = "Camera"
     bl_space_type = 'VIEW_3D'
     bl_region_type = 'UI'
     bl_category = "FAST-GS"
@@ -12,6 +12,7 @@ class FASTGS_PT_camera(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
+        layout.operator("fastgs.camera_from_view", icon='OUTLINER_OB_CAMERA')
         col = layout.column(align=True)
         col.operator("fastgs.camera_orbit", icon='ORIENTATION_GIMBAL')
         col.operator("fastgs.camera_dolly", icon='TRACKING_FORWARDS_SINGLE')

@@ -4,7 +4,8 @@ import bpy
 
 from ..scene.cameras import clips
 from ..scene.cameras.worlds import is_world
-from .object_panels import draw_trouble
+from . import facts
+from .object_panels import draw_rows, draw_trouble, is_ours
 
 
 class FASTGS_PT_capture(bpy.types.Panel):
@@ -33,6 +34,8 @@ class FASTGS_PT_capture(bpy.types.Panel):
         row.operator("fastgs.set_ground", text="Ground: Points", icon='EMPTY_AXIS').source = 'POINTS'
         row.operator("fastgs.set_ground", text="Cameras").source = 'CAMERAS'
         col.operator("fastgs.set_scale", icon='DRIVER_DISTANCE')
+        if is_ours(context.object):
+            draw_rows(layout, facts.extent(context.object, context.scene))
         col = layout.column(align=True)
         col.operator("fastgs.import_camera_path", icon='IMPORT')
         col.operator("fastgs.export_camera_path", icon='EXPORT')

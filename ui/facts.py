@@ -11,6 +11,7 @@ import bpy
 from ..fastgs_blender.formats.sequences import stored_bytes
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects, snapshot, time
+from ..scene.cameras import subjects
 
 
 def known(obj: bpy.types.Object) -> bool:
@@ -33,6 +34,13 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     with suppress(OSError, FastGSError):  # a missing file is reported as an error elsewhere
         rows += [("File Size", size(stored_bytes(path)))] if not path.is_dir() else []
     return rows
+
+
+def extent(obj: bpy.types.Object, scene: bpy.types.Scene) -> list[tuple[str, str]]:
+    """A (label, value) pair about how large an object's subject is in the scene's unit of length; none where that is not known."""
+    sides, units = subjects.size_of(obj), scene.unit_settings
+    words = [bpy.utils.units.to_string(units.system, 'LENGTH', side * units.scale_length, precision=3) for side in sides]
+    return [("Size", " x ".join(words))] if any(sides) else []
 
 
 def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:

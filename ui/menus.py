@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's entries in Blender's menus."""
+"""The extension's entries in Blender's menus and panels."""
 import bpy
 
-from ..fastgs_blender.formats import readable
+from .object_panels import draw_size
 
 
 def draw_import(self, context):
     """File > Import."""
-    self.layout.operator("import_scene.fastgs", text=f"4D Gaussians ({'/'.join(n for n in readable() if n.startswith('.'))})")
+    self.layout.operator("import_scene.fastgs", text="4D Gaussians (.ply/.spz/.sog/...)")
     self.layout.operator("fastgs.import_example", text="4D Gaussians: Example")
     self.layout.operator("fastgs.import_capture", text="Capture Cameras")
-    self.layout.operator("fastgs.import_camera_path", text="Camera Path (.json/.ssproj/COLMAP)")
+    self.layout.operator("fastgs.import_camera_path", text="Camera Path (.json/...)")
 
 
 def draw_export(self, context):
     """File > Export."""
-    self.layout.operator("export_scene.fastgs", text="4D Gaussians (.ply/.spz/.sog/.splat/.glb/.safetensors/.splatv)")
+    self.layout.operator("export_scene.fastgs", text="4D Gaussians (.ply/.spz/.sog/...)")
     self.layout.operator("fastgs.export_native", text="Native Splats (.ply)")
-    self.layout.operator("fastgs.export_camera_path", text="Camera Path (.json/COLMAP)")
+    self.layout.operator("fastgs.export_camera_path", text="Camera Path (.json/...)")
 
 
 def draw_bake(self, context):
@@ -26,10 +26,34 @@ def draw_bake(self, context):
     self.layout.operator("fastgs.bake")
 
 
+def draw_camera(self, context):
+    """Where Blender adds cameras and lets them look as the view does."""
+    self.layout.operator("fastgs.camera_from_view", icon='OUTLINER_OB_CAMERA')
+
+
+def draw_camera_below(self, context):
+    """The same, below a line."""
+    self.layout.separator()
+    draw_camera(self, context)
+
+
+def draw_sound(self, context):
+    """The sequencer's Add menu."""
+    self.layout.separator()
+    self.layout.operator_context = 'INVOKE_DEFAULT'
+    self.layout.operator("fastgs.add_sound", text="Sound of 4D Gaussians", icon='SOUND')
+
+
 MENUS = (
     (bpy.types.TOPBAR_MT_file_import, draw_import),
     (bpy.types.TOPBAR_MT_file_export, draw_export),
     (bpy.types.VIEW3D_MT_object, draw_bake),
+    (bpy.types.VIEW3D_MT_camera_add, draw_camera),
+    (bpy.types.VIEW3D_MT_view_cameras, draw_camera_below),
+    (bpy.types.VIEW3D_MT_view_align, draw_camera_below),
+    (bpy.types.VIEW3D_MT_object_context_menu, draw_camera_below),
+    (bpy.types.SEQUENCER_MT_add, draw_sound),
+    (bpy.types.OBJECT_PT_transform, draw_size),
 )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The splat object's panels, in the object's properties and in the sidebar of the 3D view."""
+"""The splat object's panel 4D Gaussians, in the object's properties, and its sub-panels."""
 from __future__ import annotations
 
 from itertools import groupby
@@ -33,27 +33,39 @@ def draw_trouble(col, context, text, icon='ERROR'):
         col.label(text=line, icon='BLANK1' if i else icon)
 
 
-def draw_model(layout, context):
-    """Draw the file, its error if there is one, and its contents."""
-    obj = context.object
-    error = objects.error_of(obj)
-    row = layout.row(align=True)
-    sub = row.row(align=True)
-    sub.alert = error is not None
-    sub.use_property_split = True
-    sub.prop(obj.fastgs, "filepath")
-    row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
+def draw_error(layout, context):
+    """Draw why the object's file cannot be shown, and the button that reads it again."""
+    error = objects.error_of(context.object)
     if error:
         box = layout.box()
         col = box.column(align=True)
         col.alert = True
         draw_trouble(col, context, error)
         box.operator("fastgs.reload", icon='FILE_REFRESH')
+
+
+def draw_other_engine(layout, context):
+    """Draw the button that makes FAST-GS the scene's engine, where it is not."""
+    if context.engine != 'FASTGS':
+        props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
+        props.data_path, props.value = "scene.render.engine", 'FASTGS'
+
+
+def draw_model(layout, context):
+    """Draw the file, its error if there is one, and its contents."""
+    obj = context.object
+    row = layout.row(align=True)
+    sub = row.row(align=True)
+    sub.alert = objects.error_of(obj) is not None
+    sub.use_property_split = True
+    sub.prop(obj.fastgs, "filepath")
+    row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
+    draw_error(layout, context)
     if not obj.fastgs.filepath:
         layout.label(text="No file is chosen", icon='INFO')
     elif facts.known(obj):
-        draw_rows(layout, facts.object_facts(obj))
-    elif not error:
+        draw_rows(layout, facts.object_facts(obj) + facts.extent(obj, context.scene))
+    elif objects.error_of(obj) is None:
         layout.label(text="Not read yet", icon='INFO')
     if obj.fastgs.has_backdrop:
         col = layout.column()
@@ -61,56 +73,55 @@ def draw_model(layout, context):
         col.prop(obj.fastgs, "backdrop")
     row = layout.row(align=True)
     row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
-    if obj.fastgs.camera_count:
-        row.operator("fastgs.look_through", text="", icon='OUTLINER_OB_CAMERA')
-    row.operator("fastgs.store_view", text="", icon='FILE_TICK')
-    layout.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
+    row.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
     if startup.dulls_colours(context.scene):
         layout.operator("fastgs.use_standard", icon='COLOR')
-    if context.engine != 'FASTGS':
-        props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
-        props.data_path = "scene.render.engine"
-        props.value = 'FASTGS'
+    draw_other_engine(layout, context)
 
 
 def draw_time(layout, context):
-    """Draw the clip's timing: start, speed, offset, before and after."""
-    obj = context.object
-    settings = obj.fastgs
+    """Draw when the clip plays, how fast, and what shows before and after it."""
+    settings = context.object.fastgs
     layout.use_property_split = True
     col = layout.column()
     col.active = not settings.use_capture_frame
     col.prop(settings, "start_frame")
     col.prop(settings, "speed")
-    col.prop(settings, "offset")
-    row = layout.row(heading="Capture Frame", align=True)
-    row.prop(settings, "use_capture_frame", text="")
-    sub = row.row()
-    sub.active = settings.use_capture_frame
-    sub.prop(settings, "capture_frame", text="")
-    col = layout.column(align=True)
-    col.prop(settings, "trim_start", text="Trim Start")
-    col.prop(settings, "trim_end", text="End")
     col = layout.column()
     col.prop(settings, "before")
     col.prop(settings, "after")
-    if 'LOOP' in (settings.before, settings.after):
-        col.prop(settings, "fade")
+    if facts.known(context.object):
+        draw_rows(layout, [("Shown Now", facts.shown_now(context.object, context.scene))])
+        layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
+
+
+def draw_trim(layout, context):
+    """Draw what is cut off the clip, how far it is shifted, and what lies between its frames and at its seam."""
+    obj, settings = context.object, context.object.fastgs
+    layout.use_property_split = True
     col = layout.column(align=True)
-    col.prop(settings, "echoes")
-    if settings.echoes:
-        col.prop(settings, "echo_spacing", text="Spacing")
-        col.prop(settings, "echo_fade", text="Fade")
+    col.prop(settings, "trim_start")
+    col.prop(settings, "trim_end", text="End")
+    col = layout.column()
+    sub = col.column()
+    sub.active = not settings.use_capture_frame
+    sub.prop(settings, "offset")
+    sub = col.column()
+    sub.active = 'LOOP' in (settings.before, settings.after)
+    sub.prop(settings, "fade")
     if objects.is_sequence(obj):
         col.prop(settings, "subframes")
-    if facts.known(obj):
-        draw_rows(layout, [("Shown Now", facts.shown_now(obj, context.scene))])
-        layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
-        row = layout.row(align=True)
-        row.operator("fastgs.split", icon='PIVOT_CURSOR')
-        row.operator("fastgs.mark_clip", icon='MARKER_HLT')
-        layout.operator("fastgs.add_sound", icon='SOUND')
-        layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
+
+
+def draw_echoes(layout, context):
+    """Draw the earlier moments that are shown besides."""
+    settings = context.object.fastgs
+    layout.use_property_split = True
+    layout.prop(settings, "echoes")
+    col = layout.column(align=True)
+    col.active = settings.echoes > 0
+    col.prop(settings, "echo_spacing", text="Spacing")
+    col.prop(settings, "echo_fade", text="Fade")
 
 
 def draw_look(layout, context):
@@ -127,15 +138,15 @@ def draw_look(layout, context):
 
 
 def draw_points(layout, context):
-    """Draw what the points of the object's mesh are, and the effects that change them."""
+    """Draw the effects that change the Gaussians, and what modifiers do."""
     settings = context.object.fastgs
     layout.use_property_split = True
+    layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
     layout.prop(settings, "points")
     col = layout.column()
     col.active = settings.points == 'ALL'
     col.prop(settings, "follow_points")
     col.prop(settings, "still_frame")
-    layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
 
 
 def draw_crop(layout, context):
@@ -155,8 +166,8 @@ def draw_crop(layout, context):
         layout.operator("fastgs.apply_crop", icon='FILE_TICK')
 
 
-def draw_filters(layout, context, brush: bool):
-    """Draw the filters that hide Gaussians for what they are, and the brush that hides them by hand in a 3D view."""
+def draw_filters(layout, context):
+    """Draw the filters that hide Gaussians for what they are."""
     layout.use_property_decorate = False
     for index, item in enumerate(context.object.fastgs.filters):
         col = layout.column(align=True)
@@ -172,48 +183,47 @@ def draw_filters(layout, context, brush: bool):
         row.prop(item, "low")
         row.prop(item, "high")
     layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
-    if brush:
-        col = layout.column()
-        col.operator_context = 'INVOKE_REGION_WIN'
-        col.operator("fastgs.brush", icon='BRUSH_DATA')
+    draw_erased(layout, context)
+
+
+def draw_erased(layout, context):
+    """Draw what can be done with what was erased, if anything was."""
     if context.object.fastgs.mask:
         row = layout.row(align=True)
         row.operator("fastgs.show_hidden", icon='HIDE_OFF')
         row.operator("fastgs.invert_hidden", icon='ARROW_LEFTRIGHT')
 
 
+def draw_size(self, context):
+    """How large a splat object is, below its scale in Blender's panel Transform."""
+    if is_ours(context.object):
+        draw_rows(self.layout, facts.extent(context.object, context.scene))
+
+
 class _Splat:
+    bl_space_type = 'PROPERTIES'
+    bl_region_type = 'WINDOW'
+    bl_context = "object"
+
     @classmethod
     def poll(cls, context):
         return is_ours(context.object)
 
 
-class _Moving:
+class _Moving(_Splat):
     @classmethod
     def poll(cls, context):
         return is_ours(context.object) and context.object.fastgs.frame_count != 1
 
 
-class _Properties(_Splat):
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
-    bl_context = "object"
-
-
-class _Sidebar(_Splat):
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
-
-
-class FASTGS_PT_object(_Properties, bpy.types.Panel):
+class FASTGS_PT_object(_Splat, bpy.types.Panel):
     bl_label = "4D Gaussians"
 
     def draw(self, context):
         draw_model(self.layout, context)
 
 
-class FASTGS_PT_object_time(_Moving, _Properties, bpy.types.Panel):
+class FASTGS_PT_object_time(_Moving, bpy.types.Panel):
     bl_label = "Time"
     bl_parent_id = "FASTGS_PT_object"
 
@@ -221,7 +231,60 @@ class FASTGS_PT_object_time(_Moving, _Properties, bpy.types.Panel):
         draw_time(self.layout, context)
 
 
-class FASTGS_PT_object_look(_Properties, bpy.types.Panel):
+class FASTGS_PT_object_trim(_Moving, bpy.types.Panel):
+    bl_label = "Trim, Shift and Fade"
+    bl_parent_id = "FASTGS_PT_object_time"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_trim(self.layout, context)
+
+
+class FASTGS_PT_object_capture_frame(_Moving, bpy.types.Panel):
+    bl_label = "Key the Capture Frame"
+    bl_parent_id = "FASTGS_PT_object_time"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw_header(self, context):
+        self.layout.prop(context.object.fastgs, "use_capture_frame", text="")
+
+    def draw(self, context):
+        layout, settings = self.layout, context.object.fastgs
+        layout.use_property_split = True
+        layout.active = settings.use_capture_frame
+        layout.prop(settings, "capture_frame")
+
+
+class FASTGS_PT_object_echoes(_Moving, bpy.types.Panel):
+    bl_label = "Echoes"
+    bl_parent_id = "FASTGS_PT_object_time"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        draw_echoes(self.layout, context)
+
+
+class FASTGS_PT_object_cut(_Moving, bpy.types.Panel):
+    bl_label = "Split and Markers"
+    bl_parent_id = "FASTGS_PT_object_time"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        row = self.layout.row(align=True)
+        row.operator("fastgs.split", icon='PIVOT_CURSOR')
+        row.operator("fastgs.mark_clip", icon='MARKER_HLT')
+
+
+class FASTGS_PT_object_sound(_Moving, bpy.types.Panel):
+    bl_label = "Sound"
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context):
+        self.layout.operator("fastgs.add_sound", icon='SOUND')
+
+
+class FASTGS_PT_object_look(_Splat, bpy.types.Panel):
     bl_label = "Look"
     bl_parent_id = "FASTGS_PT_object"
     bl_options = {'DEFAULT_CLOSED'}
@@ -230,8 +293,8 @@ class FASTGS_PT_object_look(_Properties, bpy.types.Panel):
         draw_look(self.layout, context)
 
 
-class FASTGS_PT_instances(_Properties, bpy.types.Panel):
-    bl_label = "Look of 4D Gaussians"
+class FASTGS_PT_instances(_Splat, bpy.types.Panel):
+    bl_label = "Look of Instanced Splats"
     bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod
@@ -242,8 +305,8 @@ class FASTGS_PT_instances(_Properties, bpy.types.Panel):
         draw_look(self.layout, context)
 
 
-class FASTGS_PT_object_points(_Properties, bpy.types.Panel):
-    bl_label = "Points"
+class FASTGS_PT_object_points(_Splat, bpy.types.Panel):
+    bl_label = "Effects and Modifiers"
     bl_parent_id = "FASTGS_PT_object"
     bl_options = {'DEFAULT_CLOSED'}
 
@@ -251,7 +314,7 @@ class FASTGS_PT_object_points(_Properties, bpy.types.Panel):
         draw_points(self.layout, context)
 
 
-class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
+class FASTGS_PT_object_crop(_Splat, bpy.types.Panel):
     bl_label = "Crop"
     bl_parent_id = "FASTGS_PT_object"
     bl_options = {'DEFAULT_CLOSED'}
@@ -260,76 +323,26 @@ class FASTGS_PT_object_crop(_Properties, bpy.types.Panel):
         draw_crop(self.layout, context)
 
 
-class FASTGS_PT_object_filters(_Properties, bpy.types.Panel):
+class FASTGS_PT_object_filters(_Splat, bpy.types.Panel):
     bl_label = "Filters"
     bl_parent_id = "FASTGS_PT_object"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_filters(self.layout, context, False)
+        draw_filters(self.layout, context)
 
 
-class FASTGS_PT_sidebar(_Sidebar, bpy.types.Panel):
-    bl_label = "4D Gaussians"
-
-    @classmethod
-    def poll(cls, context):
-        return True
-
-    def draw(self, context):
-        layout = self.layout
-        if is_ours(context.object):
-            draw_model(layout, context)
-        else:
-            col = layout.column()
-            col.operator("import_scene.fastgs", icon='IMPORT')
-            col.operator("fastgs.import_example", icon='HEART')
-            col.operator("fastgs.bake", icon='RENDER_ANIMATION')
-
-
-class FASTGS_PT_sidebar_time(_Moving, _Sidebar, bpy.types.Panel):
-    bl_label = "Time"
-    bl_parent_id = "FASTGS_PT_sidebar"
-
-    def draw(self, context):
-        draw_time(self.layout, context)
-
-
-class FASTGS_PT_sidebar_look(_Sidebar, bpy.types.Panel):
-    bl_label = "Look"
-    bl_parent_id = "FASTGS_PT_sidebar"
+class FASTGS_PT_object_engines(_Splat, bpy.types.Panel):
+    bl_label = "Other Render Engines"
+    bl_parent_id = "FASTGS_PT_object"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_look(self.layout, context)
+        self.layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 
 
-class FASTGS_PT_sidebar_points(_Sidebar, bpy.types.Panel):
-    bl_label = "Points"
-    bl_parent_id = "FASTGS_PT_sidebar"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    def draw(self, context):
-        draw_points(self.layout, context)
-
-
-class FASTGS_PT_sidebar_crop(_Sidebar, bpy.types.Panel):
-    bl_label = "Crop"
-    bl_parent_id = "FASTGS_PT_sidebar"
-
-    def draw(self, context):
-        draw_crop(self.layout, context)
-
-
-class FASTGS_PT_sidebar_filters(_Sidebar, bpy.types.Panel):
-    bl_label = "Filters"
-    bl_parent_id = "FASTGS_PT_sidebar"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    def draw(self, context):
-        draw_filters(self.layout, context, True)
-
-
-CLASSES = (FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,
-           FASTGS_PT_object_points, FASTGS_PT_instances, FASTGS_PT_sidebar, FASTGS_PT_sidebar_time, FASTGS_PT_sidebar_look,
-           FASTGS_PT_sidebar_crop, FASTGS_PT_sidebar_filters, FASTGS_PT_sidebar_points)
+CLASSES = (
+    FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_trim, FASTGS_PT_object_capture_frame, FASTGS_PT_object_echoes,
+    FASTGS_PT_object_cut, FASTGS_PT_object_sound, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,
+    FASTGS_PT_object_points, FASTGS_PT_object_engines, FASTGS_PT_instances,
+)

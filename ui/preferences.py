@@ -29,7 +29,7 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         name="Threads", description="Threads for rendering where the scene does not fix their number; 0 takes all processors",
         default=0, min=0, max=1024, update=_apply)
     cache_folder: bpy.props.StringProperty(
-        name="Kernel Folder", description="Where the compiled renderer is kept; empty for the extension's own folder",
+        name="Cache Folder", description="Where the compiled renderer is kept; empty for the extension's own folder",
         subtype='DIR_PATH', update=_apply)
     log_level: bpy.props.EnumProperty(
         name="Log", description="What is written to the console",

@@ -9,7 +9,7 @@ from ..fastgs_blender.util.backends import describe_backend
 from ..fastgs_blender.util.threads import available
 from ..scene import devices, holdout, objects, settings, unshown
 from . import facts
-from .object_panels import draw_rows, draw_trouble
+from .object_panels import draw_other_engine, draw_rows, draw_trouble
 
 
 class _Engine:
@@ -62,7 +62,7 @@ def draw_threads(layout, render):
 
 
 class FASTGS_PT_render(_Engine, bpy.types.Panel):
-    bl_label = "4D Gaussians"
+    bl_label = "FAST-GS"
     bl_context = "render"
 
     def draw(self, context):
@@ -126,7 +126,7 @@ class FASTGS_PT_depth_of_field(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(context.scene.fastgs, "lens_samples")
-        layout.label(text="The camera's own settings say what is sharp", icon='INFO')
+        draw_trouble(layout.column(align=True), context, "The camera's own settings say what is sharp", 'INFO')
 
 
 class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
@@ -143,7 +143,7 @@ class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
         col.prop(settings, "shadow_samples")
         col.prop(settings, "shadow_bias")
         if settings.shadow_light is not None and not context.view_layer.fastgs.use_pass_shadow:
-            layout.label(text="Set Up Composite, or switch on the pass Splat Shadow", icon='INFO')
+            draw_trouble(layout.column(align=True), context, "Set Up Composite, or switch on the pass Splat Shadow", 'INFO')
 
 
 class FASTGS_PT_passes(_Engine, bpy.types.Panel):
@@ -184,7 +184,7 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
     bl_context = "render"
-    bl_label = "4D Gaussians"
+    bl_label = "Splats in This Engine"
 
     @classmethod
     def poll(cls, context):
@@ -192,9 +192,10 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        layout.label(text="Splats are solid points here; FAST-GS renders them soft, in full", icon='ERROR')
-        props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
-        props.data_path, props.value = "scene.render.engine", 'FASTGS'
+        text = "This engine shows a few solid points in place of splats; FAST-GS renders the splats, and a native copy holds them all."
+        draw_trouble(layout.column(align=True), context, text)
+        draw_other_engine(layout, context)
+        layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 
 
 CLASSES = (

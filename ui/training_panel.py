@@ -123,7 +123,7 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         if settings.source == 'FOLDER':
             draw_capture(layout, context, settings)
         elif settings.source == 'CAMERAS':
-            draw_rows(layout, [("Found", f"{plates.count(context.scene)} cameras with films or pictures")])
+            draw_rows(layout, [("Found", f"{plates.count(context.scene)} filmed cameras")])
         else:
             layout.prop(settings, "cameras")
             if settings.cameras in ('DOME', 'ARC'):
@@ -185,8 +185,9 @@ class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
         for name in ("frames", "scale", "held_out"):
             col.prop(settings, name)
         col = layout.column()
-        for name in ("iterations", "max_gaussians", "order", "motion_weight"):
+        for name in ("iterations", "max_gaussians", "order"):
             col.prop(settings, name)
+        col.prop(settings, "motion_weight", text="Smoothing")
 
 
 class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):

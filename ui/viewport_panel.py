@@ -29,7 +29,7 @@ class FASTGS_PT_viewport(bpy.types.Panel):
         layout, settings = self.layout, context.scene.fastgs
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.prop(settings, "viewport_density")
+        layout.prop(settings, "viewport_density", text="In Motion")
         layout.prop(settings, "viewport_pixels")
         draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
         if context.engine == 'FASTGS':

@@ -40,7 +40,34 @@ class Stroke:
         return out
 
 
-def under(instance: ViewedInstance, camera: Camera, shape: Box | Stroke, backend: str = "auto") -> np.ndarray:
+@dataclass(frozen=True)
+class Lasso:
+    """The inside of a line that was drawn around something: points (x, y) in pixels, the last of which is joined to the first.
+
+    What the line encloses twice is outside, as in Blender's lassos.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def holds(self, pixel: np.ndarray) -> np.ndarray:
+        """Which of the pixels [M, 2] lie in it: [M] bool."""
+        pixel, corners = np.asarray(pixel, np.float64), np.asarray(self.points, np.float64)
+        order = np.argsort(pixel[:, 1], kind="stable")
+        x, y = pixel[order].T
+        inside = np.zeros(len(pixel), bool)
+        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
+            if y0 != y1:  # a side is to the right of those pixels in its height that the way to the right crosses
+                rows = slice(*np.searchsorted(y, sorted((y0, y1))))
+                inside[rows] ^= x[rows] < x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0)
+        out = np.empty_like(inside)
+        out[order] = inside
+        return out
+
+
+Shape = Box | Stroke | Lasso
+
+
+def under(instance: ViewedInstance, camera: Camera, shape: Shape, backend: str = "auto") -> np.ndarray:
     """Indices of an instance's Gaussians that the camera shows and whose centres lie in a shape, however deep."""
     index = order([instance], camera, backend=backend)
     model = instance.model

@@ -71,7 +71,7 @@ def eyes(context) -> list[Vector]:
 
 def _look(splats, area, view) -> Look:
     middle, radius = subjects.middle_and_radius(splats)
-    fit = radius / np.sin(np.arctan(_half_angle(area)))
+    fit = radius / np.sin(np.arctan(min(half_sides(area))))
     known = _known(splats[0]) if len(splats) == 1 else None
     if known is None:
         return (_estimated(splats[0], fit) if len(splats) == 1 else None) or Look(view.view_rotation.copy(), middle, fit)
@@ -112,11 +112,11 @@ def _estimated(splat, fit: float) -> Look | None:
     return Look((middle - eye).to_track_quat('-Z', 'Y'), middle, min((middle - eye).length, fit))
 
 
-def _half_angle(area) -> float:
-    """Tangent of half the angle that a 3D view's shorter side shows."""
+def half_sides(area) -> np.ndarray:
+    """Half the width and half the height [2] of what a 3D view shows at the distance 1; of one that looks through a camera, too much."""
     region = next(region for region in area.regions if region.type == 'WINDOW')
-    sides = max(region.width, 1), max(region.height, 1)
-    return SENSOR / 2 / area.spaces.active.lens * min(sides) / max(sides)
+    sides = np.maximum([region.width, region.height], 1)
+    return SENSOR / 2 / area.spaces.active.lens * sides / max(sides)
 
 
 def look_through(context, splat: bpy.types.Object, index: int | None = None) -> bpy.types.Object:

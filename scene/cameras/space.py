@@ -14,7 +14,7 @@ from .. import model_space, objects
 
 ITEMS = (
     ('AUTO', "Splat Object", "The world of the active splat object's model, or of the scene's only one; upright where there is none", 0),
-    ('WORLD', "Upright", "The file's own axes, turned to Blender's", 1),
+    ('WORLD', "File's Own", "The file's own axes, turned to Blender's", 1),
 )
 
 

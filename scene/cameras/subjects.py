@@ -73,6 +73,18 @@ def _in_box(mesh) -> np.ndarray:
     return ((points >= corners.min(0)) & (points <= corners.max(0))).all(1) if len(corners) else np.ones(len(points), bool)
 
 
+def size_of(obj) -> Vector:
+    """Width, depth and height of a splat object's subject, along the object's axes and scaled as in the world; zeros where unknown."""
+    which = obj.data.attributes.get(GAUSSIAN) if obj.type == 'MESH' else None
+    if which is None or not len(obj.data.vertices):
+        return Vector()
+    points, index = np.empty(3 * len(obj.data.vertices), np.float32), np.empty(len(obj.data.vertices), np.int32)
+    obj.data.vertices.foreach_get("co", points)
+    which.data.foreach_get("value", index)
+    corners = points.reshape(-1, 3)[index < 0]
+    return Vector(np.ptp(corners, 0) * np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0)) if len(corners) else Vector()
+
+
 def far_enough(scene, size: float) -> float:
     """The distance from which a camera with Blender's usual lens has nearly all of a subject of that radius in its picture."""
     render = scene.render

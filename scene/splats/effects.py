@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects: node groups that change the points of splat objects with *Points: All*, and so their Gaussians.
+"""Effects: node groups that change the points of splat objects with *Modifiers Change: Splats*, and so their Gaussians.
 
 Each is built by code in the open file, with the nodes that all supported releases of Blender have.  At 0 an effect changes nothing.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes the Gaussians of the current frame into the points of splat objects with *Points: All*, as the input of modifiers.
+"""Writes the Gaussians of the current frame into the points of splat objects with *Modifiers Change: Splats*, as the input of modifiers.
 
 Blender evaluates modifiers from the object's own mesh, so the points are written there: before a new frame is evaluated, with the object's
 previous settings, and again after it if keyframes have changed these.  The same happens on the sub-frames of a render.

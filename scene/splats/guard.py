@@ -26,8 +26,8 @@ CONVERTED = ('"{}" shows splats and stays what it is: they are no mesh. Clear it
 JOINED = '"{}" cannot be joined with others, because splats are no mesh; they stay apart. Parent them (Ctrl P) to move them as one.'
 SHARED = '"{}" shows another file than the object whose data it was given, so it keeps points of its own.'
 KEPT = f'The modifier "{NAME}" shows "{{}}" in other render engines, so it was put back.'
-MODIFIER = ('The modifier "{}" changes the points of "{}" in other render engines, not its splats; set Points to All to let it change '
-            "these.")
+MODIFIER = ('The modifier "{}" changes the points of "{}" in other render engines, not its splats; choose Modifiers Change: '
+            "Splats under Effects and Modifiers.")
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
             else:
                 done.objects.append(obj)
                 if options.up is not None and upright.axis_of(obj) != options.up:
-                    done.remarks.append(f'The file of "{obj.name}" says which axis points up, and it does; Upright lets another one')
+                    done.remarks.append(f'The file of "{obj.name}" says which axis points up, and it does; Up Axis lets another one')
         done.warnings += [printable(remark.message) for remark in remarks]
     if done.objects:
         _set_up(context, done, options)

@@ -30,7 +30,7 @@ POINTS = "fastgs_points"
 LIMITED = "fastgs_limit"
 """Custom property: the most points that were asked for."""
 EVERY = -1
-"""As a limit: a point for each Gaussian, as *Points: All* wants it.  No more octahedra than otherwise are drawn for them."""
+"""As a limit: a point for each Gaussian, as *Modifiers Change: Splats* wants it.  No more octahedra than otherwise are drawn for them."""
 
 
 def new_mesh(name: str, model: Source, limit: int = LIMIT, matrix: np.ndarray | None = None) -> bpy.types.Mesh:

@@ -16,7 +16,7 @@ EXISTING = (
     ('NEW', "New Folder", "Keep it, and train into the next free folder beside it", 3),
 )
 """What becomes of a run that is in the folder already."""
-TITLES = {"paper": "As in the Paper", "stg": "Spacetime Gaussians"}
+TITLES = {"paper": "As in the Paper", "stg": "As in STG"}
 """Names of presets in menus, where they are not the preset's own."""
 PREVIEWS = 30
 """Number of preview pictures that a run makes."""
@@ -47,11 +47,11 @@ class TrainingOptions:
     max_gaussians: IntProperty(
         name="Most Gaussians", description="Largest number of Gaussians; 0: as in the preset", default=0, min=0)
     order: IntProperty(
-        name="Order", description="Order L of the motion; 0: the usual one for the clip's length, or what follows a bake", default=0,
-        min=0, max=64)
+        name="Motion Terms", description="How many terms describe the path of each Gaussian: more follow faster motion. "
+        "0: as many as suit the clip's length, or the bake that training begins with", default=0, min=0, max=64)
     motion_weight: FloatProperty(
-        name="Lambda", description="Weight of the motion regulariser: more keeps motion simpler", default=Settings.motion_weight, min=0.0,
-        soft_max=10.0, precision=3)
+        name="Motion Smoothing", description="How strongly training prefers simple motion; 0 leaves it free",
+        default=Settings.motion_weight, min=0.0, soft_max=10.0, precision=3)
     scale: FloatProperty(
         name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it",
         default=0.0, min=0.0, max=1.0)

@@ -2,12 +2,14 @@
 """Registering and unregistering the extension twenty times leaves Blender as it was."""
 import bpy
 import pytest
+from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
 
 
 def traces():
     """Everything that an add-on can leave behind, as plain values that can be compared."""
     menus = [cls for base in (bpy.types.Menu, bpy.types.Header, bpy.types.Panel) for cls in base.__subclasses__()]
     keyconfigs = bpy.context.window_manager.keyconfigs
+    toolbar = ToolSelectPanelHelper._tool_class_from_space_type('VIEW_3D')
     return {
         "types": set(dir(bpy.types)),
         "operators": {f"{module}.{name}" for module in dir(bpy.ops) for name in dir(getattr(bpy.ops, module))},
@@ -20,6 +22,7 @@ def traces():
                     if hasattr(cls, "COMPAT_ENGINES") and "FASTGS" not in cls.__name__},
         "handlers": {name: [getattr(f, "__qualname__", str(f)) for f in getattr(bpy.app.handlers, name)]
                      for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)},
+        "tools": {tool.idname for tool in ToolSelectPanelHelper._tools_flatten(toolbar._tools['OBJECT']) if hasattr(tool, "idname")},
         "keymaps": {(config.name, keymap.name): len(keymap.keymap_items) for config in keyconfigs for keymap in config.keymaps},
     }
 
@@ -50,7 +53,7 @@ def test_it_is_all_ours(absent):
     before = traces()
     absent.register()
     after = traces()
-    for key in ("types", "operators", "properties"):
+    for key in ("types", "operators", "properties", "tools"):
         assert before[key] < after[key]
         assert all("fastgs" in str(name).lower() for name in after[key] - before[key])
     absent.unregister()
@@ -63,7 +66,7 @@ def test_the_snapshot_sees_what_is_left(absent):
     absent.register()
     changed = {key for key, value in traces().items() if value != before[key]}
     absent.unregister()
-    assert changed == {"types", "operators", "properties", "drawn", "engines", "handlers", "keymaps"}
+    assert changed == {"types", "operators", "properties", "drawn", "engines", "handlers", "keymaps", "tools"}
 
 
 def test_names_follow_blenders_rules(addon, module):

@@ -71,10 +71,11 @@ class User:
         self.blender("--command", "extension", "repo-add", "--url", f"file:///mnt/{folder.name}/index.json", "--name", "Ours", "ours")
         return self.blender("--online-mode", "--command", "extension", "install", "--sync", "-e", "ours.fastgs_blender")
 
-    def story(self, name: str, *arguments, window=False, limit=2 * GUARD, complaints=(), **facts):
+    def story(self, name: str, *arguments, window=False, screen="1280x800", limit=2 * GUARD, complaints=(), **facts):
         """Run a story of the modules beside this file (see inside.py).
 
         arguments   further ones for Blender, such as a .blend file
+        screen      the size of the window
         complaints  patterns of log lines that would fail the story and are expected here
         facts       the story's arguments
         Returns the story's facts.  Python errors in Blender's log fail the story, whoever makes them.
@@ -84,7 +85,7 @@ class User:
         given, answer = f"{name}-arguments.json", f"{name}-answer.json"
         (self.folder / given).write_text(json.dumps(facts))
         (self.folder / answer).unlink(missing_ok=True)
-        command = ["./window.sh"] if window else ["blender", "-b"]
+        command = ["env", f"SCREEN={screen}", "./window.sh"] if window else ["blender", "-b"]
         log = self.run(*command, *arguments, "-P", "inside.py", "--", name, given, answer, limit=limit, expect=None)
         if not (self.folder / answer).exists():
             crashes = [path.read_text(errors="replace") for path in (self.folder / "tmp").glob("*crash.txt")]

@@ -149,9 +149,9 @@ def test_a_crop_box(user, model, crops, reference):
     assert psnr(crops(facts)("cropped"), wanted) >= 40
 
 
-def test_the_brush(user, model, crops, reference):
+def test_the_box_eraser(user, model, crops, reference):
     """What a box was dragged over is gone, in the viewport as in the library, until undo brings it back."""
-    facts = user.story("window.brushing", window=True, model=model[1])
+    facts = user.story("tools_window.erasing", window=True, model=model[1])
     bits = unpack_mask(facts["mask"], len(model[0]))
     assert 0.02 < bits.mean() < 0.98 and facts["undone"] == ""
     pictures = [reference(shown, facts["camera"], 12 - facts["start"]) for shown in (model[0], model[0].take(~bits))]

@@ -296,42 +296,6 @@ def cropping(model):
     return facts
 
 
-def brushing(model):
-    """A box that is dragged over the left half of the picture hides what is there; undo brings it back."""
-    area, facts = yield from through_camera(model, 12)
-    obj = next(o for o in bpy.context.scene.objects if o.fastgs.filepath)
-    bpy.context.view_layer.objects.active = obj
-    window = bpy.context.window_manager.windows[0]
-    left, top, width, height = facts["box"]
-    low, high = window.height - (top + height) + 5, window.height - top - 5
-    with within(area):
-        bpy.ops.ed.undo_push(message="Imported")  # a script's import is no undo step, a user's is
-        bpy.ops.fastgs.brush('INVOKE_DEFAULT', shape='BOX')
-    yield 0.5
-
-    def mouse(kind, value, x, y):
-        window.event_simulate(type=kind, value=value, x=int(x), y=int(y))
-
-    mouse('MOUSEMOVE', 'NOTHING', left + 5, low)
-    yield 0.3
-    mouse('LEFTMOUSE', 'PRESS', left + 5, low)
-    yield 0.3
-    mouse('MOUSEMOVE', 'NOTHING', left + width / 2, high)
-    yield 0.3
-    shot("brush-dragged")
-    mouse('LEFTMOUSE', 'RELEASE', left + width / 2, high)
-    yield 0.5
-    yield from press('ESC', area)
-    facts["mask"] = obj.fastgs.mask
-    yield from settled("brushed")
-    with within(area):
-        bpy.ops.ed.undo()
-    obj = next(o for o in bpy.context.scene.objects if o.fastgs.filepath)
-    facts["undone"] = obj.fastgs.mask
-    yield from settled("brush-undone")
-    return facts
-
-
 def filmed(model):
     """Cameras around the model with what they have rendered as their backgrounds: one seen straight from behind, and all of them."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d as project

@@ -172,7 +172,7 @@ def test_a_still_changes_no_range_and_has_no_time(startup, make_model, model_fil
     bpy.ops.import_scene.fastgs(filepath=model_file(make_model()), set_scene_range=True)
     assert (startup.frame_start, startup.frame_end, startup.render.fps) == (1, 250, 24)
     assert not bpy.ops.fastgs.fit_scene.poll()
-    assert not bpy.types.FASTGS_PT_object_time.poll(bpy.context) and not bpy.types.FASTGS_PT_sidebar_time.poll(bpy.context)
+    assert not bpy.types.FASTGS_PT_object_time.poll(bpy.context) and not bpy.types.FASTGS_PT_object_sound.poll(bpy.context)
     bpy.context.object.fastgs.frame_count = 2
     assert bpy.ops.fastgs.fit_scene.poll() and bpy.types.FASTGS_PT_object_time.poll(bpy.context)
 

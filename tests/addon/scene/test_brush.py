@@ -68,5 +68,5 @@ def test_undo_and_files_keep_it(row, stroke, tmp_path, module):
 
 
 def test_the_brush_wants_a_view(row):
-    with pytest.raises(RuntimeError, match="3D view alone"):
+    with pytest.raises(RuntimeError, match="in a 3D view"):
         bpy.ops.fastgs.brush(path=[{"name": "", "loc": (1, 1), "time": 0}])

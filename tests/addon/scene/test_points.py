@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points: All.  Renders show the points of a splat object as Geometry Nodes, lattices and armatures have changed them."""
+"""Modifiers Change: Splats.  Renders show the points of a splat object as Geometry Nodes, lattices and armatures have changed them."""
 from __future__ import annotations
 
 from dataclasses import replace

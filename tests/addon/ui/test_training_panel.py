@@ -8,39 +8,20 @@ from types import SimpleNamespace
 import bpy
 import panel_recorder
 import pytest
+from panel_widths import REGIONS, WIDTHS
 
 
 @pytest.fixture
 def drawn(module, scene, monkeypatch):
     """drawn(name): all words and the operators of a panel, and which of these can be pressed."""
-    enabled = {}
-
-    class Layout(panel_recorder.Layout):
-        enabled = True
-
-        def _inside(self, **options):
-            inside = Layout(self.record, self.alert)
-            inside.enabled = self.enabled
-            return inside
-
-        row = column = box = split = _inside
-
-        def operator(self, name, text="", icon='NONE'):
-            enabled[name] = self.enabled
-            return super().operator(name, text, icon)
-
-        def progress(self, factor=0.0, text=""):
-            assert 0 <= factor <= 1
-            self.record.append(("progress", text, False))
-
     def draw(name):
-        layout = Layout()
-        enabled.clear()
+        layout = panel_recorder.Layout()
         panel = next(cls for cls in module("ui").CLASSES if cls.__name__ == name)
         context = SimpleNamespace(scene=scene, object=bpy.context.object, selected_objects=bpy.context.selected_objects, mode='OBJECT',
-                                  region=SimpleNamespace(width=300), preferences=bpy.context.preferences)
+                                  region=SimpleNamespace(width=REGIONS[panel.bl_region_type]), preferences=bpy.context.preferences)
         panel.draw(SimpleNamespace(layout=layout), context)
-        return " ".join(text for kind, text, _ in layout.record if kind in ("label", "progress")), dict(enabled)
+        assert not layout.cut(WIDTHS[panel.bl_region_type])
+        return " ".join(text for kind, text, _ in layout.record if kind in ("label", "progress")), layout.pressable
 
     return draw
 

@@ -4,17 +4,22 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 import pytest
-from panel_recorder import Layout
+from panel_recorder import Layout, text_width
+from panel_widths import REGIONS, WIDTHS
 
 
 def drawn(cls, **context):
     """What a panel or an operator's options draw in a context."""
     space = next(area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D')
-    defaults = dict(space_data=space, object=bpy.context.object, scene=bpy.context.scene, view_layer=bpy.context.view_layer,
-                    region=SimpleNamespace(width=300), preferences=bpy.context.preferences, engine=bpy.context.scene.render.engine)
+    defaults = dict(space_data=space, object=bpy.context.object, scene=bpy.context.scene, mode='OBJECT',
+                    selected_objects=bpy.context.selected_objects, view_layer=bpy.context.view_layer,
+                    region=SimpleNamespace(width=REGIONS[cls.bl_region_type]), preferences=bpy.context.preferences,
+                    engine=bpy.context.scene.render.engine, screen=bpy.context.window_manager.windows[0].screen)
     layout = Layout()
     cls.draw(SimpleNamespace(layout=layout), SimpleNamespace(**(defaults | context)))
+    assert not layout.cut(WIDTHS[cls.bl_region_type]), cls
     return layout.record
 
 
@@ -39,9 +44,94 @@ def test_every_panel_draws(panels, obj):
         assert drawn(cls), name
 
 
-def test_both_places_show_the_same(panels, obj):
-    for here, there in (("object", "sidebar"), ("object_time", "sidebar_time"), ("object_crop", "sidebar_crop")):
-        assert drawn(panels[f"FASTGS_PT_{here}"]) == drawn(panels[f"FASTGS_PT_{there}"])
+def test_no_text_is_cut_whatever_is_set(panels, obj, scene):
+    """drawn() asks whether all texts fit."""
+    settings, training = obj.fastgs, scene.fastgs.training
+    bpy.ops.fastgs.add_crop_box()
+    for preset in ('COLOUR', 'LARGE', 'FLOATERS'):
+        bpy.context.view_layer.objects.active = obj
+        assert bpy.ops.fastgs.add_filter(preset=preset) == {'FINISHED'}
+    settings.mask, settings.echoes, settings.after, settings.points, settings.has_backdrop = "1234 x", 3, 'LOOP', 'ALL', True
+    settings.camera_count, settings.use_capture_frame = 12, True
+    scene.view_settings.view_transform = 'AgX'
+    bpy.ops.mesh.primitive_cube_add()
+    scene.fastgs.shadow_light = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    for engine in ('FASTGS', 'CYCLES'):
+        for source in ('FOLDER', 'CAMERAS', 'SCENE'):
+            training.source, training.cameras = source, 'DOME'
+            for cls in panels.values():
+                drawn(cls, object=obj, engine=engine)
+
+
+def test_there_is_one_panel_of_that_name(panels):
+    """And its sub-panels, which lie in the object's properties as it does."""
+    assert [name for name, cls in panels.items() if "4D Gaussians" in cls.bl_label] == ["FASTGS_PT_object"]
+    inside = {"FASTGS_PT_object"}
+    for name, cls in panels.items():  # a parent is registered before its children
+        if getattr(cls, "bl_parent_id", "") in inside:
+            inside.add(name)
+            assert cls.bl_context == "object" and cls.bl_space_type == 'PROPERTIES'
+    assert {"FASTGS_PT_object_time", "FASTGS_PT_object_sound", "FASTGS_PT_object_engines", "FASTGS_PT_object_cut"} < inside
+
+
+def test_time_opens_with_four_settings(panels, obj):
+    """All others lie in sub-panels that are closed at first."""
+    assert texts(drawn(panels["FASTGS_PT_object_time"]), "prop") == ["start_frame", "speed", "before", "after"]
+    rest = [cls for cls in panels.values() if getattr(cls, "bl_parent_id", "") == "FASTGS_PT_object_time"]
+    assert rest and all('DEFAULT_CLOSED' in cls.bl_options for cls in rest)
+    found = {text for cls in rest for text in texts(drawn(cls), "prop")}
+    assert {"trim_start", "trim_end", "offset", "fade", "capture_frame", "echoes", "echo_spacing", "echo_fade"} == found
+
+
+def test_a_still_has_a_native_copy_and_no_time(panels, make_model, model_file):
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(20), "still.safetensors"))
+    here = SimpleNamespace(object=bpy.context.object)
+    assert panels["FASTGS_PT_object_engines"].poll(here) and not panels["FASTGS_PT_object_sound"].poll(here)
+    assert texts(drawn(panels["FASTGS_PT_object_engines"]), "operator") == ["fastgs.native_copy"]
+
+
+def test_the_size_stands_beside_the_scale(panels, module, scene, fg, model_file):
+    """In the scene's unit of length, however the object is scaled: in Blender's Transform, in our panel, and beside Set Scale."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), -1).reshape(-1, 3)
+    model = fg.GaussianModel(position=grid * (1.0, 0.5, 2.0), rotation=np.tile([1.0, 0, 0, 0], (216, 1)), scale=np.full((216, 3), -9.0),
+                             opacity=np.full(216, 4.0), features=np.full((216, 3), 0.5), axes="RFU")
+    bpy.ops.import_scene.fastgs(filepath=model_file(model, "grid.safetensors"))
+    obj, size = bpy.context.object, module("scene.cameras.subjects").size_of
+    np.testing.assert_allclose(size(obj), (2, 1, 4), rtol=0.05)
+    obj.scale, obj.rotation_euler = (3, 3, 3), (0.3, 0.2, 1.0)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(size(obj), (6, 3, 12), rtol=0.05)
+    layout = Layout()
+    module("ui.object_panels").draw_size(SimpleNamespace(layout=layout), bpy.context)
+    words = texts(layout.record)[1]
+    assert words.count(" m") == 3 and [float(word.split()[0]) for word in words.split(" x ")] == pytest.approx([6, 3, 12], rel=0.05)
+    assert not layout.cut(WIDTHS['WINDOW'])
+    for name in ("FASTGS_PT_object", "FASTGS_PT_capture"):
+        assert words in texts(drawn(panels[name]))
+    scene.unit_settings.scale_length = 0.01
+    layout = Layout()
+    module("ui.object_panels").draw_size(SimpleNamespace(layout=layout), bpy.context)
+    assert texts(layout.record)[1].count(" cm") == 3
+    assert tuple(size(bpy.data.objects.new("Empty", None))) == (0, 0, 0)
+
+
+def test_entries_of_menus_are_short_and_where_an_artist_looks(module):
+    menus, found = module("ui.menus"), {}
+    for menu, draw in menus.MENUS:
+        if draw is menus.draw_size:
+            continue
+        layout = Layout()
+        draw(SimpleNamespace(layout=layout), bpy.context)
+        found.setdefault(menu.__name__, []).extend(texts(layout.record, "operator"))
+        assert not layout.cut(250), "Blender's own longest entry there takes 210 pixels"
+    for name in ("VIEW3D_MT_camera_add", "VIEW3D_MT_view_cameras", "VIEW3D_MT_view_align", "VIEW3D_MT_object_context_menu"):
+        assert "fastgs.camera_from_view" in found[name]
+    assert "fastgs.add_sound" in found["SEQUENCER_MT_add"]
+
+
+def test_headings_of_panels_fit(panels):
+    for name, cls in panels.items():
+        assert text_width(cls.bl_label) + 40 < WIDTHS[cls.bl_region_type], name
 
 
 def test_facts(panels, obj):
@@ -54,13 +144,13 @@ def test_facts(panels, obj):
 
 def test_missing_file_is_red_and_can_be_reloaded(panels, obj):
     obj.fastgs.filepath = "/nowhere/lost.ply"
-    for name in ("FASTGS_PT_object", "FASTGS_PT_sidebar"):
+    for name in ("FASTGS_PT_object", "FASTGS_PT_splats"):
         record = drawn(panels[name])
-        assert ("prop", "filepath", True) in record
+        assert (("prop", "filepath", True) in record) is (name == "FASTGS_PT_object")
         red = " ".join(text for kind, text, alert in record if alert and kind == "label")
         assert "/nowhere/lost.ply" in red and "no such file" in red
         assert max(len(text) for text in texts(record)) <= 40
-        assert texts(record, "operator").count("fastgs.reload") == 2
+        assert texts(record, "operator").count("fastgs.reload") == 1 + (name == "FASTGS_PT_object")
 
 
 def test_broken_file_is_red_once_it_was_tried(panels, obj, tmp_path):
@@ -141,10 +231,10 @@ def test_polls(panels, obj, scene):
         return panels[name].poll(SimpleNamespace(**(dict(object=obj, engine='CYCLES') | context)))
 
     empty = bpy.data.objects.new("Empty", None)
-    for name in ("object", "object_time", "sidebar_time"):
+    for name in ("object", "object_time", "object_trim"):
         assert polls(f"FASTGS_PT_{name}")
         assert not polls(f"FASTGS_PT_{name}", object=None) and not polls(f"FASTGS_PT_{name}", object=empty)
-    assert polls("FASTGS_PT_sidebar", object=None)
+    assert polls("FASTGS_PT_object_engines")
     for name in ("render", "film", "passes"):
         assert polls(f"FASTGS_PT_{name}", engine='FASTGS') and not polls(f"FASTGS_PT_{name}")
     obj.fastgs.filepath = ""
@@ -157,7 +247,7 @@ def test_objects_made_without_the_importer(panels, splat_object, scene):
         assert drawn(panels[name], object=made)
     obj = bpy.data.objects.new("Empty", None)
     wanted = ["import_scene.fastgs", "fastgs.import_example", "fastgs.bake"]
-    assert texts(drawn(panels["FASTGS_PT_sidebar"], object=obj), "operator") == wanted
+    assert texts(drawn(panels["FASTGS_PT_splats"], object=obj), "operator") == wanted
 
 
 def test_frame_that_is_shown(module, obj, scene):
@@ -211,3 +301,56 @@ def test_the_manual_of_every_operator_and_property_is_a_page_that_is_there(modul
     pages = {name: Path(url2pathname(urlparse(manual._lookup_rna_url(name, verbose=False)).path)) for name in names}
     assert all(page.is_file() for page in pages.values())
     assert (pages["bpy.ops.fastgs.bake"].name, pages["bpy.ops.fastgs.train"].name) == ("baking.md", "training-in-blender.md")
+
+
+def test_the_toolbar_has_tools_that_erase(module, obj, scene):
+    """The left button hides, with Shift or Ctrl it shows again; the tools' header says what to do, and has the brush's radius."""
+    tools, keymaps = module("ui.tools"), bpy.context.window_manager.keyconfigs.addon.keymaps
+    for tool, shape in zip(tools.TOOLS, ('CIRCLE', 'LASSO', 'BOX'), strict=True):
+        strokes = [item for item in keymaps[tool._bl_tool.keymap[0]].keymap_items if item.idname == "fastgs.brush"]
+        assert [(item.type, item.value, item.shift, item.ctrl) for item in strokes] == [
+            ('LEFTMOUSE', 'PRESS', shift, ctrl) for shift, ctrl in ((False, False), (True, False), (False, True))]
+        assert [(item.properties.shape, item.properties.show) for item in strokes] == [(shape, False), (shape, True), (shape, True)]
+        layout = Layout(kind="row")
+        tool.draw_settings(bpy.context, layout, SimpleNamespace(idname=tool.bl_idname))
+        assert ("eraser_radius" in texts(layout.record, "prop")) is (shape == 'CIRCLE')
+        assert texts(layout.record, "operator") == ["fastgs.show_hidden", "fastgs.invert_hidden"]
+        layout = Layout(kind="row")
+        tool.draw_settings(SimpleNamespace(object=None), layout, SimpleNamespace(idname=tool.bl_idname))
+        assert "Select" in texts(layout.record)[0]
+    sizes = {item.type: item for item in keymaps[tools.FASTGS_eraser._bl_tool.keymap[0]].keymap_items if item.idname != "fastgs.brush"}
+    scene.fastgs.eraser_radius = 40
+    assert sizes['F'].properties.data_path_primary == "scene.fastgs.eraser_radius"
+    for key, radius in (('RIGHT_BRACKET', 46), ('LEFT_BRACKET', 40)):
+        props = sizes[key].properties
+        bpy.ops.wm.context_scale_float(data_path=props.data_path, value=props.value)
+        assert scene.fastgs.eraser_radius == pytest.approx(radius, abs=0.1)
+
+
+def test_the_sidebar_shows_the_objects_panel(panels, obj):
+    """The button sets the tab of a properties editor of the window; without one it says where to look."""
+    screen = bpy.context.window_manager.windows[0].screen
+    number = next(i for i, area in enumerate(screen.areas) if area.type == 'PROPERTIES')
+    made = []
+
+    class Noting(Layout):
+        def operator(self, name, text=None, icon='NONE'):
+            super().operator(name, text, icon)
+            made.append(SimpleNamespace(name=name))
+            return made[-1]
+
+        def _inside(self, kind, options):
+            return self
+
+        def __init__(self):
+            super().__init__()
+
+    context = SimpleNamespace(object=obj, screen=screen, engine='FASTGS', scene=bpy.context.scene, region=SimpleNamespace(width=280))
+    panels["FASTGS_PT_splats"].draw(SimpleNamespace(layout=Noting()), context)
+    button = next(props for props in made if hasattr(props, "data_path"))
+    screen.areas[number].spaces.active.context = 'SCENE'
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], screen=screen):
+        bpy.ops.wm.context_set_enum(data_path=button.data_path, value=button.value)
+    assert screen.areas[number].spaces.active.context == 'OBJECT'
+    record = drawn(panels["FASTGS_PT_splats"], screen=SimpleNamespace(areas=[]))
+    assert any("Object Properties" in text for text in texts(record))

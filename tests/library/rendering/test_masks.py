@@ -10,7 +10,7 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.formats.scenes import as_seen
-from fastgs_blender.rendering.brush import Box, Stroke, under
+from fastgs_blender.rendering.brush import Box, Lasso, Stroke, under
 from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.filters import Filter
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
@@ -53,6 +53,24 @@ def test_a_brush_finds_what_lies_under_it_and_pictures_leave_it_out(backend):
         got = fg.render([(model, np.eye(4), 0.4, look)], CAMERA, backend=backend)
         np.testing.assert_array_equal(got["rgb"], fg.render(model.take(~bits), CAMERA, 0.4, backend=backend)["rgb"])
         assert not set(under(Instance(model, np.eye(4), 0.4, look).viewed(CAMERA), CAMERA, shape, backend)) & set(index)
+
+
+@given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), min_size=1, max_size=12), st.integers(0, 9))
+def test_a_lasso_holds_what_its_line_goes_around_an_odd_number_of_times(points, seed):
+    """By the angle through which the line is seen to turn from each pixel."""
+    pixel = np.random.default_rng(seed).uniform(-1, 13, (40, 2))
+    away = np.append(points, points[:1], 0) - pixel[:, None]
+    before, after = away[:, :-1], away[:, 1:]
+    turns = np.arctan2(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0], (before * after).sum(-1)).sum(1) / (2 * np.pi)
+    np.testing.assert_array_equal(Lasso(tuple(points)).holds(pixel), np.round(turns).astype(int) % 2 == 1)
+
+
+def test_what_a_lasso_finds():
+    model = random_model(np.random.default_rng(2), 300, "paper", "line", "radial", motion=0.1)
+    seen = Instance(model, np.eye(4), 0.4).viewed(CAMERA)
+    around = Lasso(((10, 8), (24, 8), (24, 30), (10, 30)))
+    index = under(seen, CAMERA, around)
+    assert len(index) > 3 and np.array_equal(index, under(seen, CAMERA, Box((10, 8), (24, 30))))
 
 
 def test_exports_leave_out_what_is_hidden():

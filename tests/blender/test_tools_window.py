@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tools and panels as users have them in a window."""
+from __future__ import annotations
+
+import numpy as np
+from conftest import region_camera
+from panel_widths import REGIONS
+
+import fastgs_blender as fg
+from fastgs_blender.rendering.masks import unpack_mask
+
+
+def test_the_eraser_and_the_lasso(user, model):
+    """What lies under them by the library's projection is hidden, in one step of undo each; Shift brings it back."""
+    facts = user.story("tools_window.strokes", window=True, model=model[1])
+    assert facts["nothing"] == "" and abs(facts["radius"] - 30 * 1.15) < 0.01
+    bits = {name: unpack_mask(facts[name], len(model[0])) for name in ("erased", "restored", "undone", "lassoed")}
+    camera, s = region_camera(facts), fg.slice_model(model[0], model[0].clip.t_of_frame(facts["frame"]))
+    pixel = camera.pixels(np.c_[s.position, np.ones(len(s.position))] @ camera.world_to_camera.T[:, :3]) * (1, -1) + (0, camera.height)
+    path = np.concatenate([np.linspace(a, b, 50) for a, b in zip(facts["path"], facts["path"][1:])])
+    away = np.concatenate([np.linalg.norm(part[:, None] - path, axis=-1).min(1) for part in np.array_split(pixel, 40)])
+    erased = np.zeros(len(model[0]), bool)
+    erased[s.index[away < facts["radius"]]] = True
+    assert erased.sum() > 500 and (bits["erased"] != erased).sum() <= 0.01 * erased.sum()  # a pixel's fraction at the rim
+    assert 100 < bits["restored"].sum() < 0.8 * erased.sum() and not (bits["restored"] & ~bits["erased"]).any()
+    np.testing.assert_array_equal(bits["undone"], bits["erased"])
+    corners = np.array(facts["lasso"], float)
+    to = np.append(corners, corners[:1], 0) - pixel[:, None]
+    turned = np.arctan2(np.cross(to[:, :-1], to[:, 1:]), (to[:, :-1] * to[:, 1:]).sum(-1)).sum(1)
+    inside = np.zeros(len(model[0]), bool)
+    inside[s.index[np.abs(turned) > np.pi]] = True
+    assert inside.sum() > 500 and (bits["lassoed"] != inside).sum() <= 0.01 * inside.sum()
+
+
+def test_a_camera_made_here_sees_the_view(user, model):
+    """The corners of the view, by the matrices that Blender draws it with, lie in the picture and reach two of its sides."""
+    facts = user.story("tools_window.camera_here", window=True, model=model[1])
+    window, view = np.array(facts["window"]), np.array(facts["view"])
+    corners = np.array([(x, y, 0.5, 1.0) for x in (-1, 1) for y in (-1, 1)]) @ np.linalg.inv(window @ view).T
+    seen = corners @ (np.array(facts["picture"]) @ np.linalg.inv(facts["camera"])).T
+    reach = np.abs(seen[:, :2] / seen[:, 3:]).max(0)
+    assert abs(reach.max() - 1) < 1e-3 and reach.min() <= 1 + 1e-3 and facts["through"] == 'CAMERA'
+
+
+def test_panels_are_as_wide_as_their_texts_are_measured_for(user):
+    """tests/addon/ui asks whether all texts fit into panels of these widths.  The screenshots show all panels, open."""
+    facts = user.story("tools_window.panels", window=True, screen="1920x1080")
+    assert facts["widths"] == {kind: REGIONS[kind] for kind in ("UI", "WINDOW")}

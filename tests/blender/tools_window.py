@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stories in Blender's window (see inside.py): the tools that erase splats, New Camera from View, and the panels as artists see them."""
+from __future__ import annotations
+
+from importlib import import_module
+
+import bpy
+from background import ADDON, bring, look
+from mathutils import Euler
+from window import area_of, press, seen_by, settled, shot, sidebar, through_camera, within
+
+
+def drag(places, **held):
+    """Press the left button at the first of some places of the window, move through the others, let go; `held`: shift=True, ctrl=True."""
+    window = bpy.context.window_manager.windows[0]
+    places = [(int(x), int(y)) for x, y in places]
+    window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=places[0][0], y=places[0][1])
+    yield 0.3
+    for key in held:
+        window.event_simulate(type=f"LEFT_{key.upper()}", value='PRESS', x=places[0][0], y=places[0][1], **held)
+    yield 0.2
+    window.event_simulate(type='LEFTMOUSE', value='PRESS', x=places[0][0], y=places[0][1], **held)
+    yield 0.3
+    for x, y in places[1:]:
+        window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y, **held)
+        yield 0.2
+    shot("dragged")
+    window.event_simulate(type='LEFTMOUSE', value='RELEASE', x=places[-1][0], y=places[-1][1], **held)
+    yield 0.5
+    for key in held:
+        window.event_simulate(type=f"LEFT_{key.upper()}", value='RELEASE', x=places[-1][0], y=places[-1][1])
+    yield 0.2
+
+
+def splat():
+    """The object that shows splats; undo replaces objects, so that it must be looked for again."""
+    return next(o for o in bpy.context.scene.objects if o.fastgs.filepath)
+
+
+def choose(tool, area):
+    """Choose a tool of the toolbar, which is shown."""
+    area.spaces.active.show_region_toolbar = True
+    with within(area):
+        bpy.ops.wm.tool_set_by_id(name=tool)
+    yield 0.5
+
+
+def erasing(model):
+    """A box that is dragged over the left half of the picture hides what is there; undo brings it back."""
+    area, facts = yield from through_camera(model, 12)
+    bpy.context.view_layer.objects.active = splat()
+    left, top, width, height = facts["box"]
+    low, high = (bpy.context.window_manager.windows[0].height - y for y in (top + height - 5, top + 5))
+    with within(area):
+        bpy.ops.ed.undo_push(message="Imported")  # a script's import is no undo step, a user's is
+    yield from choose("fastgs.box_eraser", area)
+    yield from drag([(left + 5, low), (left + width / 2, high)])
+    facts["mask"] = splat().fastgs.mask
+    area.spaces.active.show_region_toolbar = False
+    yield from settled("brushed")
+    with within(area):
+        bpy.ops.ed.undo()
+    facts["undone"] = splat().fastgs.mask
+    yield from settled("brush-undone")
+    return facts
+
+
+def strokes(model):
+    """A stroke of the round brush, some of it restored with Shift; all restored; a lasso.  Each is one step of undo."""
+    scene = bring(model)
+    look(scene, 640, 420)
+    area = area_of()
+    view = area.spaces.active.region_3d
+    view.view_rotation, view.view_location, view.view_distance = Euler((1.1, 0, 0.3)).to_quaternion(), (0, 0, 0.6), 6.0
+    scene.frame_set(12)
+    yield from settled("tools-before")
+    with within(area):
+        bpy.ops.ed.undo_push(message="Imported")
+        bpy.ops.object.select_all(action='DESELECT')
+    bpy.context.view_layer.objects.active = None
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    middle = region.x + region.width / 2, region.y + region.height / 2
+    across = [(middle[0] + dx, middle[1] + 0.2 * dx) for dx in range(-140, 141, 20)]
+    yield from choose("fastgs.eraser", area)
+    yield from drag([middle, middle])
+    facts = {"clicked": bpy.context.view_layer.objects.active is not None, "nothing": splat().fastgs.mask}
+    splat().select_set(True)
+    bpy.context.view_layer.objects.active = splat()
+    scene.fastgs.eraser_radius = 30
+    yield from press('RIGHT_BRACKET', area)
+    facts.update(radius=scene.fastgs.eraser_radius, frame=scene.frame_current - splat().fastgs.start_frame, **seen_by(area))
+    facts["path"] = [(int(x) - region.x, int(y) - region.y) for x, y in across]
+    yield from drag(across)
+    shot("eraser-dragged")
+    facts["erased"] = splat().fastgs.mask
+    yield from drag(across[:5], shift=True)
+    facts["restored"] = splat().fastgs.mask
+    yield from settled("tools-erased")
+    with within(area):
+        bpy.ops.ed.undo()
+    facts["undone"] = splat().fastgs.mask
+    with within(area):
+        bpy.ops.fastgs.show_hidden()
+    yield from choose("fastgs.lasso_eraser", area)
+    around = [(middle[0] + dx, middle[1] + dy) for dx, dy in ((-150, -60), (-100, 90), (20, 40), (120, 110), (90, -80))]
+    facts["lasso"] = [(int(x) - region.x, int(y) - region.y) for x, y in around]
+    yield from drag(around)
+    facts["lassoed"] = splat().fastgs.mask
+    yield from settled("tools-lassoed")
+    return facts
+
+
+def camera_here(model):
+    """New Camera from View: the view before it, by Blender's own matrices, and the camera that was made."""
+    scene = bring(model)
+    scene.render.resolution_x, scene.render.resolution_y = 1200, 600
+    area = area_of()
+    view = area.spaces.active.region_3d
+    view.view_rotation, view.view_location, view.view_distance = Euler((1.1, 0, 0.3)).to_quaternion(), (0.3, 0.1, 0.6), 6.0
+    yield from settled("camera-before")
+    facts = seen_by(area)
+    with within(area):
+        bpy.ops.fastgs.camera_from_view()
+    yield from settled("camera-here")
+    graph, camera = bpy.context.evaluated_depsgraph_get(), scene.camera
+    picture = camera.evaluated_get(graph).calc_matrix_camera(graph, x=1200, y=600)
+    return {**facts, "camera": [list(row) for row in camera.matrix_world], "picture": [list(row) for row in picture],
+            "through": view.view_perspective}
+
+
+GROUPS = {
+    "time": ("object", "object_time", "object_trim", "object_capture_frame", "object_echoes", "object_cut", "object_sound"),
+    "look": ("object", "object_look"),
+    "rest": ("object", "object_crop", "object_filters", "object_points", "object_engines"),
+    "render": ("render", "film", "motion_blur", "depth_of_field", "shadows"),
+    "layer": ("passes",),
+    "sidebar": ("splats", "camera", "capture", "viewport", "pictures"),
+    "train": ("training", "training_filming", "training_options", "training_runs"),
+}
+"""Panels that are looked at together, all of them open, by the screenshot's name."""
+
+
+def panels():
+    """Every panel with the example, open, in Blender's startup file: screenshots, and how wide the regions are that panels lie in."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 1.0
+    area, editor = area_of(), area_of('PROPERTIES')
+    with within(area):
+        bpy.ops.fastgs.import_example('EXEC_DEFAULT')
+        bpy.ops.fastgs.add_crop_box()
+        bpy.context.view_layer.objects.active = splat()
+        bpy.ops.fastgs.add_filter(preset='COLOUR')
+    scene = bpy.context.scene
+    scene.render.engine = 'FASTGS'
+    splat().fastgs.echoes, splat().fastgs.after, scene.fastgs.training.source = 3, 'LOOP', 'SCENE'
+    scene.use_nodes, scene.fastgs.use_meshes = False, True
+    yield from sidebar(area)
+    widths = {"UI": next(region.width for region in area.regions if region.type == 'UI'),
+              "WINDOW": next(region.width for region in editor.regions if region.type == 'WINDOW')}
+    classes = [cls for cls in import_module(f"{ADDON}.ui").CLASSES if issubclass(cls, bpy.types.Panel)]
+    for cls in reversed(classes):
+        bpy.utils.unregister_class(cls)
+    for name, group in GROUPS.items():
+        shown = [cls for cls in classes if cls.__name__.removeprefix("FASTGS_PT_") in group]
+        for cls in shown:
+            cls.bl_options = set(getattr(cls, "bl_options", set())) - {'DEFAULT_CLOSED'}
+            bpy.utils.register_class(cls)
+        editor.spaces.active.context = {"render": 'RENDER', "layer": 'VIEW_LAYER'}.get(name, 'OBJECT')
+        yield 0.5
+        yield from sidebar(area)
+        yield 1.0
+        shot(f"panels-{name}")
+        for cls in reversed(shown):
+            bpy.utils.unregister_class(cls)
+    for cls in classes:
+        bpy.utils.register_class(cls)
+    return {"widths": widths}
