@@ -36,11 +36,16 @@ def object_facts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     return rows
 
 
+def sides(obj: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
+    """Width, depth and height of an object's subject in the scene's unit of length; none where they are not known."""
+    size, units = subjects.size_of(obj), scene.unit_settings
+    return [bpy.utils.units.to_string(units.system, 'LENGTH', side * units.scale_length, precision=3) for side in size] if any(size) else []
+
+
 def extent(obj: bpy.types.Object, scene: bpy.types.Scene) -> list[tuple[str, str]]:
-    """A (label, value) pair about how large an object's subject is in the scene's unit of length; none where that is not known."""
-    sides, units = subjects.size_of(obj), scene.unit_settings
-    words = [bpy.utils.units.to_string(units.system, 'LENGTH', side * units.scale_length, precision=3) for side in sides]
-    return [("Size", " x ".join(words))] if any(sides) else []
+    """The same in one line, as a (label, value) pair."""
+    words = sides(obj, scene)
+    return [("Size", " x ".join(words))] if words else []
 
 
 def shown_now(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:

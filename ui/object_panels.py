@@ -197,7 +197,7 @@ def draw_erased(layout, context):
 def draw_size(self, context):
     """How large a splat object is, below its scale in Blender's panel Transform."""
     if is_ours(context.object):
-        draw_rows(self.layout, facts.extent(context.object, context.scene))
+        draw_rows(self.layout, list(zip(("Size X", "Y", "Z"), facts.sides(context.object, context.scene), strict=False)))
 
 
 class _Splat:

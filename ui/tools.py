@@ -21,7 +21,6 @@ def _strokes(shape: str) -> tuple:
 class _Tool:
     bl_space_type = 'VIEW_3D'
     bl_context_mode = 'OBJECT'
-    bl_options = {'KEYMAP_FALLBACK'}  # where no splat object is active, a click selects one
 
     @staticmethod
     def draw_settings(context, layout, tool):

@@ -83,7 +83,7 @@ def strokes(model):
     across = [(middle[0] + dx, middle[1] + 0.2 * dx) for dx in range(-140, 141, 20)]
     yield from choose("fastgs.eraser", area)
     yield from drag([middle, middle])
-    facts = {"clicked": bpy.context.view_layer.objects.active is not None, "nothing": splat().fastgs.mask}
+    facts = {"nothing": splat().fastgs.mask}
     splat().select_set(True)
     bpy.context.view_layer.objects.active = splat()
     scene.fastgs.eraser_radius = 30
@@ -166,9 +166,9 @@ def panels():
             cls.bl_options = set(getattr(cls, "bl_options", set())) - {'DEFAULT_CLOSED'}
             bpy.utils.register_class(cls)
         editor.spaces.active.context = {"render": 'RENDER', "layer": 'VIEW_LAYER'}.get(name, 'OBJECT')
-        yield 0.5
-        yield from sidebar(area)
-        yield 1.0
+        if name in ("sidebar", "train"):
+            yield from sidebar(area)
+        yield 1.5
         shot(f"panels-{name}")
         for cls in reversed(shown):
             bpy.utils.unregister_class(cls)

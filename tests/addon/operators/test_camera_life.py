@@ -44,7 +44,7 @@ def test_bullet_time_slows_and_goes_on_without_a_jump(scene, module, moving_spla
     np.testing.assert_allclose(rate[frames[:-1] >= 31], 1, atol=1e-3)
     if ramp:
         assert np.abs(np.diff(rate)).max() < 0.06
-    with pytest.raises(RuntimeError, match="animated offset already"):
+    with pytest.raises(RuntimeError, match="animated Time Shift already"):
         bpy.ops.fastgs.bullet_time(start=40, length=5)
 
 

@@ -199,5 +199,5 @@ def test_ends_and_splits_follow_the_curve(module, obj, scene):
 
 def test_bullet_time_needs_a_speed_that_stays(obj, scene):
     keyed(obj, KEYS)
-    with pytest.raises(RuntimeError, match="animated speed"):
+    with pytest.raises(RuntimeError, match="animated Speed"):
         bpy.ops.fastgs.bullet_time(start=5)

@@ -103,15 +103,16 @@ def test_the_size_stands_beside_the_scale(panels, module, scene, fg, model_file)
     np.testing.assert_allclose(size(obj), (6, 3, 12), rtol=0.05)
     layout = Layout()
     module("ui.object_panels").draw_size(SimpleNamespace(layout=layout), bpy.context)
-    words = texts(layout.record)[1]
-    assert words.count(" m") == 3 and [float(word.split()[0]) for word in words.split(" x ")] == pytest.approx([6, 3, 12], rel=0.05)
-    assert not layout.cut(WIDTHS['WINDOW'])
+    labels, sides = texts(layout.record)[::2], texts(layout.record)[1::2]
+    assert labels == ["Size X", "Y", "Z"] and all(side.endswith(" m") for side in sides)
+    assert [float(side.split()[0]) for side in sides] == pytest.approx([6, 3, 12], rel=0.05)
+    assert not layout.cut(168), "even in a window that is 1280 pixels wide"
     for name in ("FASTGS_PT_object", "FASTGS_PT_capture"):
-        assert words in texts(drawn(panels[name]))
+        assert " x ".join(sides) in texts(drawn(panels[name]))
     scene.unit_settings.scale_length = 0.01
     layout = Layout()
     module("ui.object_panels").draw_size(SimpleNamespace(layout=layout), bpy.context)
-    assert texts(layout.record)[1].count(" cm") == 3
+    assert all(side.endswith(" cm") for side in texts(layout.record)[1::2])
     assert tuple(size(bpy.data.objects.new("Empty", None))) == (0, 0, 0)
 
 
