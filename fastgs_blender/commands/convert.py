@@ -32,6 +32,8 @@ def add_arguments(parser):
                              "(0.3 dB; takes minutes), or another number of dB")
     parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
                         help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
+    parser.add_argument("--antialias", action="store_true", help="make the sampling limit of the capture's cameras a part of static "
+                        "Gaussians and mark the file as antialiased: for viewers with Mip-Splatting's mode")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
 
 
@@ -59,6 +61,8 @@ def run(args):
                 result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
                 if args.prune is not None:
                     result = pruned(result, args.prune)
+                if args.antialias:
+                    result = _sampled(result, args.input, target)
                 _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
                 with _collected(losses, str(target), args.output):
                     formats.save(result, target, args.compress, lambda share, done=done: bar.to(int((done + share) * PARTS)))
@@ -71,6 +75,25 @@ def run(args):
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(source), "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
+
+
+def _sampled(model, source: str, target: Path):
+    """The model with the sampling limit in its Gaussians; raises FastGSError where it is not known or the file cannot say so."""
+    import numpy as np
+
+    from .. import formats
+    from ..formats.sampled import sampled
+    from ..rendering.instances import Instance
+
+    captured = Instance(model, np.eye(4), 0.0).captured
+    if not captured.known:
+        raise FastGSError(f"{source} does not say where its capture's cameras stood; add them with fastgs annotate --capture, or leave out "
+                          "--antialias.")
+    if not formats.says_antialiased(target):
+        raise FastGSError(f"{target} cannot say that it is antialiased; write .ply, .compressed.ply, .spz or .sog.")
+    if model.basis.terms or model.rotation_basis.terms:
+        raise FastGSError(f"{source} changes over time; --antialias is for static models, so choose a frame with --at.")
+    return sampled(model, captured)
 
 
 @contextlib.contextmanager

@@ -81,9 +81,9 @@ def writable() -> tuple[str, ...]:
     return tuple(dict.fromkeys(extension for known in WRITERS for extension in known.extensions))
 
 
-def says_antialiased(extension: str) -> bool:
-    """Whether files of static Gaussians with this extension can say that they are antialiased."""
-    return any(known.antialiased for known in WRITERS if extension in known.extensions)
+def says_antialiased(path: str | os.PathLike) -> bool:
+    """Whether a file of static Gaussians with this name, or this extension, can say that it is antialiased."""
+    return any(known.antialiased for known in WRITERS if str(path).lower().endswith(known.extensions))
 
 
 def open_source(path: str | os.PathLike) -> Source:
