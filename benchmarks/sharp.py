@@ -95,7 +95,7 @@ class Scene:
     def truth(self, camera, k, t, whole=None):
         """The true picture of a camera with k times the pixels."""
         if self.source is not None:
-            t += 0.5 / self.model.clip.frame_count  # as recapture.py films
+            t += 0.5 / self.model.clip.frame_count  # as refilm.py films
             return box(drawn(self.source, larger(camera, FINEST), t, "off"), round(FINEST / k))
         picture = self.store.pixels(whole).rgb
         most = picture.shape[1] // camera.width
