@@ -17,6 +17,7 @@ import numpy as np
 from ..model.points import Points, usable
 from ..util.errors import FastGSError
 from ..util.reading import open_file, read_bytes, reading
+from ..util.stated_paths import below
 from . import poses
 from .lens import Intrinsics, Lens
 
@@ -70,8 +71,8 @@ def _images(folder: Path, kind: str) -> list[ColmapImage]:
     images = []
     for name, quaternion, translation, camera in (_images_bin if kind == "bin" else _images_txt)(file):
         where = f"{file}: {name}"
-        parts = Path(name.replace("\\", "/"))
-        if not name or parts.is_absolute() or ".." in parts.parts:
+        parts = below(Path(), name)
+        if parts is None:
             raise FastGSError(f"{where!r} is no name of a picture within the capture.")
         if camera not in cameras:
             raise FastGSError(f"{where} has the camera {camera}, which cameras.{kind} does not hold; the files belong to different models.")

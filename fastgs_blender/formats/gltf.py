@@ -26,6 +26,7 @@ from ..model.gaussians import GaussianModel, Raster
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError, LossWarning, printable
+from ..util.stated_paths import below
 from .base import OPAQUE, generator
 from .description import is_json_table, read_json, whole_number
 from .scenes import placed, together
@@ -210,10 +211,9 @@ class _Buffers:
                 return base64.b64decode("".join(uri.partition(",")[2].split()), validate=True)
             except (binascii.Error, ValueError) as error:
                 raise FastGSError("one of its buffers is damaged; export it again.") from error
-        parts = [part for part in unquote(uri).split("/") if part != "."]
-        if not parts or any(part in ("", "..") or any(c in part for c in "\\:\0") for part in parts):
+        file = below(self.folder, unquote(uri))
+        if file is None:
             raise FastGSError(f"its buffer {uri[:60]!r} is not a file beside or below it; put it there, or save it as .glb.")
-        file = self.folder.joinpath(*parts)
         if not file.is_file():
             raise FastGSError(f"its buffer {uri[:60]!r} is missing; put it beside the file.")
         return read_whole(file)

@@ -10,7 +10,7 @@ OpenCV axes, world-to-camera, metres, y down; the test cameras are held out (git
 """
 from __future__ import annotations
 
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from reprlib import repr as shortened
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...model.points import usable
 from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
 from ...util.reading import read_json
+from ...util.stated_paths import below
 from ..capture import Capture, Options, Points
 from ..pixels.pictures import opened
 from ..rigs import Entry, from_entries
@@ -89,11 +90,11 @@ def _entry(folder, where, view, t, k, w2c, fn, size, gain) -> Entry:
     if np.abs(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] - [0, 0, 0, 1]).max() > 1e-6 or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
         raise FastGSError(f"{where}: its k must be a matrix of focal lengths and a principal point, without skew.")
     given = poses.intrinsics(where, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *size)
-    picture = PurePosixPath(fn) if isinstance(fn, str) else None
-    if picture is None or picture.is_absolute() or ".." in picture.parts or "\\" in fn or ":" in fn or not picture.name or "\0" in fn:
+    picture = below(folder / "ims", fn)
+    if picture is None:
         raise FastGSError(f"{where}: its fn must name a picture in ims/, not {shortened(fn)}.")
-    mask = folder / "seg" / picture.with_suffix(".png")
-    return Entry(view, t, Source(folder / "ims" / picture, intrinsics=given), poses.rigid(w2c, f"{where}: its w2c"),
+    mask = folder / "seg" / picture.relative_to(folder / "ims").with_suffix(".png")
+    return Entry(view, t, Source(picture, intrinsics=given), poses.rigid(w2c, f"{where}: its w2c"),
                  Source(mask, gain=gain) if gain and mask.is_file() else None)
 
 

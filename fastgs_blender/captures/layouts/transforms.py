@@ -19,6 +19,7 @@ from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
 from ...util.reading import read_json
+from ...util.stated_paths import local
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..points import load_points
@@ -28,8 +29,6 @@ from .transforms_views import Picture, times_of, views_of
 
 name = "transforms.json"
 SPLITS = ("train", "val", "test")
-LONGEST_PATH = 4096
-"""Letters of a picture's name, its folders among them."""
 POINT_FILES = ("sparse_pc.ply", "points3d.ply", "points3D.ply", "fused.ply")
 LENSES = {"PINHOLE": "pinhole", "SIMPLE_PINHOLE": "pinhole", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv", "RADIAL": "opencv",
           "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye", "RADIAL_FISHEYE": "fisheye", "FULL_OPENCV": "full"}
@@ -91,9 +90,11 @@ def _missing(pictures) -> list[str]:
 
 def _points(files, folder):
     stated = [read_json(file).get("ply_file_path") for file in files.values()]
-    for relative in [value for value in stated if isinstance(value, str) and 0 < len(value) <= LONGEST_PATH] + list(POINT_FILES):
-        if (folder / relative).is_file():
-            return load_points(folder / relative)
+    for file, value in zip(files.values(), stated):
+        _check_local(folder, value, f"{file}: its ply_file_path")
+    for path in (local(folder, value) for value in [*stated, *POINT_FILES]):
+        if path is not None and path.is_file():
+            return load_points(path)
     return None
 
 
@@ -113,14 +114,15 @@ def _read(file: Path, split: str) -> list[Picture]:
         where = f"{file}: frame {i}"
         frame = poses.table(frame, where)
         stated = frame.get("file_path")
-        if not isinstance(stated, str) or not stated or "\0" in stated or len(stated) > LONGEST_PATH:
+        if not isinstance(stated, str) or not stated:
             raise FastGSError(f"{where} lacks file_path, the name of its picture.")
+        for key in ("file_path", "mask_path"):
+            _check_local(file.parent, frame.get(key), f"{where}: its {key}")
         picture = _found(file.parent, stated)
         time = frame.get("time")
         given = shared | {key: frame[key] for key in INTRINSICS if frame.get(key) is not None}
         source = None if picture is None else _source(picture, given, where, sizes)
-        masked = frame.get("mask_path")
-        mask = _found(file.parent, masked) if isinstance(masked, str) and len(masked) <= LONGEST_PATH else None
+        mask = _found(file.parent, frame.get("mask_path"))
         pictures.append(Picture(
             splits.get(stated, split), stated, source, None if mask is None else Source(mask),
             _pose(frame.get("transform_matrix"), f"{where}: its transform_matrix"),
@@ -128,10 +130,16 @@ def _read(file: Path, split: str) -> list[Picture]:
     return pictures
 
 
-def _found(folder: Path, stated: str) -> Path | None:
+def _check_local(folder: Path, stated: object, what: str) -> None:
+    """Raise FastGSError for the name of a file of a network, or of a device."""
+    if isinstance(stated, str) and stated and local(folder, stated) is None:
+        raise FastGSError(f"{what} must name a file on this machine, not {shortened(stated)}; copy it beside the capture.")
+
+
+def _found(folder: Path, stated: object) -> Path | None:
     """The picture of that name, with or without its ending."""
-    path = folder / stated.replace("\\", "/")
-    if not path.name or path.name == "..":
+    path = local(folder, stated)
+    if path is None or not path.name or path.name == "..":
         return None
     for candidate in (path, *(path.with_name(path.name + suffix) for suffix in PICTURES)):
         if candidate.is_file() and candidate.suffix.lower() in PICTURES:

@@ -238,3 +238,32 @@ def test_the_two_kinds_of_cameras_json(tmp_path):
     assert load_cameras(tmp_path / "other/cameras.json")[0].name == "a" and len(load_path(tmp_path / "other/cameras.json")) == 1
     refused("another program's", open_capture, tmp_path / "other/cameras.json", layout="fastgs")
     refused("no camera path", load_path, tmp_path / "cameras.json")
+
+
+NETWORK = (r"\\host\share\1.png", "//host/share/1.png", r"\\?\UNC\host\share\1.png")
+
+
+@pytest.mark.parametrize("stated", NETWORK)
+@pytest.mark.parametrize("key", ["file_path", "mask_path", "ply_file_path"])
+def test_transforms_ask_no_other_machine(key, stated, tmp_path):
+    """Windows would tell that machine the user's name and a hash of the password."""
+    tiny_captures.transforms(tmp_path)
+    file = tmp_path / "transforms.json"
+    values = json.loads(file.read_text())
+    (values if key == "ply_file_path" else values["frames"][0])[key] = stated
+    file.write_text(json.dumps(values))
+    assert key in refused("on this machine", open_capture, tmp_path)
+
+
+@pytest.mark.parametrize("stated", NETWORK)
+def test_colmap_and_panoptic_ask_no_other_machine(stated, tmp_path):
+    tiny_captures.panoptic(tmp_path / "p")
+    file = tmp_path / "p" / "train_meta.json"
+    values = json.loads(file.read_text())
+    values["fn"][0][0] = stated
+    file.write_text(json.dumps(values))
+    refused("fn must name a picture", open_capture, tmp_path / "p")
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "cameras.txt").write_text("1 PINHOLE 8 8 8 8 4 4\n")
+    (tmp_path / "c" / "images.txt").write_text(f"1 1 0 0 0 0 0 0 1 {stated}\n\n")
+    refused("no name of a picture", load_path, tmp_path / "c")
