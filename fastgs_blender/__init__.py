@@ -14,6 +14,9 @@
 
 What goes wrong raises FastGSError, whose message is one sentence; what is lost on the way is told by a LossWarning.
 """
+from .util import stopping as stopping  # first: signals may come while the rest is imported
+
+# isort: split
 from .cameras.camera import Camera
 from .cameras.cameras_json import View, load_cameras, save_cameras
 from .cameras.moving import dolly, orbit, through

@@ -15,9 +15,10 @@ from typing import Any, NoReturn
 
 from . import __version__
 from .commands import COMMANDS
-from .commands.shared import FAILED, PROBLEMS, STOPPED, complain, note
+from .commands.shared import FAILED, PROBLEMS, complain, note
 from .util.errors import FastGSError, LossWarning, printable_lines
 from .util.remarks import be_quiet
+from .util.stopping import STOPPED, as_interrupts
 
 EPILOG = f"""\
 fastgs COMMAND --help tells more.
@@ -74,29 +75,36 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code: 0, 1 where problems were found, 2 for an error told in one sentence, 130 when stopped."""
+    with as_interrupts():
+        return _main(argv)
+
+
+def _main(argv: list[str] | None) -> int:
     for stream in (sys.stdout, sys.stderr):  # names from files may hold letters that a terminal's encoding lacks
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    args = parser().parse_args(argv)
-    if args.command is None:
-        args.parser.print_help()
-        return 0
-    be_quiet(args.quiet)
+    debug = False
     try:
+        args = parser().parse_args(argv)
+        if args.command is None:
+            args.parser.print_help()
+            return 0
+        debug = args.debug
+        be_quiet(args.quiet)
         with _losses_as_remarks():
             return args.run(args) or 0
     except KeyboardInterrupt as stop:
-        return _tell(str(stop) or "stopped.", STOPPED, args.debug)
+        return _tell(str(stop) or "stopped.", STOPPED, debug)
     except BrokenPipeError:  # the reader of our output has gone, for example `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except FastGSError as error:
-        return _tell(str(error), FAILED, args.debug)
+        return _tell(str(error), FAILED, debug)
     except MemoryError:
-        return _tell("there is not enough memory for this; use a smaller image or model, or close other programs.", FAILED, args.debug)
+        return _tell("there is not enough memory for this; use a smaller image or model, or close other programs.", FAILED, debug)
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
-        return _tell(f"{name}{error.strerror or error}.", FAILED, args.debug)
+        return _tell(f"{name}{error.strerror or error}.", FAILED, debug)
     finally:
         be_quiet(False)
 

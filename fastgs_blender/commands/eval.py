@@ -46,13 +46,13 @@ def run(args):
     from ..evaluation import report
     from ..evaluation.evaluate import chosen, evaluate, make_folder
     from ..evaluation.training_record import recorded
+    from ..util.backends import load_backend
 
     use_threads(args.threads)
     file = model_file(args.model)
     if file.is_dir():
         raise FastGSError(f"{file}: this folder has no model.safetensors; give a model, or the folder of a finished training run.")
     out = Path(args.out) if args.out else default_folder(Path(args.model), file)
-    make_folder(out)
     frames = _frames(args.frames)
     model = formats.load(file)
     known = recorded(model)
@@ -62,6 +62,8 @@ def run(args):
     shots = chosen(capture, views, frames, known)
     check(replace(capture, shots=shots, faults=[]))
     backend = chosen_backend(args)  # last: the first time a GPU is tested, which takes a moment
+    load_backend(backend)  # or it says that there is none
+    make_folder(out)
     store = FrameStore(capture, 0)
     try:
         with progress(len(store.missing(shots)), "frame", "decoding", quiet=args.quiet) as bar:

@@ -13,9 +13,6 @@ frames: each frame takes the next camera.  --path makes them a path for any fram
 """
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
 import time
 from pathlib import Path
 
@@ -135,7 +132,7 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
     wanted = tuple(dict.fromkeys((*passes, "alpha")))
     look, film = ObjectSettings(antialias=not args.no_antialias), "opaque" if args.background == OWN else "transparent"
     settings = PassSettings(sorting=args.sorting, film=film)
-    with _stop_on_sigterm(), progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
+    with progress(len(todo), "frame", "rendering", quiet=args.quiet) as bar:
         try:
             for done, i in enumerate(todo):
                 bar.to(done)
@@ -148,19 +145,6 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
             bar.close()
             rest = f"stopped; {bar.n} of {len(todo)} frames are written to {args.out}, and the same command continues from there."
             raise KeyboardInterrupt(rest) from None
-
-
-@contextlib.contextmanager
-def _stop_on_sigterm():
-    """Treat SIGTERM, which render farms and `kill` send, as Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _exposure(args):

@@ -12,8 +12,9 @@ from ..util.errors import FastGSError
 from ..util.remarks import remark
 from ..util.screen import tell
 
-PROBLEMS, FAILED, STOPPED = 1, 2, 130
-"""Exit codes: something is wrong with what was looked at; the command failed; it was stopped.  0: all is well."""
+PROBLEMS, FAILED = 1, 2
+"""Exit codes: something is wrong with what was looked at; the command failed.  0: all is well; util/stopping.py has that
+of what was stopped."""
 
 
 def add_device(parser):

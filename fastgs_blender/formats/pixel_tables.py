@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
-from ..util.stated_paths import below
+from ..util.stated_paths import local
 from ..util.zip_files import opened_zip, read_member
 from .description import read_json
 from .static import read_whole
@@ -126,7 +126,7 @@ def meta_of(head: bytes, path: Path) -> dict:
 def plain(name) -> str:
     """The name of a file in the same folder, and nothing else; it may begin with "./"."""
     name = name.removeprefix("./") if isinstance(name, str) else name
-    if not isinstance(name, str) or below(Path(), name) is None or any(c in name for c in "/\\:"):
+    if not isinstance(name, str) or name in (".", "..") or local(Path(), name) is None or any(c in name for c in "/\\:"):
         raise FastGSError("it names a file that is not beside or below it; the file is damaged.")
     return name
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from ..util.errors import FastGSError
 from ..util.reading import read_json
 from . import causes
-from .environment import environment, hidden
+from .environment import end, environment, hidden
 
 LARGEST_STATUS = 1 << 16
 PROBLEMS = 1
@@ -68,8 +68,7 @@ class CaptureCheck:
     def stop(self) -> None:
         """End it, if it has not ended."""
         self._stopped = True
-        if self._process.poll() is None:
-            self._process.terminate()
+        end(self._process)
         self._thread.join()
 
     def _run(self) -> None:
@@ -84,7 +83,7 @@ class CaptureCheck:
             self.values = json.loads(printed) | {"asked": self._capture}
             latest = self.values
         except (ValueError, TypeError):
-            self.trouble = causes.sentence(None, errors, self._process.returncode, self._capture)
+            self.trouble = causes.sentence(None, errors, self._process.returncode, self._capture, "the check")
 
 
 def text_of(values: dict) -> str:

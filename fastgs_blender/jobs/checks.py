@@ -71,7 +71,8 @@ def inspect(python: str, capture: str) -> Facts:
             latest.problems.append(f"the capture does not say where its cameras are, and {python} lacks pycolmap, which finds that; make "
                                    "an environment for training in the preferences, or choose one that has it.")
     except (ValueError, KeyError, TypeError) as error:
-        raise FastGSError(causes.sentence(None, done.stderr.decode(errors="replace"), done.returncode, capture)) from error
+        printed = done.stderr.decode(errors="replace")
+        raise FastGSError(causes.sentence(None, printed, done.returncode, capture, "reading the capture")) from error
     return latest
 
 

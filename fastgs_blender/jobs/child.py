@@ -6,14 +6,27 @@
 It holds the file LOCK as long as it lives (util/locks.py), and treats a file STOP that appears as Ctrl-C: that works on every system,
 and for a Blender that did not start it.  With two empty names it only runs the command.
 """
-import _thread
-import contextlib
-import faulthandler
-import importlib.util
 import os
+import signal
 import sys
-import threading
-import time
+
+
+def stop(number, frame):
+    """End this process, which has begun nothing yet, as Ctrl-C ends fastgs."""
+    os.write(2, b"fastgs: stopped.\n")
+    os._exit(130)
+
+
+if __name__ == "__main__":  # before anything that takes time
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, stop)
+
+import _thread  # noqa: E402
+import contextlib  # noqa: E402
+import faulthandler  # noqa: E402
+import importlib.util  # noqa: E402
+import threading  # noqa: E402
+import time  # noqa: E402
 
 TAKEN = 3
 """Exit status where another process holds the lock."""
@@ -38,14 +51,14 @@ def prefer_to_be_killed():
         file.write("800")
 
 
-def watch(stop):
+def watch(file):
     """Interrupt the main thread as Ctrl-C does, once for each time that the file appears."""
     while True:
-        if os.path.exists(stop):
+        if os.path.exists(file):
             _thread.interrupt_main()
-            while os.path.exists(stop):
+            while os.path.exists(file):
                 with contextlib.suppress(OSError):
-                    os.remove(stop)
+                    os.remove(file)
                 time.sleep(0.01)
         time.sleep(LOOK_EVERY)
 
@@ -59,7 +72,7 @@ def hold(locks, path):
 
 
 def main():
-    extension, lock, stop, *arguments = sys.argv[1:]
+    extension, lock, stopping, *arguments = sys.argv[1:]
     sys.path.pop(0)  # this folder's modules are not for others to find
     load_library(extension)
     faulthandler.enable()
@@ -68,9 +81,12 @@ def main():
         if held is None:
             return TAKEN
         prefer_to_be_killed()
-        threading.Thread(target=watch, args=(stop,), daemon=True).start()
+        threading.Thread(target=watch, args=(stopping,), daemon=True).start()
     try:
-        return importlib.import_module("fastgs_blender.cli").main(arguments)
+        run = importlib.import_module("fastgs_blender.cli").main
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.default_int_handler)
+        return run(arguments)
     except KeyboardInterrupt:  # before the run began to listen
         return 130
 

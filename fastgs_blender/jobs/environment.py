@@ -18,6 +18,9 @@ NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm
 """Modules without which training does not run, and the packages that have them."""
 USEFUL = {"av": "films", "pycolmap": "cameras without poses and starting points from pictures", "OpenEXR": "EXR pictures"}
 """Modules, called as their packages are, and what they are for."""
+INSTALLED = ("numpy>=1.26", "numba>=0.61", "safetensors>=0.4.3", "OpenEXR>=3.3", "pillow>=10", "tqdm>=4.60", "zstandard>=0.22",
+             "wgpu>=0.32,<0.40", "av>=14", "pycolmap>=4.2")
+"""What an environment gets, in the versions of pyproject.toml, which no extension brings along; a test compares them."""
 SIZE = "about half a gigabyte"
 TORCH, TORCH_SIZE = "torch>=2.4", "about a gigabyte more"
 TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
@@ -124,7 +127,7 @@ class Maker:
         source = ["--index-url", index] if index else []
         python = self.folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
         install = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *source]
-        self._steps = [[sys.executable, "-m", "venv", "--clear", str(self.folder)], [*install, *NEEDED.values(), *USEFUL]]
+        self._steps = [[sys.executable, "-m", "venv", "--clear", str(self.folder)], [*install, *INSTALLED]]
         if torch:
             self._steps.append([*install, *([] if index else ["--extra-index-url", TORCH_INDEX]), TORCH])
         self._process: subprocess.Popen | None = None
@@ -172,9 +175,20 @@ class Maker:
     def stop(self):
         """End it."""
         self._steps.clear()
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
-            self._process.wait()
+        if self._process is not None:
+            end(self._process)
+
+
+def end(process: subprocess.Popen, patience: float = 2.0) -> None:
+    """End a process: it may clear up for so many seconds, and is then killed."""
+    if process.poll() is not None:
+        return
+    process.terminate()
+    try:
+        process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def hidden() -> dict:

@@ -9,7 +9,7 @@ import sys
 import threading
 from pathlib import Path
 
-from .environment import environment, hidden
+from .environment import end, environment, hidden
 
 TRIES = 4
 """Processes that are begun before it is given up.  A GPU that has ended one is not tested again by the next."""
@@ -50,8 +50,8 @@ class Examination:
     def stop(self) -> None:
         """End it."""
         self._stopped = True
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
+        if self._process is not None:
+            end(self._process)
         self._thread.join()
 
     def _run(self):

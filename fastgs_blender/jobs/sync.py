@@ -83,7 +83,8 @@ class Sync:
             return Result(self.capture, values["found_by"], values["offsets"], values["uncertainty"], tuple(values["lost"]), values["file"],
                           values["picture"])
         except (ValueError, KeyError, TypeError) as error:
-            raise FastGSError(causes.sentence(None, self._printed(self._log), self._process.returncode, self.capture)) from error
+            raise FastGSError(causes.sentence(None, self._printed(self._log), self._process.returncode, self.capture,
+                                                "comparing the clocks")) from error
 
     @staticmethod
     def _printed(file) -> str:

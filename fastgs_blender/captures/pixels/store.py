@@ -217,7 +217,7 @@ class FrameStore:
         need = sum(map(self._length, todo))
         free = shutil.disk_usage(self.folder).free
         if need and need + RESERVE > free:
-            raise FastGSError(f"{self.folder}: the frames of this capture need {need / 1e9:.1f} GB more there, and {free / 1e9:.1f} GB are "
+            raise FastGSError(f"{self.folder}: the frames of this capture need {_bytes(need + RESERVE)} there, and {_bytes(free)} are "
                               "free; free some, use a smaller scale or fewer frames, or set FASTGS_CACHE_DIR to a folder on another disk.")
 
     def _cannot_write(self, error: OSError) -> FastGSError:
@@ -225,6 +225,11 @@ class FrameStore:
         reason = "the disk is full" if full else error.strerror or str(error)
         return FastGSError(f"{self.folder}: decoded frames cannot be written there ({reason}), those so far are kept; free some space or "
                            "set FASTGS_CACHE_DIR to another folder.")
+
+
+def _bytes(count: int) -> str:
+    """Bytes as a text, rounded up to a tenth of a gigabyte or to a megabyte."""
+    return f"{math.ceil(count / 1e8) / 10:.1f} GB" if count >= 1e9 else f"{math.ceil(count / 1e6)} MB"
 
 
 def _kind(shot: Shot):

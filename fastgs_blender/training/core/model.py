@@ -64,5 +64,6 @@ def with_arrays(template: GaussianModel, arrays: dict[str, np.ndarray], provenan
 
 def lasting(model: GaussianModel) -> GaussianModel:
     """The model without the Gaussians that can never be seen."""
-    peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
+    with np.errstate(over="ignore"):
+        peak = 1 / (1 + np.exp(-model.opacity.astype(np.float64)))
     return model.take(np.flatnonzero(peak >= model.raster.alpha_cut))

@@ -143,7 +143,10 @@ class Poses:
         for k in np.flatnonzero(new[:, 13] > 0):
             self.sums[k] = sums = KEEP * self.sums[k] + new[k]
             pull = ALIKE_PIXELS * sums[12] / sums[13] / PRIOR**2 + 1e-9
-            told = np.linalg.solve(sums[:9].reshape(3, 3) + pull * np.eye(3), sums[9:12])
+            try:
+                told = np.linalg.solve(sums[:9].reshape(3, 3) + pull * np.eye(3), sums[9:12])
+            except np.linalg.LinAlgError:  # pictures of one edge, far stronger than the pull
+                continue
             turn = self.turns[k] + FARTHER * (told - self.turns[k])
             self.turns[k] = turn * min(1, FARTHEST / max(float(np.linalg.norm(turn)), FARTHEST))
         known = self.sums[:, 13] > 0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...formats.base import LIMIT, LIMITS
 from ...model.appearance import Features
 from ...model.gaussians import Clip, GaussianModel
 from ...util.errors import FastGSError
-from .evening import AWAITED
+from .evening import AWAITED, FARTHEST
 from .evening import shapes as evening_shapes
 from .hold import HELD
 from .poses import shapes as poses_shapes
@@ -16,6 +17,12 @@ DECODER = ("w1", "w2")
 STATISTICS = ("gradient", "absolute", "seen", "radius")
 NEWER = ("told", "fades", "awaited_colour", "awaited_clock")
 """Arrays of the evening that checkpoints of earlier versions lack."""
+LARGEST_SUM = 1e15
+"""Sums over a camera's pictures, of squares of pixels' changes, stay far below it."""
+LONGEST_STEP = 10.0
+"""Adam's mean is at most 7.3 times the root of its mean square with the rates of forgetting that training uses, 0.9 and 0.999."""
+TINY = 1e-18
+"""Gradients so small vanish when they are squared."""
 LARGEST_COUNT = 2**31 - 2
 """Steps that fit in the optimiser's int32 counters."""
 ADVICE = "the checkpoint is damaged or of another run, so delete it to train from the beginning."
@@ -66,8 +73,13 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
         array = arrays[name]
         if array.dtype != kind or array.shape != shape:
             raise FastGSError(f"its array {name!r} holds {array.dtype} {array.shape}, not {np.dtype(kind)} {shape}; {ADVICE}")
-        if not _in_range(name, array, iteration):
+        with np.errstate(all="ignore"):
+            good = _in_range(name, array, iteration)
+        if not good:
             raise FastGSError(f"its array {name!r} has numbers out of range; {ADVICE}")
+    for name in expected:
+        if name.startswith("optimiser.mean."):
+            _check_mean(name, arrays)
 
 
 def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
@@ -96,23 +108,63 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 
 
+def _check_mean(name: str, arrays: dict[str, np.ndarray]) -> None:
+    """Raise FastGSError for a mean gradient that its mean square cannot have: one step would lead anywhere."""
+    square = arrays[name.replace(".mean.", ".square.")].astype(np.float64)
+    if (np.abs(arrays[name]) > LONGEST_STEP * np.sqrt(square) + TINY).any():
+        raise FastGSError(f"its array {name!r} has numbers out of range; {ADVICE}")
+
+
 def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
-    """Whether all numbers of an array are such as training makes."""
-    part = name.split(".")[1]
+    """Whether all numbers of an array are such as training makes; a NaN is within no bounds."""
+    group, part, *rest = name.split(".")
     if part in ("count", "moved"):
         return array.size == 0 or bool(array.min() >= 0 and array.max() <= iteration)
-    if name == "evening.gains":
-        return bool(((array > 0.01) & (array < 100)).all())
-    if name == "evening.fades":
-        return bool((np.abs(array) < 5).all())
-    if name == "poses.turns":
-        return bool((np.abs(array) < 0.1).all())
     if part == "steps":
         return int(array[0]) == iteration
     if part == "betas":
         return bool(((array >= 0) & (array < 1)).all())
-    if part == "square" or name.startswith("statistics."):  # sums of squares and magnitudes
+    if group == "statistics":  # magnitudes
         return not bool((array < 0).any())
-    if name.endswith(f"value.{HELD}"):  # NaN: not held
-        return not bool(np.isinf(array).any())
-    return bool(np.isfinite(array).all())
+    if group == "evening":
+        return _evening_in_range(part, array)
+    if group == "poses":
+        return _turns_in_range(array) if part == "turns" else _changes_in_range(array)
+    if part == "square":
+        return bool((array >= 0).all())
+    if part == "mean":
+        return bool(np.isfinite(array).all())
+    kind = "features" if rest == [HELD] else rest[0]
+    bounded = (np.abs(array) <= LIMIT) & (array <= LIMITS.get(kind, LIMIT))
+    return bool((bounded | np.isnan(array) if rest == [HELD] else bounded).all())  # NaN: not held
+
+
+def _evening_in_range(part: str, array: np.ndarray) -> bool:
+    most = {"biases": 10.0, "late": 2 * FARTHEST, "fades": 5.0}
+    if part == "gains":
+        return bool(((array > 0.01) & (array < 100)).all())
+    if part == "told":  # 0: starting points did not
+        return bool(((array >= 0) & (array < 100)).all())
+    if part in most:
+        return bool((np.abs(array) <= most[part]).all())
+    if not (np.abs(array) <= LARGEST_SUM).all():
+        return False
+    if part in ("clock", "awaited_clock"):
+        square, _, error, count = np.moveaxis(array, -1, 0)
+        return bool(((square >= 0) & (error >= 0) & (count >= 0)).all())
+    count, p, _, pp, _ = np.moveaxis(array, -1, 0)
+    return bool(((count >= 0) & (pp >= 0) & (p * p <= 1.001 * count * pp + TINY)).all())  # Cauchy and Schwarz
+
+
+def _turns_in_range(array: np.ndarray) -> bool:
+    return bool((np.abs(array) < 0.1).all())
+
+
+def _changes_in_range(array: np.ndarray) -> bool:
+    """Whether [..., 14] sums of poses are those of real pictures: a symmetric matrix without negative eigenvalues, and magnitudes."""
+    if not (np.abs(array) <= LARGEST_SUM).all() or not (array[..., 12:] >= 0).all():
+        return False
+    square = array[..., :9].reshape(-1, 3, 3)
+    slack = 1e-6 * np.abs(square).max((1, 2), initial=0.0) + TINY
+    alike = np.abs(square - square.transpose(0, 2, 1)).max((1, 2), initial=0.0) <= slack
+    return bool(alike.all() and (np.linalg.eigvalsh(square)[:, 0] >= -slack).all())

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ... import formats
 from ...model.gaussians import GaussianModel
 from ...model.surroundings import Surroundings
 from ...util.errors import FastGSError
@@ -17,6 +16,7 @@ from ..core.settings import from_dict
 from ..core.state import check_state, checked_clip
 from . import checkpoint
 from .files import CHECKPOINT, SEGMENTS, SO_FAR
+from .written import write
 
 VALUE = "optimiser.value."
 
@@ -37,7 +37,7 @@ def write_model(out) -> Path:
         model = model_of(*found)
     except FastGSError as error:
         raise FastGSError(f"{folders[-1] / CHECKPOINT}: {error}") from error
-    formats.save(model, out / SO_FAR)
+    write(model, out / SO_FAR)
     return out / SO_FAR
 
 

@@ -25,7 +25,7 @@ from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
 from ..core.settings import Settings
 from ..core.state import is_duration
-from . import checkpoint
+from . import checkpoint, written
 from . import plan as plans
 from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
 from .folder import release, take
@@ -190,7 +190,7 @@ def _segment_on(backend, capture, store, settings, folder, group, reporter, stop
 def _keep_segment(model, folder, reporter):
     """Replace the checkpoint of a finished segment by its model."""
     checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
-    formats.save(model, folder / SEGMENT_MODEL)
+    written.write(model, folder / SEGMENT_MODEL)
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
@@ -214,7 +214,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder, ba
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:
     from ..core.trainer import measure
 
-    formats.save(model, out / MODEL)
+    written.write(model, out / MODEL)
     report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
               "model_bytes": (out / MODEL).stat().st_size, "seconds": round(getattr(reporter, "elapsed", 0.0), 1),
               "peak_memory_bytes": peak_memory(), "processes": group.size, "device": reporter.device, "settings": settings.to_dict()}

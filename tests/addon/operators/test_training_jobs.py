@@ -383,7 +383,14 @@ def test_causes(module):
         (None, "", -9, "memory"), ("checkpoint could not be written: No space left on device", "", 2, "disk is full"),
         (None, "Traceback\nModuleNotFoundError: No module named 'torch'", 1, "lacks torch"),
         ("the capture is gone.", "", 2, "The capture is gone."), (None, "", None, "unexpectedly"),
-        (None, "fastgs: /x: there is no such capture; check the name.", 2, "there is no such capture"))
+        (None, "fastgs: /x: there is no such capture; check the name.", 2, "there is no such capture"),
+        (None, "fastgs: 3 of 20 Gaussians are left out.", -9, "ended by the system"),
+        (None, "fastgs: 3 of 20 Gaussians are left out.", -11, "SIGSEGV"), (None, "fastgs: lost: the cameras.", -15, "SIGTERM"),
+        (None, "fastgs: lost: the cameras.\nValueError: odd", 1, "ValueError: odd"), (None, "fastgs: a remark.", 1, "unexpectedly"),
+        ("the capture is gone.", "not enough memory for the GPU, so the processor is used", 2, "The capture is gone."),
+        (None, "", 0xC0000005, "0xc0000005"))
     for reason, said, code, words in cases:
         text = sentence(reason, said, code, "/out")
-        assert words in text and text.endswith(".") and "\n" not in text
+        assert words in text and text.endswith(".") and "\n" not in text and ("left out" in text) == (words == "left out")
+        other = sentence(reason, said, code, "/out", "the check")
+        assert "raining" not in other.replace("he training Python", "") and "resum" not in other, other

@@ -370,3 +370,9 @@ def test_lpips_in_the_report(lpips_package, tmp_path, truth):
     result = evaluate(truth, replace(capture, shots=shots), MemoryStore(toy_scene(2), shots))
     assert result["average"]["lpips_normalised"] == pytest.approx(4 * result["average"]["lpips"], rel=1e-3)
     assert not any("LPIPS" in note for note in result["notes"])
+
+
+@pytest.mark.parametrize("arguments", [("--views", "cam09"), ("--frames", "99"), ("--layout", "none"), ("--backend", "none")])
+def test_a_wrong_name_leaves_no_folder(run, work, arguments):
+    assert run(*arguments)[0] == 2 and not (work / "out").exists()
+    assert run(model="missing.safetensors")[0] == 2 and not (work / "out").exists()

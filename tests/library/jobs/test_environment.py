@@ -2,9 +2,12 @@
 """The commands that make an environment for training."""
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from packaging.requirements import Requirement
 
 from fastgs_blender.jobs import environment
 
@@ -19,7 +22,16 @@ def test_an_environment_gets_torch_where_it_is_wanted_and_the_small_one_where_it
         pass
     made, plain, *rest = ran
     assert not maker.failed and made[1:3] == ["-m", "venv"]
-    assert {"numba", "pycolmap"} <= set(plain) and not [part for part in plain if part.startswith("torch")]
+    assert set(environment.INSTALLED) <= set(plain) and not [part for part in plain if part.startswith("torch")]
     assert len(rest) == torch and all((index in command) == bool(index) for command in ran[1:])
     for command in rest:  # a user's own index is the only one that is asked
         assert command[-1].startswith("torch>=") and (environment.TORCH_INDEX in command) == (not index)
+
+
+def test_its_versions_are_those_of_the_project():
+    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    assert set(project["dependencies"]) <= set(environment.INSTALLED) <= {*project["dependencies"], *extras["train"]}
+    assert environment.TORCH in extras["torch"]
+    named = {Requirement(text).name for text in environment.INSTALLED}
+    assert {*environment.NEEDED.values(), *environment.USEFUL} <= named

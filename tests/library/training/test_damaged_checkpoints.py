@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ torch = pytest.importorskip("torch")
 from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, session  # noqa: E402
+from fastgs_blender.training.run import checkpoint, session, written  # noqa: E402
 from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
 from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
 
@@ -101,6 +102,17 @@ DAMAGES = {
     "an unknown array": lambda arrays, about: arrays.update({"optimiser.value.sigma": np.zeros(3, np.float32)}),
     "no positions": without("optimiser.value.position"), "no moments": without("optimiser.square.opacity"),
     "no betas": without("optimiser.betas"), "no statistics": without("statistics.absolute"), "no array at all": lambda a, about: a.clear(),
+    "a decoder beyond all numbers": with_value("optimiser.value.w2", 0, -1e30),
+    "a position beyond all scenes": with_value("optimiser.value.position", 5, 1e30),
+    "a size beyond them": with_value("optimiser.value.scale", 0, 60),
+    "a held feature beyond them": with_value("optimiser.value.held", 0, 1e30),
+    "a square that is no number": with_value("optimiser.square.w1", 0, np.nan),
+    "a mean without its square": with_value("optimiser.mean.opacity", 0, 1e6),
+    "a clock beyond the clip": with_value("evening.late", 0, -1e30),
+    "a bias beyond colours": with_value("evening.biases", 0, 1e30),
+    "awaited clocks": with_value("evening.awaited_clock", 0, -1e30), "awaited colours": with_value("evening.awaited_colour", 1, 1e30),
+    "awaited poses": with_value("poses.awaited_sums", 0, -1e30), "poses that are not alike": with_value("poses.sums", 1, 5.0),
+    "poses of negative squares": with_value("poses.sums", 0, -5.0), "poses without errors": with_value("poses.sums", 12, -1.0),
     "steps after the end": about_changed(iteration=41), "negative steps": about_changed(iteration=-1),
     "no steps": about_changed(iteration=None),
     "no capture": about_changed(capture=None), "no settings": about_changed(settings=None), "no clip": about_changed(clip=[]),
@@ -126,6 +138,38 @@ def test_a_damaged_checkpoint_is_refused_before_it_is_used(toy, whole, tmp_path,
     checkpoint.save(tmp_path, arrays, about)
     with pytest.raises(fg.FastGSError):
         resumed(toy, tmp_path, trainer.settings)
+
+
+def test_no_number_of_a_checkpoint_ends_in_anything_but_a_sentence_or_a_model(toy, whole, tmp_path):
+    """Each array, whole and in its first number, is one of these at a time; what is accepted is trained on, written and read."""
+    trainer, arrays, about = whole
+    floats, refused = [name for name, array in arrays.items() if array.dtype.kind == "f"], 0
+    for name in floats:
+        for change in (with_value(name, 0, -1e30), with_value(name, 0, 1e17), changed(name, lambda array: np.full_like(array, 1e9)),
+                       changed(name, lambda array: np.full_like(array, -1e3))):
+            forged = dict(arrays)
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                change(forged, about)
+                checkpoint.save(tmp_path, forged, about)
+                try:
+                    written.write(resumed(toy, tmp_path, trainer.settings, 2).final_model({}), tmp_path / "model.safetensors")
+                except fg.FastGSError:
+                    refused += 1
+                else:
+                    fg.load(tmp_path / "model.safetensors")
+    assert refused > len(floats)
+
+
+def test_a_model_that_nobody_could_read_is_not_written(make_model, rng, tmp_path):
+    good, bad = make_model(rng, 5), make_model(rng, 5)
+    bad.position = np.full_like(bad.position, np.nan)
+    file = tmp_path / "model.safetensors"
+    written.write(good, file)
+    before = file.read_bytes()
+    with pytest.raises(fg.FastGSError, match="model.safetensors.*position") as error:
+        written.write(bad, file)
+    assert file.read_bytes() == before and ".tmp" not in str(error.value) and os.listdir(tmp_path) == ["model.safetensors"]
 
 
 @pytest.mark.parametrize("choices", [{"density": "mcmc"}, {"appearance": "sh1"}, {"appearance": "rgb", "motion": "static"},

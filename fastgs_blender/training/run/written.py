@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Writes the model of a run, and only one that can be read again: training that diverged has a reason to tell, and no model."""
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+from ... import formats
+from ...model.gaussians import GaussianModel
+from ...util.errors import FastGSError, LossWarning, printable
+from .checkpoint import write_aside
+
+
+def write(model: GaussianModel, path: Path) -> None:
+    """Write a model as .safetensors and read it; raises FastGSError where either fails, and what was at `path` stays."""
+    def write_and_read(part: Path) -> None:
+        try:
+            formats.save(model, part)
+            with warnings.catch_warnings():  # Gaussians that are left out are told to whoever opens the model
+                warnings.simplefilter("ignore", LossWarning)
+                formats.load(part)
+        except FastGSError as error:
+            raise FastGSError(str(error).replace(printable(str(part)), "the trained model")) from error
+
+    write_aside(path, write_and_read)
