@@ -58,7 +58,8 @@ def run(args):
     if args.format == "cameras.json":
         save_cameras(views, out)
     else:
-        save_path(CameraPath([view.camera for view in views], seen.fps, 1, seen.axes), out, args.format)
+        save_path(CameraPath([view.camera for view in views], seen.fps, 1, seen.axes,
+                             names=() if args.move else [view.name for view in views]), out, args.format)
     if args.json:
         print_json({"file": str(out), "cameras": len(views), "names": [view.name for view in views]})
     elif not args.quiet:

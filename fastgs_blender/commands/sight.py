@@ -74,14 +74,12 @@ def _sight_of_capture(path: Path) -> Sight:
 
 
 def _sight_of_file(path: Path) -> Sight:
-    from ..cameras.cameras_json import load_cameras
     from ..cameras.moving import focus
-    from ..cameras.paths import inria, load_path
-    from ..util.reading import read_json
+    from ..cameras.paths import load_path
 
     path_of = load_path(path)
-    is_list = path.suffix.lower() == ".json" and inria.recognises(read_json(path))
-    views = load_cameras(path) if is_list else [View(f"{i:05d}", camera) for i, camera in enumerate(path_of.cameras)]
+    names = path_of.names or [f"{i:05d}" for i in range(len(path_of))]
+    views = [View(name, camera) for name, camera in zip(names, path_of.cameras, strict=True)]
     return Sight(path, views, focus([view.camera for view in views]), len(views) if len(views) > 1 else None, path_of.fps, path_of.axes)
 
 

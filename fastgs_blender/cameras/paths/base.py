@@ -34,6 +34,7 @@ class CameraPath:
     axes         of the world that the poses are in, as in GaussianModel
     keys         the numbers (from 0, fractions allowed) and cameras of the keyframes from which the file's program makes its frames;
                  empty where the file holds frames only
+    names        of the cameras, where these are no frames of one that moves; else empty
     """
 
     cameras: Sequence[Camera]
@@ -41,10 +42,13 @@ class CameraPath:
     start_frame: int = 1
     axes: str = "RDF"
     keys: Sequence[tuple[float, Camera]] = ()
+    names: Sequence[str] = ()
 
     def __post_init__(self):
         if not 1 <= len(self.cameras) <= MOST_FRAMES:
             raise FastGSError(f"a camera path has from 1 to {MOST_FRAMES} frames, not {len(self.cameras)}.")
+        if len(self.names) not in (0, len(self.cameras)):
+            raise FastGSError(f"a camera path of {len(self.cameras)} cameras has as many names, not {len(self.names)}.")
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -102,14 +106,25 @@ def check_frames(file, entries: Sequence) -> None:
         raise FastGSError(f"{file}: it has {len(entries)} frames, and a camera path has at most {MOST_FRAMES}.")
 
 
-def warn_of_losses(path: CameraPath, kind: str, *, one_size: bool = True) -> None:
+def named(entries: list[dict], path: CameraPath) -> list[dict]:
+    """The entries of a file's cameras with their names, where the path has some; programs ignore what they do not know."""
+    return [{**entry, "name": name} for entry, name in zip(entries, path.names, strict=True)] if path.names else entries
+
+
+def names_of(entries: Sequence) -> tuple[str, ...]:
+    """What named() added; nothing where not all entries have a name."""
+    names = tuple(entry.get("name") for entry in entries if isinstance(entry, dict))
+    return names if names and len(names) == len(entries) and all(isinstance(name, str) for name in names) else ()
+
+
+def warn_of_losses(path: CameraPath, kind: str) -> None:
     """LossWarning for what formats without intrinsics cannot hold."""
     off = max(max(abs(c.cx - c.width / 2), abs(c.cy - c.height / 2)) for c in path.cameras)
     if off > CENTRED:
         warnings.warn(f"{kind} holds no shift of the lens; it is left out ({off:.3g} pixels).", LossWarning, stacklevel=3)
     if max(abs(c.fx / c.fy - 1) for c in path.cameras) > SQUARE:
         warnings.warn(f"{kind} holds no pixels that are not square; the vertical focal length is written.", LossWarning, stacklevel=3)
-    if one_size and len({(c.width, c.height) for c in path.cameras}) > 1:
+    if len({(c.width, c.height) for c in path.cameras}) > 1:
         warnings.warn(f"{kind} has one size for all frames; the first is written.", LossWarning, stacklevel=3)
 
 

@@ -4,7 +4,7 @@
     {"format": "fast-gs camera path", "version": 1, "fps": 24, "start_frame": 1, "axes": "RDF",
      "frames": [{"width", "height", "fx", "fy", "cx", "cy", "world_to_camera": 4 x 4}, ...]}
 
-Optional "keys" are frames with a "frame" more: their number from 0.
+Optional: each frame's "name".  Optional "keys" are frames with a "frame" more: their number from 0.
 """
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
-from .base import CameraPath, check_frames, refuse_orthographic, write_json
+from .base import CameraPath, check_frames, named, names_of, refuse_orthographic, write_json
 
 name, label = "fastgs", "FAST-GS camera path"
 FORMAT, VERSION = "fast-gs camera path", 1
@@ -38,7 +38,7 @@ def load(file, values, picture) -> CameraPath:
         [_camera(entry, f"{file}: frame {i}") for i, entry in enumerate(frames)],
         poses.number(values.get("fps", picture.fps), f"{file}: its fps", 1e-3, 1e6),
         poses.whole(values.get("start_frame", 1), f"{file}: its start_frame", -10**9, 10**9), axes,
-        [(poses.number(poses.table(entry, f"{file}: key {i}").get("frame"), f"{file}: key {i}: its frame"),
+        names=names_of(frames), keys=[(poses.number(poses.table(entry, f"{file}: key {i}").get("frame"), f"{file}: key {i}: its frame"),
           _camera(entry, f"{file}: key {i}")) for i, entry in enumerate(keys)])
 
 
@@ -46,7 +46,7 @@ def save(path: CameraPath, file, picture) -> None:
     refuse_orthographic(path, label)
     write_json(file, {
         "format": FORMAT, "version": VERSION, "fps": path.fps or picture.fps, "start_frame": path.start_frame, "axes": path.axes,
-        "frames": [_entry(camera) for camera in path.cameras],
+        "frames": named([_entry(camera) for camera in path.cameras], path),
         **({"keys": [{"frame": frame, **_entry(camera)} for frame, camera in path.keys]} if path.keys else {})}, indent=1)
 
 

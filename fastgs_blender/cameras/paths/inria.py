@@ -14,9 +14,11 @@ def recognises(values) -> bool:
 
 
 def load(file, values, picture) -> CameraPath:
-    return CameraPath([view.camera for view in load_cameras(file)])
+    views = load_cameras(file)
+    return CameraPath([view.camera for view in views], names=[view.name for view in views])
 
 
 def save(path: CameraPath, file, picture) -> None:
     refuse_orthographic(path, label)
-    save_cameras([View(f"{path.start_frame + i:05d}", camera) for i, camera in enumerate(path.cameras)], file)
+    names = path.names or [f"{path.start_frame + i:05d}" for i in range(len(path))]
+    save_cameras([View(name, camera) for name, camera in zip(names, path.cameras, strict=True)], file)

@@ -19,6 +19,8 @@ from .base import (
     check_frames,
     degrees_of,
     focal_of,
+    named,
+    names_of,
     opengl_to_world,
     refuse_orthographic,
     symmetric,
@@ -49,7 +51,7 @@ def load(file, values, picture) -> CameraPath:
         pose = poses.from_opengl(poses.rigid(matrix, f"{where}: its camera_to_world"))
         cameras.append(symmetric(width, height, focal_of(entry.get("fov"), height, where), pose))
     fps = poses.number(values.get("fps", picture.fps), f"{file}: its fps", 1e-3, 1e6)
-    return CameraPath(cameras, fps, axes="RFU")
+    return CameraPath(cameras, fps, axes="RFU", names=names_of(values["camera_path"]))
 
 
 def save(path: CameraPath, file, picture) -> None:
@@ -65,4 +67,4 @@ def save(path: CameraPath, file, picture) -> None:
     write_json(file, {
         "default_fov": frames[0]["fov"], "default_transition_sec": 1 / fps, "keyframes": keys, "camera_type": "perspective",
         "render_height": first.height, "render_width": first.width, "fps": fps, "seconds": len(frames) / fps, "is_cycle": False,
-        "smoothness_value": 0.0, "camera_path": frames, "crop": None})
+        "smoothness_value": 0.0, "camera_path": named(frames, path), "crop": None})

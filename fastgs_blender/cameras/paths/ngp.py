@@ -4,6 +4,8 @@
     {"path": [{"R": [x, y, z, w], "T": [3], "fov": degrees (vertical), "slice", "scale", "aperture_size", "timestamp"}, ...],
      "loop", "time", "duration_seconds", "spline_order"}
 
+Ours also say "fps", "width" and "height", which instant-ngp has no place for and ignores: their keyframes are their frames.
+
 R, T: camera to world, OpenCV axes, in instant-ngp's own world: the capture's times 0.33 plus 0.5, axes cycled so that its x is the
 capture's y (nerf_loader.h).  timestamp i is the second at which keyframe i + 1 is reached.  Orders: 0 steps, 1 lines, 2 and 3 uniform
 B-splines, which pass by their keyframes.  Written with a keyframe a frame and order 1, so that it plays exactly.
@@ -15,14 +17,17 @@ import numpy as np
 from ...util import rotations
 from ...util.errors import FastGSError
 from .. import poses
-from ..camera import Camera
+from ..camera import LARGEST_SIDE, Camera
 from .base import (
     CameraPath,
+    Picture,
     camera_to_world,
     check_frames,
     check_length,
     degrees_of,
     focal_of,
+    named,
+    names_of,
     refuse_orthographic,
     symmetric,
     warn_of_losses,
@@ -53,6 +58,11 @@ def recognises(values) -> bool:
 def load(file, values, picture) -> CameraPath:
     check_frames(file, values["path"])
     keys = np.array([_key(entry, f"{file}: keyframe {i}") for i, entry in enumerate(values["path"])])
+    if "fps" in values:
+        picture = Picture(*(poses.whole(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height")),
+                          poses.number(values["fps"], f"{file}: its fps", 1e-3, 1e6))
+        return CameraPath([_camera(key, picture, f"{file}: keyframe {i}") for i, key in enumerate(keys)], picture.fps, axes="RFU",
+                          names=names_of(values["path"]))
     order = poses.whole(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
     loop = bool(values.get("loop", False))
     ends = _ends(file, values, len(keys), order, loop, picture.fps)
@@ -67,15 +77,16 @@ def load(file, values, picture) -> CameraPath:
 
 def save(path: CameraPath, file, picture) -> None:
     refuse_orthographic(path, label)
-    warn_of_losses(path, label, one_size=False)
-    fps = path.fps or picture.fps
+    warn_of_losses(path, label)
+    fps, first = path.fps or picture.fps, path.cameras[0]
     keys = []
     for i, camera in enumerate(path.cameras):
         pose = camera_to_world(camera)
         w, x, y, z = rotations.from_matrices(CYCLE @ pose[:3, :3]).tolist()
         keys.append({"R": [x, y, z, w], "T": (CYCLE @ (pose[:3, 3] * SCALE + OFFSET)).tolist(), "slice": 0.0, "scale": 1.0,
                      "fov": degrees_of(camera.fy, camera.height), "aperture_size": 0.0, "timestamp": (i + 1) / fps})
-    write_json(file, {"loop": False, "time": 0.0, "path": keys, "duration_seconds": len(keys) / fps, "spline_order": 1})
+    write_json(file, {"loop": False, "time": 0.0, "path": named(keys, path), "duration_seconds": len(keys) / fps, "spline_order": 1,
+                      "fps": fps, "width": first.width, "height": first.height})
 
 
 def _key(entry, where) -> np.ndarray:

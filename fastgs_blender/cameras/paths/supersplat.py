@@ -76,6 +76,8 @@ def load(file, values, picture) -> CameraPath:
 def save(path: CameraPath, file, picture) -> None:
     refuse_orthographic(path, label)
     warn_of_losses(path, label)
+    if path.names:
+        warnings.warn(f"{label} holds no names of cameras; they are numbered.", LossWarning, stacklevel=2)
     fps, first = path.fps or picture.fps, path.cameras[0]
     places = np.array([camera_to_world(camera) for camera in path.cameras])
     position, forward = places[:, :3, 3] @ TURN, places[:, :3, 2] @ TURN

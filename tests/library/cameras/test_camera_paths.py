@@ -265,3 +265,50 @@ def test_colmap_binary_and_project_folders(rng, tmp_path):
     save_path(path, folder / "text", "colmap")
     pycolmap.Reconstruction(folder / "text").write_binary(folder)
     assert_same(load_path(tmp_path).cameras, path.cameras, rng)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=st.integers(0, 2**32 - 1), frames=st.integers(1, 9), fps=st.floats(1, 200))
+@settings(max_examples=8)
+def test_as_many_cameras_come_back_whatever_the_rate(name, seed, frames, fps, tmp_path):
+    """Read without being told the rate or the size of the pictures."""
+    rng = np.random.default_rng(seed)
+    cameras = random_path(rng, frames, False, name == "supersplat").cameras
+    file = tmp_path / (f"rate-{seed}-{frames}" if name == "colmap" else "path.json")
+    save_path(CameraPath(cameras, fps), file, name)
+    got = load_path(file)
+    if name == "supersplat" and fps < 8:
+        return  # such rates count seconds there
+    assert len(got) == frames
+    np.testing.assert_allclose([c.world_to_camera for c in got.cameras], [c.world_to_camera for c in cameras], atol=1e-9)
+    if name != "supersplat":  # it has no place for the size
+        assert {(c.width, c.height) for c in got.cameras} == {(c.width, c.height) for c in cameras}
+    if name in ("fastgs", "nerfstudio", "instant-ngp"):
+        assert got.fps == pytest.approx(fps)
+
+
+def test_a_colmap_model_is_no_file(rng, tmp_path):
+    with pytest.raises(fg.FastGSError, match="c.json: a COLMAP model is a folder"):
+        save_path(random_path(rng, 2, True, False), tmp_path / "c.json", "colmap")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "supersplat"])
+def test_names_come_back(name, rng, tmp_path):
+    names = ["b/cam00", "a_cam10", "zebra", "cam07"]
+    path = CameraPath(random_path(rng, 4, False, False).cameras, 25.0, names=names)
+    file = tmp_path / ("model" if name == "colmap" else "path.json")
+    save_path(path, file, name)
+    got = load_path(file)
+    found = dict(zip(got.names, got.cameras, strict=True))
+    assert (sorted(found) if name == "colmap" else list(got.names)) == (sorted(names) if name == "colmap" else names)
+    for each, camera in zip(names, path.cameras, strict=True):
+        np.testing.assert_allclose(found[each].world_to_camera, camera.world_to_camera, atol=1e-9)
+
+
+def test_names_that_a_format_cannot_hold(rng, tmp_path):
+    path = CameraPath(random_path(rng, 2, False, True).cameras, 25.0, names=["left eye", "b"])
+    with pytest.warns(LossWarning, match="no names"):
+        save_path(path, tmp_path / "s.json", "supersplat")
+    with pytest.raises(fg.FastGSError, match="left eye"):
+        save_path(path, tmp_path / "model", "colmap")
