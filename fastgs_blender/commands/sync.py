@@ -21,6 +21,7 @@ def add_arguments(parser):
     parser.add_argument("--by", choices=("auto", "sound", "flash", "motion"), default="auto", help="what to compare first (default: sound "
                         "where all cameras have it, else a flash, else motion)")
     parser.add_argument("--quick", action="store_true", help="leave out the short training that refines the offsets")
+    parser.add_argument("--frames", metavar="A:B", help="the part of the capture to compare, frames counted from 0 (default: all)")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
@@ -32,9 +33,13 @@ def run(args):
     from ..captures.clocks.find import find_offsets
     from ..captures.clocks.plot import write_plot
     from ..captures.pixels.checks import check
+    from .train import frames_slice
 
     use_threads(args.threads)
-    capture = open_capture(args.capture, layout=args.layout, offsets={})
+    part = frames_slice(args.frames)
+    if part is not None and part.step != 1:
+        raise FastGSError(f"--frames {args.frames} skips frames, and clocks are compared from frame to frame; give A:B without a step.")
+    capture = open_capture(args.capture, layout=args.layout, offsets={}, frames=part)
     check(capture)
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
@@ -60,7 +65,7 @@ def run(args):
                 bar.note("")
                 bar.to(done, of)
 
-            clocks, lost = refined(args.capture, clocks.offsets, args.layout, progress=stepped, starting=starting)
+            clocks, lost = refined(args.capture, clocks.offsets, args.layout, frames=part, progress=stepped, starting=starting)
         if len(lost) == len(capture.views):
             raise FastGSError(f"{capture.path}: too little moves in its pictures for clocks to be compared; film something that moves, or "
                               "clap or flash a lamp.")

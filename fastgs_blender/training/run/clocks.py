@@ -29,15 +29,16 @@ EXPECTED = 0.5
 
 
 def refined(path, first: Mapping[str, float], layout: str | None = None, steps: int = STEPS,
-            progress: Callable[[int, int], None] = lambda done, of: None,
+            *, frames: slice | None = None, progress: Callable[[int, int], None] = lambda done, of: None,
             starting: Callable[[int, int], None] = lambda done, of: None) -> tuple[Clocks, tuple[str, ...]]:
     """The clocks of a posed capture, from offsets that are right within a frame or so; and the views before which too little moves.
 
     All views are trained on, those to be held out later too: of their pictures nothing is kept but the clocks.
+    frames    the part of the clip to use, a slice without a step
     progress  called as progress(done, of) after each step;  starting: in the same way while starting points are looked for
     Raises FastGSError where the capture has no poses or nothing can be trained on.
     """
-    capture = _small(path, first, layout)
+    capture = _small(path, first, layout, frames)
     if not capture.posed:
         raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
     with tempfile.TemporaryDirectory() as folder:
@@ -60,11 +61,12 @@ def refined(path, first: Mapping[str, float], layout: str | None = None, steps: 
     return clocks, tuple(view for view in found.views if view not in known)
 
 
-def _small(path, offsets: Mapping[str, float], layout: str | None) -> Capture:
-    """The capture with these offsets, small, of the middle of its clip."""
-    whole = open_capture(path, layout=layout, offsets=offsets, held_out=())
+def _small(path, offsets: Mapping[str, float], layout: str | None, frames: slice | None) -> Capture:
+    """The capture with these offsets, small, of the middle of the frames."""
+    whole = open_capture(path, layout=layout, offsets=offsets, held_out=(), frames=frames)
     count = whole.clip.frame_count
-    begin = max((count - MOST_FRAMES) // 2, 0)
+    begin = max((count - MOST_FRAMES) // 2, 0) + (0 if frames is None else frames.start or 0)
     scale = min(1.0, SIDE / max(picture_size(whole.shots[0].image)))
-    capture = open_capture(path, layout=layout, offsets=offsets, held_out=(), scale=scale, frames=slice(begin, begin + MOST_FRAMES))
+    part = slice(begin, begin + min(count, MOST_FRAMES))
+    capture = open_capture(path, layout=layout, offsets=offsets, held_out=(), scale=scale, frames=part)
     return replace(capture, points=None, model=None)

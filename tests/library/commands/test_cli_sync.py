@@ -37,8 +37,9 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     pytest.importorskip("pycolmap")
     seen, began = [], []
 
-    def few(path, first, layout=None, steps=0, progress=None, starting=None):
-        return refined(path, first, layout, 240, lambda done, of: seen.append((done, of)), lambda done, of: began.append((done, of)))
+    def few(path, first, layout=None, **_):
+        return refined(path, first, layout, 240, progress=lambda done, of: seen.append((done, of)),
+                       starting=lambda done, of: began.append((done, of)))
 
     refined = clocks.refined
     monkeypatch.setattr(clocks, "refined", few)
@@ -54,3 +55,15 @@ def test_what_cannot_be_found_is_told(tmp_path, capsys):
     folder = write_uneven(tmp_path / "still", 14, 3, speed=0.0)
     assert main(["sync", str(folder), "--quiet"]) == 2
     assert "nothing moves" in capsys.readouterr().err and not (folder / FILE).exists()
+
+
+def test_a_part_of_the_clip(shifted, monkeypatch, capsys):
+    """--frames is what is compared and what is refined on; the offsets hold for all frames."""
+    parts = []
+    monkeypatch.setattr(clocks, "refined", lambda path, first, layout=None, frames=None, **_: parts.append(clocks._small(
+        path, first, layout, frames)) or (clocks.Clocks(first, {}, "training"), ()))
+    assert main(["sync", str(shifted), "--quiet", "--frames", "2:33", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["offsets"]["cam02"] == pytest.approx(3.4, abs=0.35)
+    clip = parts[0].clip
+    assert (clip.start_frame - open_capture(shifted).clip.start_frame, clip.frame_count) == (2 + (32 - 24) // 2, 24)
+    assert main(["sync", str(shifted), "--quiet", "--frames", "0:30:3"]) == 2 and "--frames" in capsys.readouterr().err
