@@ -19,6 +19,7 @@ from . import (
     export_native,
     export_splats,
     filters,
+    fit_scene,
     gpus,
     look,
     maintenance,
@@ -33,7 +34,6 @@ from . import (
 )
 from .bake import FASTGS_OT_bake
 from .example import FASTGS_OT_import_example
-from .fit_scene import FASTGS_OT_fit_scene
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
 from .reload import FASTGS_OT_reload
 
@@ -42,7 +42,7 @@ CLASSES = (
     FASTGS_FH_import,
     FASTGS_OT_import_example,
     FASTGS_OT_reload,
-    FASTGS_OT_fit_scene,
+    *fit_scene.CLASSES,
     FASTGS_OT_bake,
     *camera_moves.CLASSES,
     *camera_life.CLASSES,

@@ -12,7 +12,9 @@ from mathutils import Vector
 from ..fastgs_blender.cameras import moves
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene.cameras import keys as camera_keys
+from ..scene.cameras.sides import filmed_side
 from ..scene.cameras.subjects import capture_cameras, far_enough, subject_of, target_camera
+from ..scene.objects import is_splat
 from ..scene.splats.splat_object import sentence
 
 
@@ -115,6 +117,9 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
     elevation: FloatProperty(name="Elevation", description="Angle above the horizon at the beginning", subtype='ANGLE', default=0.35)
     rise: FloatProperty(name="Rise", description="By how much the elevation changes along the way", subtype='ANGLE', default=0.0)
     start: FloatProperty(name="Start", description="Angle around the subject at the beginning", subtype='ANGLE', default=-np.pi / 2)
+    filmed_side: BoolProperty(
+        name="Stay on Filmed Side", description="Go from one end to the other of the side from which the subject was filmed, instead of by "
+        "Start and Turns", default=False, options={'SKIP_SAVE'})
 
     def fitting(self, context):
         centre, size = subject_of(context)
@@ -126,7 +131,25 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
     def move(self, context, camera):
         centre, _ = subject_of(context)
         lens = camera.data.lens if camera else 50.0
-        return lambda s: moves.orbit(s, np.array(centre), self.radius, self.elevation, self.start, self.turns, lens, self.rise)
+        start, turns, side = self.start, self.turns, self._side(context, centre)
+        if self.filmed_side and side is not None:
+            start, turns = side.first, side.width / (2 * np.pi)
+            if self.turns < 0:
+                start, turns = start + side.width, -turns
+        elif side is not None:
+            share = moves.ease(np.linspace(0, 1, self.frame_end - self.frame_start + 1), self.ease)
+            gone = np.flatnonzero(side.beyond(start + 2 * np.pi * turns * share))
+            if len(gone):
+                self.report({'WARNING'}, f"From frame {self.frame_start + int(gone[0])} on the orbit leaves the side that was filmed, "
+                                         f"{np.degrees(side.width):.0f} degrees wide; expect holes there. Stay on Filmed Side, below, "
+                                         "keeps to it.")
+        return lambda s: moves.orbit(s, np.array(centre), self.radius, self.elevation, start, turns, lens, self.rise)
+
+    @staticmethod
+    def _side(context, centre):
+        """From where the subject was filmed; None: from all around, or nothing tells."""
+        chosen = [obj for obj in {context.object, *context.selected_objects} if obj is not None and is_splat(obj)]
+        return filmed_side(chosen[0], centre) if len(chosen) == 1 else None
 
 
 class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):

@@ -18,7 +18,7 @@ class FASTGS_OT_import_example(bpy.types.Operator):
     bl_options = {'REGISTER', 'UNDO'}
 
     def execute(self, context):
-        done = import_files(context, [str(EXAMPLE)], Options(fit_range=True, use_engine=True, view='SUBJECT'))
+        done = import_files(context, [str(EXAMPLE)], Options(fit_range=True, use_engine=True, camera=None, view='SUBJECT'))
         if done.objects:
             compiling.start_on_first_use()
         return done.report(self)

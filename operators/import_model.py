@@ -13,12 +13,15 @@ from ..fastgs_blender.formats import FORMATS, readable
 from ..fastgs_blender.formats.sequences import grouped
 from ..fastgs_blender.formats.streamed_sog import with_level
 from ..scene import upright
-from ..scene.splats.importing import Options, import_files
+from ..scene.splats.importing import Options, decided, import_files
 from ..scene.splats.proxy import LIMIT
+from .fit_scene import offer_set_up
 from .upright import AXES
 
 PATTERNS = tuple(f"*{name}" if name.startswith(".") else name for name in readable())
 """What the file dialog shows."""
+SCENE = {"set_scene_range": "fit_range", "use_engine": "use_engine", "camera": "camera"}
+"""Properties that set up the scene, and the options that they are."""
 
 
 class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
@@ -53,7 +56,8 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         name="Proxy Points", description="Most points that stand for the model where Gaussians are not drawn, as in other engines",
         default=LIMIT, min=0, max=LIMIT)
     set_scene_range: BoolProperty(
-        name="Set Scene Range", description="Set the scene's first and last frame and its frame rate from the capture", default=False)
+        name="Set Scene Range", description="Set the scene's first and last frame and its frame rate from the capture; a new scene gets "
+        "them unasked", default=False, options={'SKIP_SAVE'})
     view: EnumProperty(
         name="View", description="What the window's 3D views show afterwards",
         items=(
@@ -63,10 +67,22 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         ),
         default='SUBJECT')
     use_engine: BoolProperty(
-        name="Render with FAST-GS", description="Make FAST-GS the scene's render engine", default=False)
+        name="Render with FAST-GS", description="Make FAST-GS the scene's render engine; a new scene gets it unasked", default=False,
+        options={'SKIP_SAVE'})
+    camera: BoolProperty(
+        name="Camera", description="Let a new camera see what the 3D view shows, so that F12 does; new scenes, and empty ones, get it "
+        "unasked", default=False, options={'SKIP_SAVE'})
 
     def invoke(self, context, event):
+        self.choose(context)
         return self.invoke_popup(context)
+
+    def choose(self, context) -> None:
+        """What nobody has chosen is as the scene has it: new scenes are set up."""
+        chosen = decided(context.scene, Options())
+        for name, option in SCENE.items():
+            if not self.properties.is_property_set(name):
+                setattr(self, name, getattr(chosen, option))
 
     def draw(self, context):
         layout = self.layout
@@ -81,6 +97,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         col = layout.column(heading="Scene")
         col.prop(self, "set_scene_range", text="Frame Range")
         col.prop(self, "use_engine", text="Render Engine")
+        col.prop(self, "camera")
         header, body = layout.panel("FASTGS_import_formats", default_closed=True)
         header.label(text="Formats")
         if body is not None:
@@ -101,11 +118,13 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
         if not paths:
             self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
             return {'CANCELLED'}
+        self.choose(context)
         done = import_files(context, paths, Options(
-            self.proxy_points, self.orientation != 'KEEP', self.relative_path, self.set_scene_range, self.use_engine, self.view,
-            self.orientation if self.orientation in upright.TURNS else None))
+            self.proxy_points, self.orientation != 'KEEP', self.relative_path, self.set_scene_range, self.use_engine, self.camera,
+            self.view, self.orientation if self.orientation in upright.TURNS else None))
         if done.objects:
             compiling.start_on_first_use()
+            offer_set_up(context, self)
         return done.report(self)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Quaternion, Vector
+from mathutils import Euler, Matrix, Quaternion, Vector
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
@@ -18,6 +18,9 @@ from . import placing, space, subjects
 
 SENSOR = 72.0
 """Width in millimetres of a 3D view's longer side, for the focal length that it is set to."""
+CAMERA_SENSOR, USUAL_LENS = 36.0, 50.0
+USUAL_TURN = Euler((1.1093, 0.0, 0.8149)).to_quaternion()
+"""How Blender's startup file looks at the world."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,55 @@ def show(context, splats: list[bpy.types.Object]) -> int:
     for area, view in views(context):
         if view.view_perspective == 'CAMERA':
             continue
-        look = _look(splats, area, view)
+        look, known = look_at(splats, min(half_sides(area)), view.view_rotation)
+        if known:
+            view.view_perspective = 'PERSP'
         view.view_rotation, view.view_location, view.view_distance = look.rotation, look.location, look.distance
         found += 1
         area.tag_redraw()
     return found
+
+
+def stand_in_view(context, splats: list[bpy.types.Object], camera: bpy.types.Object | None = None) -> bpy.types.Object:
+    """Let a camera, None: a new one, see what the window's largest 3D view shows, all of it; it becomes the scene's camera.
+
+    A view through a camera, and a window without views, show objects as an import would.  Returns the camera.
+    """
+    scene = context.scene
+    if camera is None:
+        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        scene.collection.objects.link(camera)
+    scene.camera = camera
+    found = max(views(context), key=lambda each: each[0].width * each[0].height, default=None)
+    look, wide, high, flat, near, far = _seen_in(context, splats, found)
+    render = scene.render
+    shape = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+    longer = max(wide, high * shape) / min(shape, 1.0)  # tangent of half the angle along the picture's longer side
+    data = camera.data
+    data.sensor_fit, data.sensor_width, data.shift_x, data.shift_y = 'AUTO', CAMERA_SENSOR, 0.0, 0.0
+    data.type = 'ORTHO' if flat else 'PERSP'
+    if flat:
+        data.ortho_scale = 2 * longer * look.distance
+    else:
+        data.lens = CAMERA_SENSOR / 2 / longer
+    data.clip_start, data.clip_end = min(near, look.distance / 100), max(far, 100 * look.distance)
+    place = look.location + look.rotation @ Vector((0, 0, look.distance))
+    camera.matrix_world = Matrix.LocRotScale(place, look.rotation, None)
+    return camera
+
+
+def _seen_in(context, splats, found) -> tuple[Look, float, float, bool, float, float]:
+    """(look, tangents of half the angles to the side and upwards, whether it is orthographic, nearest and farthest depth) of a 3D view."""
+    if found is None:  # no window: a view of the render's shape
+        sides = np.array([context.scene.render.resolution_x, context.scene.render.resolution_y], np.float64)
+        wide, high = SENSOR / 2 / USUAL_LENS * sides / sides.max()
+        return look_at(splats, min(wide, high))[0], wide, high, False, 0.01, 1000.0
+    area, view = found
+    space_, (wide, high) = area.spaces.active, half_sides(area)
+    if view.view_perspective == 'CAMERA':
+        return look_at(splats, min(wide, high))[0], wide, high, False, space_.clip_start, space_.clip_end
+    look = Look(view.view_rotation.copy(), view.view_location.copy(), view.view_distance)
+    return look, wide, high, view.view_perspective == 'ORTHO', space_.clip_start, space_.clip_end
 
 
 def views(context) -> list[tuple[bpy.types.Area, bpy.types.RegionView3D]]:
@@ -69,20 +116,23 @@ def eyes(context) -> list[Vector]:
             else view.view_location + view.view_rotation @ Vector((0, 0, view.view_distance)) for _, view in views(context)]
 
 
-def _look(splats, area, view) -> Look:
+def look_at(splats: list[bpy.types.Object], half: float, turn: Quaternion = USUAL_TURN) -> tuple[Look, bool]:
+    """How objects are looked at, and whether a file says so, which then means a perspective view.
+
+    half  tangent of half the angle that the view's shorter side shows; turn: the view's rotation, which stays where nothing is known
+    """
     middle, radius = subjects.middle_and_radius(splats)
-    fit = radius / np.sin(np.arctan(min(half_sides(area))))
+    fit = radius / np.sin(np.arctan(half))
     known = _known(splats[0]) if len(splats) == 1 else None
     if known is None:
-        return (_estimated(splats[0], fit) if len(splats) == 1 else None) or Look(view.view_rotation.copy(), middle, fit)
+        return (_estimated(splats[0], fit) if len(splats) == 1 else None) or Look(turn.copy(), middle, fit), False
     camera, distance, wanted = known
     pose = Matrix(cameras.pose_of(camera).tolist())
     forward = pose.to_3x3() @ Vector((0, 0, -1))
     if not distance:
         distance = max((middle - pose.translation).dot(forward), radius)
     near = distance if wanted else min(distance, fit)
-    view.view_perspective = 'PERSP'
-    return Look(pose.to_quaternion(), pose.translation + distance * forward, near)
+    return Look(pose.to_quaternion(), pose.translation + distance * forward, near), True
 
 
 def _known(splat) -> tuple[fg.Camera, float, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 
@@ -25,14 +25,17 @@ class Options:
     relative    keep paths relative to the .blend, where that is possible
     fit_range   set the scene's range and frame rate from the first file
     use_engine  make FAST-GS the scene's render engine
+    camera      let a camera see what the 3D view shows: the startup file's, as long as nobody has placed it, or a new one
+                Of these three None means: in an untouched scene (startup.py); a camera, where the scene holds nothing at all, too
     view        'SUBJECT': show the first object in the window's 3D views; 'CAMERA': look through a camera of its capture; 'KEEP'
     """
 
     limit: int = LIMIT
     orient: bool = True
     relative: bool = False
-    fit_range: bool = False
-    use_engine: bool = False
+    fit_range: bool | None = None
+    use_engine: bool | None = None
+    camera: bool | None = None
     view: str = 'KEEP'
     up: str | None = None
 
@@ -64,7 +67,7 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
     """Import files: the new objects are selected, the last one is active.  A file that cannot be read is left out."""
     if context.mode != 'OBJECT':
         bpy.ops.object.mode_set(mode='OBJECT')
-    done = Imported()
+    done, options, new = Imported(), decided(context.scene, options), startup.is_untouched(context.scene)
     for path in paths:
         with warnings.catch_warnings(record=True) as remarks:
             warnings.simplefilter("always")
@@ -78,13 +81,23 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
                     done.remarks.append(f'The file of "{obj.name}" says which axis points up, and it does; Up Axis lets another one')
         done.warnings += [printable(remark.message) for remark in remarks]
     if done.objects:
-        _set_up(context, done, options)
+        _set_up(context, done, options, context.scene.camera if new else None)
     return done
 
 
-def _set_up(context, done: Imported, options: Options) -> None:
-    """Select the new objects, set up the scene as the options say, and let what was imported be seen."""
-    scene, first = context.scene, done.objects[0]
+def decided(scene: bpy.types.Scene, options: Options) -> Options:
+    """The options with what a scene as it is before an import makes of those that nobody has chosen."""
+    new, bare = startup.is_untouched(scene), not scene.objects
+    usual = {"fit_range": new, "use_engine": new, "camera": new or bare}
+    return replace(options, **{name: value for name, value in usual.items() if getattr(options, name) is None})
+
+
+def _set_up(context, done: Imported, options: Options, camera: bpy.types.Object | None) -> None:
+    """Select the new objects, set up the scene as the options say, and let what was imported be seen.
+
+    camera  the startup file's, which nobody has placed yet
+    """
+    scene, first, through = context.scene, done.objects[0], False
     for obj in done.objects:
         obj.select_set(True)
     if options.fit_range:
@@ -92,16 +105,20 @@ def _set_up(context, done: Imported, options: Options) -> None:
     if options.use_engine:
         scene.render.engine = 'FASTGS'
     if options.view != 'KEEP':
-        _show(context, done, options.view == 'CAMERA')
+        through = _show(context, done, options.view == 'CAMERA')
         cube = startup.hide_cube(context, done.objects, framing.eyes(context))
         if cube is not None:
             done.remarks.append(f'"{cube.name}" of the startup file stood in the capture, or before it, and is hidden')
+    if options.camera and not through:
+        context.view_layer.update()
+        camera = framing.stand_in_view(context, done.objects, camera)
+        done.remarks.append(f'F12 shows what the 3D view shows, through "{camera.name}"')
     if startup.dulls_colours(scene):
         done.remarks.append(startup.REMARK)
 
 
-def _show(context, done: Imported, through_camera: bool) -> None:
-    """Let the window's 3D views show the new objects."""
+def _show(context, done: Imported, through_camera: bool) -> bool:
+    """Let the window's 3D views show the new objects; whether through a camera of their capture."""
     context.view_layer.update()
     if through_camera:
         try:
@@ -109,5 +126,6 @@ def _show(context, done: Imported, through_camera: bool) -> None:
         except FastGSError as error:
             done.warnings.append(splat_object.sentence(error))
         else:
-            return
+            return True
     framing.show(context, done.objects)
+    return False

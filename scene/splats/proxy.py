@@ -18,7 +18,7 @@ from ...fastgs_blender.rendering.colour import linear_to_srgb
 from .. import model_space, point_edits
 from ..colour import rec709_to_working
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, LEVELS, NONE, RADIUS, SHADE, give_modifier
-from .proxy_points import LIMIT, Points, choose, linear_colour
+from .proxy_points import GOLDEN, LIMIT, Points, choose, linear_colour
 
 __all__ = ["EVERY", "LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
 
@@ -102,8 +102,9 @@ def _corners(box: np.ndarray) -> np.ndarray:
 
 
 def _shades(colour: np.ndarray) -> np.ndarray:
-    """Number [M] of the palette's material for each linear colour [M, 3].  Rounding errors are diffused to neighbours."""
-    spread = (np.arange(len(colour))[:, None] * np.array([0.8191725, 0.6710436, 0.5497005])) % 1  # Roberts' R3 sequence
+    """Number [M] of the palette's material for each linear colour [M, 3].  Rounding errors are diffused to neighbours; channels are
+    rounded alike, so that greys become greys."""
+    spread = (np.arange(len(colour))[:, None] * GOLDEN) % 1
     level = np.clip(np.floor(linear_to_srgb(np.clip(colour, 0, 1)) * (LEVELS - 1) + spread), 0, LEVELS - 1).astype(np.int32)
     return level @ np.array([LEVELS * LEVELS, LEVELS, 1], np.int32)
 

@@ -210,3 +210,68 @@ def test_an_export_too_long_is_refused_at_once(bpy, scene, add_camera, tmp_path)
     scene.camera = add_camera()
     with pytest.raises(RuntimeError, match="at most 50000"):
         bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "a.json"), use_range=True, frame_start=-2**31, frame_end=2**31 - 1)
+
+
+@pytest.fixture
+def filmed(bpy, fg, module, make_model, model_file, scene):
+    """filmed(*degrees): an imported model at the origin, filmed from these angles around it."""
+    from dataclasses import replace
+
+    around = module("fastgs_blender.model.surroundings")
+    lens = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0, "rotation": (1.0, 0.0, 0.0, 0.0)}
+
+    def make(*degrees):
+        cameras = [around.Viewpoint(**lens, name=str(a), distance=4.0, position=(5 * np.cos(np.radians(a)), 5 * np.sin(np.radians(a)), 1.0))
+                   for a in degrees]
+        model = replace(make_model(300, axes="RFU"), surroundings=around.Surroundings(None, tuple(cameras)))
+        bpy.ops.import_scene.fastgs(filepath=model_file(model), view='KEEP', camera=False)
+        scene.frame_start, scene.frame_end = 1, 101
+        return bpy.context.object
+
+    return make
+
+
+def test_an_orbit_that_leaves_the_filmed_side_says_so_and_offers_the_arc_that_does_not(bpy, scene, filmed, add_camera, capfd):
+    """Filmed from -130 to -50 degrees: a turn that begins at -90 leaves the side, and 15 degrees beside it, after 55 of 360 degrees."""
+    filmed(-130, -90, -50)
+    camera = add_camera(location=(0, -6, 1))
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(turns=1.0, spacing=5)
+    said = capfd.readouterr().out
+    assert "From frame 17 on the orbit leaves" in said and "110 degrees" in said and "Stay on Filmed Side" in said
+    for turns in (1.0, -1.0):
+        camera.animation_data_clear()
+        bpy.ops.fastgs.camera_orbit(turns=turns, spacing=5, filmed_side=True)
+        rows = track(scene, camera)
+        angles = np.degrees(np.arctan2(rows[:, 1], rows[:, 0]))
+        ends = (-145, -35) if turns > 0 else (-35, -145)
+        assert np.allclose(angles[[0, -1]], ends, atol=3) and angles.min() > -148 and angles.max() < -32
+        assert "leaves" not in capfd.readouterr().out
+    camera.animation_data_clear()
+    camera.location = (0, -6, 1)
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(turns=0.1)
+    assert "leaves" not in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("degrees", [(0, 90, 180, 270), (0, 115, 240)])
+def test_what_was_filmed_from_all_around_has_no_side(bpy, filmed, add_camera, capfd, degrees):
+    filmed(*degrees)
+    add_camera(location=(0, -6, 1))
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(turns=1.0)
+    assert "leaves" not in capfd.readouterr().out
+
+
+def test_a_side_that_long_gaussians_tell_is_kept_to(bpy, fg, scene, make_model, model_file, add_camera, capfd):
+    """All of the model lies to one side of its origin: that is where it was filmed from."""
+    rng = np.random.default_rng(0)
+    model = make_model(400, axes="RFU", position=rng.uniform(-1, 1, (400, 3)) + [0, 4, 0])
+    bpy.ops.import_scene.fastgs(filepath=model_file(model), view='KEEP', camera=False)
+    scene.frame_start, scene.frame_end = 1, 101
+    add_camera(location=(0, -2, 0))
+    bpy.context.view_layer.update()
+    bpy.ops.fastgs.camera_orbit(turns=0.5)
+    assert "leaves the side" in capfd.readouterr().out
+    bpy.ops.fastgs.camera_orbit(turns=0.5, filmed_side=True)
+    assert "leaves the side" not in capfd.readouterr().out

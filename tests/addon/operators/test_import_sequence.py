@@ -51,7 +51,7 @@ def test_selected_files_and_dropped_ones(folder, module):
         for obj in list(bpy.data.objects):
             bpy.data.objects.remove(obj)
         bpy.ops.import_scene.fastgs(directory=str(folder), files=[{"name": name} for name in chosen], **options)
-        return sorted((obj.fastgs.filepath.rpartition("/")[2], obj.fastgs.frame_count) for obj in bpy.data.objects)
+        return sorted((obj.fastgs.filepath.rpartition("/")[2], obj.fastgs.frame_count) for obj in bpy.data.objects if obj.type != 'CAMERA')
 
     assert imported(names) == [("take_####.ply", FRAMES)]
     assert imported(names[1:3]) == [("take_[002-003].ply", 2)]

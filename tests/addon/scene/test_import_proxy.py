@@ -179,6 +179,15 @@ def test_solid_view_has_faces_with_the_colour(make_model, model_file):
     assert evaluated.color_attributes.active_color.name == "Color"
 
 
+def test_workbench_draws_greys_as_greys(make_model, model_file):
+    """And not as a rainbow of the palette's colours."""
+    grey = np.random.default_rng(6).random((200, 1)) * np.ones(3)
+    bpy.ops.import_scene.fastgs(filepath=model_file(make_model(200, opacity=np.full(200, 4.0), features=grey)))
+    mesh = bpy.context.object.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    used = np.array([mesh.materials[face.material_index].diffuse_color[:3] for face in mesh.polygons])
+    assert len(used) and np.ptp(used, axis=1).max() < 1e-6 and len(np.unique(used.round(3), axis=0)) == 3
+
+
 def test_workbench_draws_each_point_in_its_colour(make_model, model_file):
     """Workbench knows materials alone: each octahedron has the palette's one that is next to its colour, above or below."""
     rng = np.random.default_rng(5)

@@ -287,7 +287,8 @@ def test_import_options_draw(module):
     layout.label = lambda text, translate=True: labels.append(text)
     operator.draw(SimpleNamespace(layout=layout, paths=list), bpy.context)
     assert set(names) <= set(bpy.ops.import_scene.fastgs.get_rna_type().properties.keys())
-    assert {"relative_path", "as_sequence", "level", "orientation", "proxy_points", "view", "set_scene_range", "use_engine"} == set(names)
+    assert {"relative_path", "as_sequence", "level", "orientation", "proxy_points", "view", "set_scene_range", "use_engine",
+            "camera"} == set(names)
     assert labels[1:] == [f"{known.name} ({', '.join(known.reads)})" for known in module("fastgs_blender.formats").FORMATS]
 
 
