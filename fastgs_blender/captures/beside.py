@@ -2,8 +2,8 @@
 """Films and folders of pictures that lie beside a calibration, found by the names of its cameras.
 
 A film belongs to a camera if its name is the camera's, or contains it: cam_01, Cam1 and int_cam01_img are the same name, and take2_cam1.mp4
-contains it.  All films of a rig lie in one folder.  Where no name matches and there are as many films as cameras, they are paired in order,
-and a note says so.
+contains it.  The film may also lie in a folder of that name: cam1/GX010010.MP4.  All films of a rig lie in one folder.  Where no name
+matches and there are as many films as cameras, they are paired in order, and a note says so.
 """
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..cameras.opencv import Calibrated, metric, upright_axes
 from ..util.errors import FastGSError
 from .capture import Capture, Options
 from .pixels.probe import picture_size
-from .pixels.sequences import frame_range, numbered_pictures, video_frames
-from .rigs import Entry, RigCamera, from_entries, from_rig
+from .pixels.sequences import film_of, frame_range, numbered_pictures, video_frames, videos_in
+from .rigs import Entry, RigCamera, from_entries, from_rig, lone_sentence
 from .sources import VIDEOS, Source
 from .timestamps import Times
 
@@ -28,14 +28,17 @@ LATER = ("calib", "annotat", "intrinsic", "extrinsic")
 
 
 def is_film(place: Path) -> bool:
-    """Whether a path is a video, or a folder of numbered pictures."""
+    """Whether a path is a video, or a folder of numbered pictures or with a video in it."""
     if place.name.startswith("."):
         return False
-    return (place.suffix.lower() in VIDEOS and place.is_file()) or (place.is_dir() and bool(numbered_pictures(place)))
+    if place.is_dir():
+        return bool(numbered_pictures(place) or videos_in(place))
+    return place.suffix.lower() in VIDEOS and place.is_file()
 
 
 def first_source(place: Path) -> Source:
     """The first picture of a film."""
+    place = film_of(place)
     return Source(place, 0) if place.is_file() else Source(next(iter(numbered_pictures(place).values())))
 
 
@@ -85,7 +88,7 @@ def films_of(names: Sequence[str], file: Path, path: Path) -> tuple[dict[str, Pa
             best = found
         if len(films) == len(names) > 1 and not counted:
             counted = sorted(films, key=lambda film: [str(word).zfill(18) for word in words(film.stem)])
-    if not best and counted:
+    if not best and counted and all(len(videos_in(film)) < 2 for film in counted if film.is_dir()):
         order = ", ".join(f"{film.name} is {name}" for name, film in zip(names, counted))
         return dict(zip(names, counted)), [f"no film in {counted[0].parent.name} is called like a camera; taken in order, {order}"]
     lost = [name for name in names if name not in best]
@@ -115,8 +118,8 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
                           "pictures like its camera.")
     metres, told = metric(cameras, unit)
     notes += [told] if told else []
-    faults: list[str] = []
-    start, found, rates = _films(places, faults, path)
+    faults: list[str] = lone_sentence(list(places), [called for called in names if called not in places])
+    start, found, rates = films(places, faults, path)
     rig: dict[str, RigCamera] = {}
     for camera in cameras:
         place = places.get(camera.name)
@@ -126,7 +129,7 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
         pose[:3, 3] *= metres
         settings = dict(lens=camera.lens, intrinsics=camera.intrinsics(_size(place, camera), str(place)))
         pictures = [None if where is None else Source(*where, **settings) for where in found[camera.name]]
-        view = place.stem if camera.name.isdecimal() and place.is_file() else camera.name  # "cam_0" says more than "0"
+        view = place.stem if camera.name.isdecimal() and film_of(place).is_file() else camera.name  # "cam_0" says more than "0"
         rig[camera.name] = RigCamera(view if view not in names else camera.name, pictures, pose)
     settings = dict(axes=upright_axes([camera.pose for camera in rig.values()]), faults=faults)
     if times is None:
@@ -145,8 +148,10 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     return from_entries(path, layout, entries, options, frame_count=times.count, fps=times.fps, notes=notes, **settings)
 
 
-def _films(places: dict[str, Path], faults: list[str], path: Path):
-    """Number of the first frame, (file, number of its frame) or None by camera and frame, and frames per second of the videos."""
+def films(places: dict[str, Path], faults: list[str], path: Path):
+    """The films at these places: number of the first frame, (file, number of its frame) or None by camera and frame, and frames per second
+    of the videos."""
+    places = {name: film_of(place) for name, place in places.items()}
     folders = {name: numbered_pictures(place) for name, place in places.items() if place.is_dir()}
     start, count = frame_range(folders.values(), path)
     found: dict[str, list] = {name: [(numbered[n], None) if n in numbered else None for n in range(start, start + count)]

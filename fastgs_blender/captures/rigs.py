@@ -71,6 +71,16 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
     return from_entries(path, layout, entries, options, frame_count=count, faults=faults, **settings)
 
 
+def lone_sentence(found: Sequence[str], lost: Sequence[str]) -> list[str]:
+    """A clause where only one camera of a rig has a film: a scene that moves cannot be learnt from it."""
+    if len(found) != 1 or not lost:
+        return []
+    some = ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")
+    sentence = (f"only {found[0]} of its {1 + len(lost)} cameras has a film, and there is none of {some}; call each film, or the folder "
+                "that it lies in, like its camera")
+    return [sentence]
+
+
 def chosen_frames(cameras: Sequence[RigCamera], options: Options, path) -> Sequence[int]:
     """The frames of a rig that the options choose, counted from 0."""
     return _chosen(max((len(camera.pictures) for camera in cameras), default=0), options.frames, path)

@@ -3,7 +3,7 @@
 
     cameras.json                 {"format": "fast-gs capture", "version": 1, ...}
     cam00/0001.png ...           PNG, JPEG or EXR; the number is start_frame + frame.  Or cam00.mp4, whose first frame is frame 0,
-                                 or whose frame number video_start is
+                                 or whose frame number video_start is; it may lie in the folder cam00
     masks/cam00/0001.png ...     optional, white: what counts
     points.ply                   optional: x y z red green blue and t
     bake.safetensors             optional: a model of the same scene and time, with which training begins
@@ -24,7 +24,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import open_file, read_json
 from ..capture import MASKS, Capture, Options
-from ..pixels.sequences import numbered_pictures, video_frames
+from ..pixels.sequences import film_of, numbered_pictures, video_frames
 from ..points import load_points
 from ..rigs import RigCamera, check_count, from_rig
 from ..sources import COLOURS, VIDEOS, Source
@@ -93,8 +93,10 @@ def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
         raise FastGSError(f"{where}: {error}") from error
     given = poses.intrinsics(where, *(_needed(entry, key, where + ": ") for key in ("fx", "fy", "cx", "cy", "width", "height")))
     settings = dict(lens=lens, intrinsics=given)
-    video = next((folder / (called + suffix) for suffix in VIDEOS if (folder / (called + suffix)).is_file()), None)
-    if (folder / called).is_dir() or video is None:
+    place = folder / called
+    beside_it = (folder / (called + suffix) for suffix in VIDEOS)
+    video = film_of(place) if place.is_dir() else next((video for video in beside_it if video.is_file()), place)
+    if not video.is_file():
         pictures = _numbered(folder / called, count, start, colour=colour, **settings)
     else:
         first = poses.whole(entry.get("video_start", 0), f"{where}: its video_start", 0, MOST_FRAMES)

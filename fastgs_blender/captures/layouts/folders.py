@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures or videos without any calibration: a folder of numbered pictures, or a video, for each camera.
+"""Pictures or videos without any calibration: for each camera a video, or a folder of numbered pictures or with a video in it.
 
 Recognised last.  The capture has no poses until posing.with_cameras() gives them.
 """
@@ -8,18 +8,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...util.errors import FastGSError
+from ..beside import LATER, films
 from ..capture import Capture, Options
-from ..pixels.sequences import frame_range, numbered_pictures, video_frames
+from ..pixels.sequences import numbered_pictures, videos_in
 from ..rigs import RigCamera, from_rig
-from ..sources import PICTURES, VIDEOS, Source
+from ..sources import PICTURES, Source
 
 name = "folders without poses"
 NOT_CAMERAS = ("masks", "mask")
 
 
 def recognises(path: Path) -> bool:
-    """At least two videos, or two folders with pictures in them."""
-    return path.is_dir() and (len(_videos(path)) > 1 or len(_folders(path)) > 1)
+    """At least two videos, or two folders with pictures or a video in them."""
+    return path.is_dir() and len(_places(path)) > 1
 
 
 def load(path: Path, options: Options) -> Capture:
@@ -27,35 +28,32 @@ def load(path: Path, options: Options) -> Capture:
     if not path.is_dir():
         raise FastGSError(f"{path}: give the folder that holds one folder of pictures or one video for each camera.")
     faults: list[str] = []
-    folders = {folder.name: numbered_pictures(folder) for folder in _folders(path)}
-    if len(folders) > 1:
-        start, count = frame_range(folders.values(), path)
-        cameras = [RigCamera(view, [Source(found[n]) if n in found else None for n in range(start, start + count)], None,
-                             _masks(path, view, start, count)) for view, found in folders.items()]
-        return from_rig(path, name, cameras, options, start_frame=start, frame_count=count, faults=faults)
-    rates, cameras = [], []
-    for video in _videos(path):
-        pictures, fps = video_frames(video, faults)
-        rates += [fps] if fps else []
-        cameras.append(RigCamera(video.stem, pictures, None))
-    if not rates:
-        raise FastGSError(f"{path}: none of its videos can be read: {faults[0] if faults else 'there are none.'}")
-    return from_rig(path, name, cameras, options, fps=rates[0], faults=faults)
+    start, found, rates = films(_places(path), faults, path)
+    cameras = [RigCamera(view, [None if where is None else Source(*where) for where in film], None, _masks(path, view, start, len(film)))
+               for view, film in found.items()]
+    if faults and not any(film for film in found.values()):
+        raise FastGSError(f"{path}: none of its videos can be read: {faults[0]}")
+    return from_rig(path, name, cameras, options, fps=rates[0] if rates else 30.0, start_frame=start, faults=faults)
 
 
 def _masks(path, view, start, count) -> list[Source | None]:
     folder = path / "masks" / view
     found = numbered_pictures(folder) if folder.is_dir() else {}
-    return [Source(found[n]) if n in found else None for n in range(start, start + count)]
+    return [Source(found[n]) if n in found else None for n in range(start, start + count)] if found else []
 
 
-def _videos(path: Path) -> list[Path]:
-    return sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEOS and p.is_file() and not p.name.startswith("."))
+def _places(path: Path) -> dict[str, Path]:
+    """The place of each camera's film by its name: folders, or the videos beside them where no two folders hold pictures."""
+    videos, folders = videos_in(path), sorted(p for p in path.iterdir() if _is_camera(p))
+    if len(videos) > 1 and sum(map(_holds_pictures, folders)) < 2:
+        return {video.stem: video for video in videos}
+    return {folder.name: folder for folder in folders}
 
 
-def _folders(path: Path) -> list[Path]:
-    return sorted(p for p in path.iterdir()
-                  if p.is_dir() and not p.name.startswith(".") and p.name not in NOT_CAMERAS and _holds_pictures(p))
+def _is_camera(place: Path) -> bool:
+    name = place.name.lower()
+    return place.is_dir() and not name.startswith(".") and name not in NOT_CAMERAS and (
+        _holds_pictures(place) or (bool(videos_in(place)) and not any(word in name for word in LATER)))
 
 
 def _holds_pictures(folder: Path) -> bool:

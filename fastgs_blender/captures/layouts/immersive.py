@@ -24,7 +24,7 @@ from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..capture import Capture, Options
 from ..pixels.sequences import video_frames
-from ..rigs import RigCamera, chosen_frames, from_rig
+from ..rigs import RigCamera, chosen_frames, from_rig, lone_sentence
 from ..sources import VIDEOS
 from .prepared import prepared_points
 
@@ -63,6 +63,7 @@ def load(path: Path, options: Options) -> Capture:
             rates += [fps] if fps else []
     if not cameras:
         raise FastGSError(f"{file}: none of its cameras ({', '.join(names[:8])}) has a video in {folder}; copy the videos there.")
+    faults += lone_sentence([camera.name for camera in cameras], [called for called in names if called not in videos])
     notes = []
     for text, lost in (("without calibration in models.json", sorted(set(videos) - set(names))),
                        ("without a video", [called for called in names if called not in videos])):

@@ -22,7 +22,7 @@ from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
+from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
 from ..points import load_points
 from ..rigs import RigCamera, chosen_frames, from_rig
 from ..sources import VIDEOS, Source
@@ -102,5 +102,5 @@ def _found(path: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for place in sorted(path.iterdir(), key=lambda p: (p.stem, p.is_dir())):
         if re.fullmatch(r"cam\d+", place.stem) and (place.is_dir() or place.suffix.lower() in VIDEOS):
-            found.setdefault(place.stem, place)
+            found.setdefault(place.stem, place if (place / "images").is_dir() else film_of(place))
     return found

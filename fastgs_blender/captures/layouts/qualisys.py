@@ -27,8 +27,8 @@ from ...util.xml_files import plain_xml
 from ..beside import first_source, is_film
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..pixels.sequences import numbered_pictures, numbered_sources, video_frames
-from ..rigs import RigCamera, from_rig
+from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
+from ..rigs import RigCamera, from_rig, lone_sentence
 
 name = "Qualisys"
 SUBPIXELS = 64
@@ -66,6 +66,7 @@ def load(path: Path, options: Options) -> Capture:
     if not rig:
         raise FastGSError(f"{file}: there is no video of any of its cameras ({', '.join(lost[:8])}) beside it; the name of a video must "
                           "hold its camera's serial.")
+    faults += lone_sentence([camera.name for camera in rig], lost)
     notes = [f"left out for want of a video: {', '.join(lost)}"] if lost else []
     return from_rig(path, name, rig, options, fps=rates[0] if rates else 30.0, axes="RFU", held_out=[rig[-1].name] if len(rig) > 1 else [],
                     notes=notes, faults=faults)
@@ -115,6 +116,7 @@ def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
 
 
 def _pictures(place: Path, faults, **settings):
+    place = film_of(place)
     if place.is_file():
         return video_frames(place, faults, **settings)
     return numbered_sources(numbered_pictures(place), place, **settings), None

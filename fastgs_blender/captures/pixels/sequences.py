@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ...util.errors import FastGSError
-from ..sources import PICTURES, Source
+from ..sources import PICTURES, VIDEOS, Source
 from .video import index
 
 MOST_DIGITS = 18
@@ -29,6 +29,25 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
             raise FastGSError(f"{folder}: {found[number].name} and {path.name} both are picture {number}; leave one of them.")
         found[number] = path
     return found
+
+
+def videos_in(folder: Path) -> list[Path]:
+    """The videos that lie in a folder."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in VIDEOS and p.is_file() and not p.name.startswith("."))
+
+
+def film_of(place: Path) -> Path:
+    """The film at a place: the video in a folder (one picture beside it is its thumbnail), else the place itself.
+
+    Raises FastGSError where the folder holds several videos and no sequence of pictures.
+    """
+    if place.is_file() or len(numbered_pictures(place)) > 1:
+        return place
+    videos = videos_in(place)
+    if len(videos) > 1:
+        raise FastGSError(f"{place}: it holds {len(videos)} videos, {videos[0].name} and {videos[1].name} among them; join the parts of a "
+                          "film, or leave one video in a camera's folder.")
+    return videos[0] if videos else place
 
 
 def frame_range(numbered: Iterable[dict[int, Path]], where: Path) -> tuple[int, int]:

@@ -69,6 +69,36 @@ def test_pose2sim(tmp_path, tmp_path_factory):
         RIG.check(open_capture(path), tmp_path_factory.mktemp("cache"), [f"int_{name}_img" for name in NAMES])
 
 
+def test_a_folder_for_each_camera_with_its_film_in_it(tmp_path, tmp_path_factory):
+    """anipose's back/minimal_back.mp4, a GoPro's cam01/GX010010.MP4; parts of one film are to be joined."""
+    (tmp_path / "calibration.toml").write_text("".join(toml(i, f'name = "{name}"') for i, name in enumerate(NAMES)))
+    for name in NAMES:
+        (tmp_path / name).mkdir()
+    films(tmp_path, [f"{name}/minimal_{name}" for name in NAMES])
+    RIG.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES)
+    for i, name in enumerate(NAMES):
+        (tmp_path / name / f"minimal_{name}.mp4").rename(tmp_path / name / f"GX01001{i}.MP4")
+    RIG.write_picture(tmp_path / "cam01" / "GX010010.jpg", 0, 0)  # its thumbnail
+    RIG.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES)
+    (tmp_path / "calibration.toml").rename(tmp_path / "calibration.txt")
+    capture = open_capture(tmp_path)
+    assert capture.layout == "folders without poses" and capture.views == NAMES and not capture.posed and not problems(capture)
+    assert capture.clip.frame_count == RIG.frames and capture.clip.fps == 50
+    (tmp_path / "cam02" / "GX020011.MP4").write_bytes((tmp_path / "cam02" / "GX010011.MP4").read_bytes())
+    with pytest.raises(FastGSError, match=r"cam02: it holds 2 videos, GX010011\.MP4 and GX020011\.MP4"):
+        open_capture(tmp_path)
+
+
+@pytest.mark.parametrize("make", [tiny_captures.aniposelib, tiny_captures.opencv_files, tiny_captures.immersive, tiny_captures.qualisys])
+def test_one_camera_of_a_rig_is_refused(make, tmp_path):
+    """Of two cameras that are listed, one film is there: nothing is trained on it alone."""
+    make(tmp_path)
+    lost = next(p for p in (tmp_path / "cam01", tmp_path / "camera_0002.mp4", tmp_path / "film 1001") if p.exists())
+    lost.rename(tmp_path / ".gone")
+    found = problems(open_capture(tmp_path))
+    assert len(found) == 1 and "only" in found[0] and "of its 2 cameras" in found[0]
+
+
 def test_films_that_are_called_otherwise_are_taken_in_order(tmp_path):
     films(tmp_path, ["GX10", "GX9", "GX100"])
     (tmp_path / "calibration.toml").write_text("".join(toml(i, f'name = "{name}"') for i, name in enumerate("ABC")))
