@@ -50,6 +50,8 @@ ALONE = (*EXTENSIONS, ".safetensors", ".splatv", ".4dgs", ".splat4d")
 """Of files that are read where a zip file holds only one of them."""
 COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
 """What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
+POINTS = ("input.ply", "points3d.ply", "sparse_pc.ply")
+"""What trainers call the points that they began with, which lie beside their models."""
 META, LEVELS = sog.META, streamed_sog.META
 """Of SOG in a folder, and of its levels of detail in folders beside each other."""
 DEPTH = 4
@@ -233,8 +235,8 @@ def _is_frame(name: str) -> bool:
 
 
 def _is_packed_frame(name: str) -> bool:
-    """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not."""
-    return _is_frame(name) and os.path.basename(name) != META
+    """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not, and no trainer's points."""
+    return _is_frame(name) and os.path.basename(name).lower() not in (META, *POINTS)
 
 
 def _alone(names: Iterable[str]) -> list[str]:

@@ -202,6 +202,16 @@ def test_load_reads_the_only_model_of_a_zip(make_model, rng, tmp_path, name, kin
             fg.load(tmp_path / "two.zip")
 
 
+@pytest.mark.parametrize("points", ["input.ply", "sparse/0/points3D.ply", "sparse_pc.ply"])
+def test_a_zipped_training_is_its_model_and_not_its_first_points(make_model, rng, tmp_path, points):
+    """INRIA's trainer copies the points that it began with, input.ply, into the folder of each model."""
+    fg.save(make_model(rng, 30), tmp_path / "m.ply")
+    with zipfile.ZipFile(tmp_path / "out.zip", "w") as archive:
+        archive.write(tmp_path / "m.ply", "out/point_cloud/iteration_30000/point_cloud.ply")
+        archive.writestr(f"out/{points}", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
+    assert len(fg.load(tmp_path / "out.zip")) == len(fg.open_source(tmp_path / "out.zip")) == 30
+
+
 def test_a_zip_writes_nothing_outside_of_its_folder(make_model, rng, tmp_path):
     fg.save(make_model(rng, 5), tmp_path / "m.ply")
     for name in ("../../m.ply", "a/../../../m.ply", "c:\\m.ply"):
