@@ -45,4 +45,5 @@ def test_a_camera_made_here_sees_the_view(user, model):
 def test_panels_are_as_wide_as_their_texts_are_measured_for(user):
     """tests/addon/ui asks whether all texts fit into panels of these widths.  The screenshots show all panels, open."""
     facts = user.story("tools_window.panels", window=True, screen="1920x1080")
-    assert facts["widths"] == {kind: REGIONS[kind] for kind in ("UI", "WINDOW")}
+    for kind, width in facts["widths"].items():
+        assert REGIONS[kind] <= width <= REGIONS[kind] + 8, (kind, width)
