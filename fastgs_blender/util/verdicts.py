@@ -2,7 +2,7 @@
 """The result of a GPU's self-test, as it is stored, listed and handed from one process to another."""
 from __future__ import annotations
 
-import math
+import sys
 from dataclasses import dataclass
 
 
@@ -41,5 +41,5 @@ def read_verdict(values: dict) -> Verdict | None:
     if not isinstance(fault, str):
         return None
     found = [(float(pair[0]), float(pair[1])) for pair in pairs if isinstance(pair, list | tuple) and len(pair) == 2
-             and all(isinstance(number, int | float) and 0 < number < math.inf for number in pair)]
+             and all(isinstance(number, int | float) and 0 < number <= sys.float_info.max for number in pair)]
     return Verdict(fault, *found) if len(found) == 2 else Verdict(fault)

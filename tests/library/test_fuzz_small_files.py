@@ -25,6 +25,7 @@ from fastgs_blender.training.run.files import REFINED, RUN, STATUS
 from fastgs_blender.training.run.plan import Plan, Source, read_plan
 from fastgs_blender.util import outputs
 from fastgs_blender.util.errors import FastGSError, printable_lines
+from fastgs_blender.util.verdicts import Verdict, read_verdict
 
 
 def test_the_plan_of_a_run(tmp_path):
@@ -117,13 +118,22 @@ def test_journals(tmp_path):
 
 
 def test_verdicts_on_gpus(tmp_path, monkeypatch):
-    seed = {choice.VERDICTS: json.dumps({"llvmpipe | 1 | Vulkan | abc": "", "other": "its pictures are wrong"}).encode()}
+    seed = {choice.VERDICTS: json.dumps({
+        "llvmpipe | 1 | Vulkan | abc": Verdict("", (1.5, 20.0), (9, 80)).values(),
+        "other": Verdict("its pictures are wrong").values()}).encode()}
 
     def read(folder):
         monkeypatch.setattr(choice, "user_folder", lambda: folder)
-        assert all(isinstance(text, str) for pair in choice._kept().items() for text in pair)
+        for values in choice._kept().values():
+            found = read_verdict(values)
+            assert found is None or (isinstance(found.fault, str) and isinstance(found.pace, str) and found.faster in (True, False))
 
     mutations.campaign("verdicts", read, {"two": seed}, tmp_path)
+
+
+def test_times_too_large_for_a_float_are_none():
+    """JSON holds integers of any length."""
+    assert read_verdict({"self_test": "", "frame_ms": [1, 10**400], "step_ms": [1, 2]}) == Verdict("")
 
 
 def test_hidden_gaussians(tmp_path):

@@ -11,6 +11,7 @@ import numpy as np
 import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.kernels.gpu import choice
+from fastgs_blender.util.verdicts import Verdict
 
 BENCHMARKS = Path(__file__).resolve().parents[4] / "benchmarks"
 
@@ -35,7 +36,7 @@ def test_stages_are_the_gpus(gpu, adapter, monkeypatch, tmp_path, capsys):
     model = fg.GaussianModel(position=rng.uniform(-1, 1, (50, 3)), rotation=rng.normal(size=(50, 4)), scale=np.full((50, 3), -2.0),
                              opacity=np.ones(50), features=rng.uniform(0, 1, (50, 3)))
     fg.save(model, tmp_path / "model.safetensors")
-    monkeypatch.setattr(choice, "verdict", lambda adapter, again=False: "")
+    monkeypatch.setattr(choice, "verdict", lambda adapter, again=False: Verdict(""))
     asked = []
     measure = type(gpu).measure_stages
     monkeypatch.setattr(type(gpu), "measure_stages", lambda self, *given: asked.append(self) or measure(self, *given))
