@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [page for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))) if page.name != "api.md"]
 BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 FEW = ["--init", "file", *(text for option in ("iterations=3", "points=60", "preview_every=0", "warm_up=") for text in ("--set", option))]
-OTHERS = r"(\w+=\S+ )*(make|pip|blender|torchrun|ffmpeg|\.venv(313)?/bin/python) "
+OTHERS = r"(\w+=\S+ )*(make|pip|blender|torchrun|ffmpeg|colmap|\.venv(313)?/bin/python) "
 """Programs that are not run here: make and pip are looked at below, the rest needs what a test has not."""
 
 
