@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MEAN, LONGEST = 18.0, 35
 LATER = {"CONTRIBUTING.md", "docs/baking.md", "docs/colour.md", "docs/file-format.md",
          "docs/formats.md", "docs/geometry-nodes.md", "docs/gpu.md", "docs/meshes.md", "docs/paper.md", "docs/passes.md",
-         "docs/training-in-blender.md", "docs/viewport.md"}
+         "docs/viewport.md"}
 """Pages that are still to be rewritten."""
 
 
