@@ -30,7 +30,8 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     resume     continue the run in that folder, with its own capture and options; overwrite: replace it
     layout, scale, frames, held_out  see open_capture()
     quiet      print no progress
-    device     auto (a GPU that has passed its self-test, else the processor), cpu, gpu or part of a GPU's name; None: $FASTGS_DEVICE
+    device     auto (the first GPU that has passed its self-test and was faster than the processor in it, else the processor), cpu, gpu
+               or part of a GPU's name; None: $FASTGS_DEVICE
     options    any option of docs/training.md: iterations, motion, order, max_gaussians, seed ...
 
     Raises FastGSError, and KeyboardInterrupt where it is stopped; then resume=True continues it.
