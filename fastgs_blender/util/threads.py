@@ -8,12 +8,14 @@ work is cut, so the result has the same bytes for any number of threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
+from typing import TypeVar
 
 _chosen = 0
+Result = TypeVar("Result")
 
 
 def set_threads(count: int):
@@ -84,6 +86,24 @@ def run(work, pieces, progress=None) -> list:
         wait(futures)
         raise
     return [future.result() for future in futures]
+
+
+def gathered(works: Sequence[Callable[[], Result]], tick: Callable[[], None], most: int = 4) -> list[Result]:
+    """The results of calls that run side by side in threads of their own, for calls that use run() themselves.
+
+    tick() is called from this thread every quarter of a second and at the end; what it, or a call, raises stops the rest and passes on.
+    """
+    with ThreadPoolExecutor(min(available(), most)) as pool:
+        tasks = [pool.submit(work) for work in works]
+        try:
+            while wait(tasks, 0.25, FIRST_EXCEPTION).not_done and not any(task.done() and task.exception() for task in tasks):
+                tick()
+            found = [task.result() for task in tasks]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    tick()
+    return found
 
 
 def ranges(total: int, size: int) -> list[tuple[int, int]]:

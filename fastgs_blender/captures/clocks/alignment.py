@@ -17,18 +17,24 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class Pair:
-    """Curve j shows at sample s what curve i shows at s + lag; alike: their correlation there, -1..1; alone: how much higher it is than
-    at any other peak; common: the samples that both have."""
+    """Curve j shows at sample s what curve i shows at s + lag.
+
+    error   standard deviation of the lag
+    alone   how much better this lag fits than any other
+    alike   the curves' correlation at this lag, -1..1
+    common  samples that both curves have
+    """
 
     i: int
     j: int
     lag: float
-    alike: float
+    error: float
     alone: float
+    alike: float = 1.0
     common: int = 0
 
 
-def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int) -> Pair | None:
+def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int, error: float) -> Pair | None:
     """The best lag of two curves within +-most samples; None where they overlap too little, or one of them is flat."""
     a, b = curves[i], curves[j]
     least = max(LEAST_COMMON, int(COMMON_SHARE * min(len(a), len(b))))
@@ -47,7 +53,8 @@ def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int) -> Pair | 
     fine = lags[best] + np.arange(-1, 1 + FINE / 2, FINE)
     closer = np.array([_alike(a, b, lag) for lag in fine])
     top = int(np.argmax(closer))
-    return Pair(i, j, float(fine[top]), float(closer[top]), float(closer[top] - max(others.max(initial=0), 0)), int(common[best]))
+    alone = float(closer[top] - max(others.max(initial=0), 0))
+    return Pair(i, j, float(fine[top]), error, alone, float(closer[top]), int(common[best]))
 
 
 def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:
@@ -63,37 +70,44 @@ def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """values [n] at places (samples, fractions lie between them) by Catmull and Rom's cubic; the ends are repeated."""
-    first = np.clip(np.floor(places).astype(int), 0, max(len(values) - 2, 0))
+    """values [..., n] at places (samples, fractions lie between them) by Catmull and Rom's cubic; the ends are repeated."""
+    n = values.shape[-1]
+    first = np.clip(np.floor(places).astype(int), 0, max(n - 2, 0))
     u = places - first
-    p0, p1, p2, p3 = (values[np.clip(first + k, 0, len(values) - 1)] for k in (-1, 0, 1, 2))
+    p0, p1, p2, p3 = (values[..., np.clip(first + k, 0, n - 1)] for k in (-1, 0, 1, 2))
     return p1 + 0.5 * u * (p2 - p0 + u * (2 * p0 - 5 * p1 + 4 * p2 - p3 + u * (3 * (p1 - p2) + p3 - p0)))
 
 
 def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
-    """(offsets [count], their standard deviations [count]) that agree best with the pairs: the sum of absolute differences is least, so
-    that a few wrong pairs do no harm.  The median of the offsets is 0; what no pair reaches is NaN.
+    """(offsets [count], their standard deviations [count]) that agree best with the pairs; the median of the offsets is 0.
+
+    The sum of absolute differences is least, so that a few wrong pairs do no harm.  Where pairs differ from the offsets by more than their
+    errors, deviations grow.  What one pair alone reaches has twice the deviation, as nothing contradicts it; what no pair reaches is NaN,
+    with the deviation inf.
     """
-    offsets, spread = np.full(count, np.nan), np.full(count, np.nan)
+    offsets, deviations = np.full(count, np.nan), np.full(count, np.inf)
     group = _largest(count, pairs)
     pairs = [pair for pair in pairs if pair.i in group]
     if len(group) < 2:
-        return offsets, spread
+        return offsets, deviations
     place = {camera: k for k, camera in enumerate(group)}
     rows = np.zeros((len(pairs), len(group)))
     for row, pair in zip(rows, pairs):
         row[place[pair.j]], row[place[pair.i]] = 1, -1
-    lags, weight = np.array([pair.lag for pair in pairs]), np.array([max(pair.alike, 1e-3) for pair in pairs])
+    lags, errors = (np.array([getattr(pair, name) for pair in pairs]) for name in ("lag", "error"))
     found = np.zeros(len(group))
     for _ in range(ROUNDS):
-        share = weight / (np.abs(rows @ found - lags) + 1e-3)
-        found = np.linalg.lstsq(np.sqrt(share)[:, None] * rows, np.sqrt(share) * lags, rcond=None)[0]
-    error = np.abs(rows @ found - lags)
-    offsets[list(group)] = found - np.median(found)
+        weights = 1 / (errors * (np.abs(rows @ found - lags) + 1e-3))
+        found = np.linalg.lstsq(np.sqrt(weights)[:, None] * rows, np.sqrt(weights) * lags, rcond=None)[0]
+    away = np.abs(rows @ found - lags)
+    information = rows.T @ (rows / (errors**2 + away**2)[:, None])
+    least = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
+    surprise = away / errors / 0.6745  # its median is 1 where the errors are right
     for camera, k in place.items():
-        own = error[rows[:, k] != 0]
-        spread[camera] = 1.5 * np.median(own) / np.sqrt(max(len(own) - 1, 1)) if len(own) > 1 else np.nan
-    return offsets, spread
+        own = surprise[rows[:, k] != 0]
+        deviations[camera] = least[k] * (max(1.0, np.median(surprise), np.median(own)) if len(own) > 1 else 2.0)
+    offsets[group] = found - np.median(found)
+    return offsets, deviations
 
 
 def _largest(count: int, pairs: Sequence[Pair]) -> list[int]:

@@ -2,15 +2,15 @@
 """Measures curves over time for each camera of a capture: the brightness of its pictures, and the change from one picture to the next."""
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ...cameras.lens import Lens
 from ...util.errors import FastGSError
+from ...util.threads import gathered
 from ..capture import Capture, Shot
 from ..pixels import decoding
 from ..pixels.probe import picture_size
@@ -53,27 +53,8 @@ def curves(capture: Capture, progress: Callable[[int, int], None] | None = None,
     def work(k: int, shots: list[Shot]) -> tuple[np.ndarray, np.ndarray]:
         return _of_view(shots, frames, lambda: done.__setitem__(k, done[k] + 1))
 
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        tasks = [pool.submit(work, k, shots) for k, shots in enumerate(by_view.values())]
-        try:
-            for task in tasks:
-                while not _over(task):
-                    report(sum(done), total)
-            found = [task.result() for task in tasks]
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    report(total, total)
+    found = gathered([partial(work, k, shots) for k, shots in enumerate(by_view.values())], lambda: report(sum(done), total))
     return Curves(tuple(by_view), frames.start, np.array([b for b, _ in found]), np.array([c for _, c in found]))
-
-
-def _over(task) -> bool:
-    """Whether a task has ended, after at most a quarter of a second."""
-    try:
-        task.exception(timeout=0.25)
-    except TimeoutError:
-        return False
-    return True
 
 
 def _of_view(shots: Sequence[Shot], frames: range, count: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:

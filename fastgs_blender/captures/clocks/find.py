@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,29 +11,37 @@ from ...util.arguments import listener, one_of
 from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture
-from .alignment import COMMON_SHARE, LEAST_COMMON, Pair, compared, settled
+from . import epipolar
+from .alignment import COMMON_SHARE, LEAST_COMMON, compared, settled
 from .curves import Curves, activity, curves, flashes, moving
 from .files import Clocks
 from .sound import heard, onsets
 
 WAYS = ("auto", "sound", "flash", "motion")
 NEIGHBOURS = 8
-"""Cameras that each one is compared with: in a large rig not all pairs are."""
+"""Cameras that each one is compared with by curves: in a large rig not all pairs are."""
 ALIKE, ALONE = 0.5, 0.1
 """Least correlation of two cameras' curves of motion, and how far it must stand above that of other shifts."""
 CHANCE = 3.5
 """Curves of motion count as alike above this many standard deviations of the correlation that curves of as many samples have by chance, the
 best of several shifts: in 15 frames almost only equal curves are."""
-SURE = 2.0
-"""An offset found by motion counts where it is so many standard deviations from 0: these curves are only alike, not equal."""
-SOUND_ERROR, FLASH_ERROR, MOTION_ERROR = 0.003, 0.3, 0.15
-"""Standard deviations at best: of a clear shift of two sounds, in seconds (they travel a metre in that time); of what a flash or curves of
-motion give, in frames."""
+SURE, LEAST = 3.0, 0.1
+"""An offset counts where it is so many standard deviations from 0, and so many frames."""
+VAGUE = 0.15
+"""Standard deviation, in frames, beyond which epipolar planes leave a clock unsure whose offset does not count."""
+FLASH_ERROR, CURVES_ERROR = 0.3, 1.0
+"""Standard deviations in frames of what a flash gives, and of what curves of motion give, which are only alike (genlocked people before
+four cameras: up to 2 frames)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the search gave: the clocks; curves, or None where sound told enough; lost: views whose offset could not be found."""
+    """What the search gave.
+
+    clocks  only what is sure: the offsets of all others are 0
+    curves  of what moves, or None where they were not needed
+    lost    views whose clock is unsure: it could not be compared, or not well enough
+    """
 
     clocks: Clocks
     curves: Curves | None
@@ -43,10 +51,11 @@ class Found:
 def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None) -> Found:
     """The offsets of a capture that was opened without any (open_capture(path, offsets={})).
 
-    way       "auto", "sound", "flash" or "motion"; auto: sound where all cameras have some and it is clear, else a flash, else motion
+    way       "auto", "sound", "flash" or "motion"; auto: sound where all cameras have some and it is clear; else motion where poses are
+              known and enough moves; else a flash; else motion
     progress  called as progress(done, of) while pictures are looked at
-    Returns `clocks`, whose median offset is 0; `lost`, the names of views whose offset could not be found and is given as 0; `curves` of
-    what moves, None where sound told enough.  `fastgs sync` refines these offsets by a short training.
+    Returns `clocks`, whose median offset is 0; `lost`, the names of views whose clock is unsure, with the offset 0; `curves` of what moves,
+    None where they were not needed.  `fastgs sync` refines these offsets by a short training.
     Raises FastGSError, with the reason, where nothing can be found.
 
     Example:
@@ -66,6 +75,9 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
         if way == "sound":
             raise FastGSError(f"{capture.path}: " + ("its cameras have no sound in common" if found is None else
                               f"the sound of {', '.join(found.lost)} fits no other camera's") + "; find the offsets with --by motion.")
+    by_planes = by_epipolar_planes(capture, progress) if way in ("auto", "motion") else None
+    if by_planes is not None and 2 * len(by_planes.lost) < len(capture.views):
+        return by_planes
     shown = curves(capture, progress)
     flash = flashes(shown) if way in ("auto", "flash") else None
     if flash is not None:
@@ -74,10 +86,23 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
             return found
     elif way == "flash":
         raise FastGSError(f"{capture.path}: most of its cameras show no flash; find the offsets with --by motion.")
-    return _by_motion(capture, shown)
+    return _by_curves(capture, shown)
 
 
-def _by_motion(capture: Capture, shown: Curves) -> Found:
+def by_epipolar_planes(capture: Capture, progress: Callable[[int, int], None] | None = None,
+                       pictures: epipolar.Pictures | None = None) -> Found | None:
+    """The offsets of cameras whose poses are known (epipolar.py); None where no pair of them could be compared.
+
+    pictures  gives the pictures of shots; None: they are decoded
+    """
+    views, pairs = epipolar.pairs(capture, progress or (lambda done, of: None), pictures)
+    offsets, deviations = settled(len(views), pairs)
+    if not np.isfinite(offsets).any():
+        return None
+    return _found(capture, dict(zip(views, zip(offsets, deviations))), "motion", None, VAGUE)
+
+
+def _by_curves(capture: Capture, shown: Curves) -> Found:
     still = {shot.view for shot in capture.shots} - _moved(capture)
     usable = [k for k in moving(shown) if shown.views[k] in still]
     if len(usable) < 2:
@@ -108,23 +133,24 @@ def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: lis
     """The Found offsets of the views `rows`, by aligning their curves `lines`."""
     length = min(map(len, lines))
     most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
-    pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most)) is not None]
-    chance = CHANCE if way == "motion" else 0.0
+    error, chance = (CURVES_ERROR, CHANCE) if way == "motion" else (FLASH_ERROR, 0.0)
+    pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most, error)) is not None]
     pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
     offsets, spread = settled(len(lines), pairs)
     return _found(capture, {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}, way, shown)
 
 
-def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, shown: Curves | None) -> Found:
-    lost = tuple(view for view in capture.views if not np.isfinite(values.get(view, (np.nan, 0))[0]))
-    floor = {"motion": MOTION_ERROR, "flash": FLASH_ERROR, "sound": SOUND_ERROR * capture.clip.fps}[way]
-    offsets, uncertainty = {}, {}
-    for view, (offset, spread) in values.items():
-        if view in lost:
-            continue
-        uncertainty[view] = float(np.hypot(floor, spread if np.isfinite(spread) else 3 * floor))
-        offsets[view] = float(offset) if way == "sound" or abs(offset) > SURE * uncertainty[view] else 0.0
-    return Found(Clocks({view: offsets.get(view, 0.0) for view in capture.views}, uncertainty, way), shown, lost)
+def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, shown: Curves | None, vague: float = np.inf) -> Found:
+    """Found of (offset, standard deviation) by view: an offset is taken where it is surely not 0."""
+    offsets, lost = dict.fromkeys(capture.views, 0.0), []
+    for view in capture.views:
+        offset, deviation = values.get(view, (np.nan, np.inf))
+        if abs(offset) > max(LEAST, SURE * deviation):
+            offsets[view] = float(offset)
+        elif not deviation < vague:
+            lost.append(view)
+    known = {view: float(deviation) for view, (_, deviation) in values.items() if np.isfinite(deviation)}
+    return Found(Clocks(offsets, known, way), shown, tuple(lost))
 
 
 def _by_sound(capture: Capture) -> Found | None:
@@ -135,7 +161,7 @@ def _by_sound(capture: Capture) -> Found | None:
     if len(views) < 2:
         return None
     pairs = [pair for i, j in _pairs(len(views)) if (pair := heard([lines[view] for view in views], i, j)) is not None]
-    pairs = [Pair(pair.i, pair.j, pair.lag * capture.clip.fps, pair.alike, pair.alone) for pair in pairs]
+    pairs = [replace(pair, lag=pair.lag * capture.clip.fps, error=pair.error * capture.clip.fps) for pair in pairs]
     offsets, spread = settled(len(views), pairs)
     if not np.isfinite(offsets).any():
         return None

@@ -17,6 +17,8 @@ MOST_SECONDS = 600
 LEAST_SECONDS = 0.5
 LEAST_RATE = 2000
 """Samples a second of the slowest sound that is listened to: a file that says 1 would be made 8000 times as long."""
+ERROR = 0.003
+"""Standard deviation of a clear shift, in seconds: sound travels a metre in that time."""
 CLEAR = 8.0
 """How far the best shift of two sounds must stand out, in standard deviations over all shifts."""
 
@@ -73,4 +75,4 @@ def heard(curves: list[np.ndarray], i: int, j: int) -> Pair | None:
     top = best + (0.5 * (around[0] - around[2]) / bend if bend < 0 else 0.0)
     lag = top - size if top > size / 2 else top
     alike = product[best] / max(np.sqrt((a @ a) * (b @ b)), 1e-12)
-    return Pair(i, j, lag * PIECE / RATE, float(min(alike, 1.0)), float(product[best] / spread))
+    return Pair(i, j, lag * PIECE / RATE, ERROR, float(product[best] / spread), float(min(alike, 1.0)))

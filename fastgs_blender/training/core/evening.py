@@ -51,7 +51,10 @@ TOLD = 1.0
 """Pull towards gains that starting points told, in mean squares of colour.  These are right to 0.01 or so, while a model that is trained
 with wrong gains partly believes them: its features see the direction, and with it the camera (benchmarks/uneven.py)."""
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
-"""Standard deviation of clock offsets in frames, as a prior; number of pixels whose errors are correlated and count as one."""
+"""Standard deviation of clock offsets in frames where the setting is on and no evidence is known; number of pixels whose errors are
+correlated and count as one."""
+SURE, LEAST_CLOCK = 3.0, 0.1
+"""A clock begins at the offset that evidence shows where that is so many standard deviations from 0, and so many frames."""
 TOGETHER = 0.6
 """Where the clocks of this share of the cameras seem to differ by less than NOTICED_CLOCK, they run together and stay equal.  A model
 partly believes one wrong clock in all views near that camera, and a whole side of a rig would drift, by 0.1 frames and more
@@ -67,6 +70,8 @@ class Evening:
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
     gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
     told     [V, 3] gains that starting points told; 0: they did not
+    expected [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in frames;
+             a clock whose deviation is 0 is not known, and stays
     fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
     colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
     clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
@@ -81,6 +86,7 @@ class Evening:
     biases: np.ndarray
     late: np.ndarray
     told: np.ndarray
+    expected: np.ndarray
     fades: np.ndarray
     colour: np.ndarray
     clock: np.ndarray
@@ -90,16 +96,19 @@ class Evening:
 
     @classmethod
     def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
-              fades: np.ndarray | None = None) -> Evening:
-        """The state at the first step: no clock offsets, no sums, and equal exposures, or those gains [V, 3] that starting points told
-        (0: they did not), and fades [V, 3]."""
+              fades: np.ndarray | None = None, expected: np.ndarray | None = None) -> Evening:
+        """The state at the first step: no sums, equal exposures, or those gains [V, 3] that starting points told (0: they did not), fades
+        [V, 3], and the clocks that are expected [V, 2]; None: where the setting is on, they may differ by PRIOR_CLOCK."""
         v = len(views)
         told = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
         several = v > 1
         exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
         steady = fades is None or exposures == "off"
+        if expected is None:
+            expected = np.tile([0.0, PRIOR_CLOCK if clocks == "on" else 0.0], (v, 1))
+        late = np.where(np.abs(expected[:, 0]) > np.maximum(LEAST_CLOCK, SURE * expected[:, 1]), expected[:, 0], 0.0)
         return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told,
+                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.clip(late, -FARTHEST, FARTHEST), told, np.array(expected, np.float64),
                    np.zeros((v, 3)) if steady else np.array(fades, np.float64), np.zeros((v, 3, 5)), np.zeros((v, 4)))
 
     def state(self) -> dict[str, np.ndarray]:
@@ -221,11 +230,12 @@ class Evening:
 
     def _fit_clocks(self) -> None:
         square, missing, error, n = self.clock.T
-        pull = ALIKE_PIXELS * error / np.maximum(n, 1e-9) / PRIOR_CLOCK**2
-        known = square > 0
+        expected, deviation = self.expected.T
+        pull = ALIKE_PIXELS * error / np.maximum(n, 1e-9) / np.maximum(deviation, 1e-6)**2
+        known = (square > 0) & (deviation > 0)
         if not known.any():
             return
-        told = missing / np.maximum(square + pull, 1e-12)
+        told = (missing + pull * expected) / np.maximum(square + pull, 1e-12)
         late = np.clip(self.late + FARTHER * (told - self.late), -FARTHEST, FARTHEST)
         together = known & (np.abs(late - np.median(late[known])) < NOTICED_CLOCK)
         if self.apart is not None:
@@ -236,10 +246,11 @@ class Evening:
             self.late = np.where(known, late - np.median(late[known]), 0.0)
 
     def uncertainty(self) -> np.ndarray:
-        """Standard deviations [V] of the clocks, in frames; inf where nothing moves before a camera."""
+        """Standard deviations [V] of the clocks, in frames; inf where nothing is known of one."""
         square, _, error, n = self.clock.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(square > 0, np.sqrt(ALIKE_PIXELS * error / np.maximum(n, 1e-9) / square), np.inf)
+            own = np.where(square > 0, np.sqrt(ALIKE_PIXELS * error / np.maximum(n, 1e-9) / square), np.inf)
+            return np.where(self.expected[:, 1] > 0, 1 / np.hypot(1 / own, 1 / self.expected[:, 1]), np.inf)
 
     def facts(self) -> dict:
         """JSON values of what was found, empty where cameras are even."""
@@ -264,10 +275,11 @@ class Evened:
         return self.evening.pixels(shot, self.store.pixels(shot))
 
 
-ARRAYS = ("gains", "biases", "late", "told", "fades", "colour", "clock")
+ARRAYS = ("gains", "biases", "late", "told", "expected", "fades", "colour", "clock")
 
 
 def shapes(views: int) -> dict[str, tuple[int, ...]]:
     """Shapes of Evening.state() by name; all are float64."""
-    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "fades": (views, 3),
+    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "expected": (views, 2),
+            "fades": (views, 3),
             "colour": (views, 3, 5), "clock": (views, 4), "awaited_colour": (AWAITED, views, 3, 5), "awaited_clock": (AWAITED, views, 4)}
