@@ -7,7 +7,7 @@ import numpy as np
 from ..captures import open_capture
 from ..captures.clocks.curves import activity, moving
 from ..captures.clocks.files import read_clocks
-from ..captures.clocks.find import find_offsets
+from ..captures.clocks.find import LEAST, SURE, find_offsets, stated_offsets
 from ..util.errors import FastGSError
 from . import drawing
 from .report import Section, listed
@@ -16,8 +16,6 @@ from .samples import Looked
 FRAMES = 96
 """Frames that are looked at, from the middle of the clip: enough for shifts of half of them."""
 LEAST_FRAMES = 16
-LATE = 0.15
-"""Frames by which a clock may be off before the finding says so; half a frame and more should be put right."""
 
 
 def run(looked: Looked) -> Section:
@@ -46,10 +44,12 @@ def run(looked: Looked) -> Section:
                                                            "that "
                                                            "run together rise and fall "
                                                            "together.", lines, "frames", "motion", found.curves.first))
-    offsets = {view: value for view, value in found.clocks.offsets.items() if view not in found.lost}
-    section.columns = {"Clock": {view: f"{value:+.2f} frames" for view, value in offsets.items()}}
+    spread = found.clocks.uncertainty
+    offsets = {view: found.measured[view] for view in capture.views if view in spread and view not in found.lost}
+    section.columns = {"Clock": {view: f"{offsets[view]:+.2f} ± {spread[view]:.2f} frames" if view in offsets else "unsure"
+                                 for view in capture.views}}
     section.measures = {"offsets_frames": {view: round(value, 4) for view, value in offsets.items()}, "found_by": found.clocks.found_by,
-                        "uncertainty_frames": {view: round(value, 4) for view, value in found.clocks.uncertainty.items()},
+                        "uncertainty_frames": {view: round(value, 4) for view, value in spread.items()},
                         "unknown": list(found.lost)}
     return section
 
@@ -63,31 +63,25 @@ def _part(looked: Looked, count: int):
 def _known(looked: Looked) -> dict[str, float]:
     """The offsets that training will use anyway, by view, with the median 0: of sync.json, or of times that the layout states."""
     clocks, capture = read_clocks(looked.path), looked.capture
-    offsets: dict[str, float] = dict.fromkeys(capture.views, 0.0)
-    if clocks is not None:
-        offsets |= {view: value for view, value in clocks.offsets.items() if view in offsets}
-    else:
-        late: dict[str, list[float]] = {}
-        for shot in capture.shots:
-            late.setdefault(shot.view, []).append(shot.t * capture.clip.frame_count - shot.frame)
-        offsets = {view: float(np.median(values)) for view, values in late.items()}
+    if clocks is None:
+        return stated_offsets(capture.shots, capture.clip.frame_count)
+    offsets = {view: clocks.offsets.get(view, 0.0) for view in capture.views}
     middle = float(np.median(list(offsets.values())))
     return {view: value - middle for view, value in offsets.items()}
 
 
 def _judge(section: Section, found, known) -> None:
-    off = {view: value - known.get(view, 0.0) for view, value in found.clocks.offsets.items() if view not in found.lost}
-    for view, value in off.items():
-        if abs(value) <= max(LATE, 2 * found.clocks.uncertainty.get(view, 0.0)):
+    for view, deviation in found.clocks.uncertainty.items():
+        value = found.measured[view] - known.get(view, 0.0)
+        if view in found.lost or abs(value) <= max(LEAST, SURE * deviation):
             continue
         way = "ahead of" if value > 0 else "behind"
-        section.add("wrong" if abs(value) >= 0.5 else "poor", f"{view} is {abs(value):.2f} frames {way} the others (found by "
-                                                              f"{found.clocks.found_by}, give or take "
-                    f"{found.clocks.uncertainty.get(view, 0.0):.2f}): what moves is seen at two places at once.", "fastgs sync writes "
-                                                                                                                  "the offsets "
-                    "beside the capture, and training uses them; next time, start all cameras by a genlock or a trigger.", [view],
-                    ("offset", round(value, 3), "frames"))
+        section.add("wrong" if abs(value) >= 0.5 else "poor",
+                    f"{view} is {abs(value):.2f} frames {way} the others (found by {found.clocks.found_by}, give or take {deviation:.2f}): "
+                    "what moves is seen at two places at once.",
+                    "fastgs sync writes the offsets beside the capture, and training uses them; next time, start all cameras by a genlock "
+                    "or a trigger.", [view], ("offset", round(value, 3), "frames"))
     if found.lost:
-        section.add("note", f"The clock of {listed(found.lost)} could not be compared with the others': too little moves there, or it "
-                            "looks too "
-                    "different.", "Look at those cameras beside another one at a fast movement.", found.lost)
+        section.add("note", f"Unsure: the clock of {listed(found.lost)} could not be compared well enough with the others'. Too little "
+                            "moves there, or it looks too different. Training leaves it as it is.",
+                    "Look at those cameras beside another one at a fast movement.", found.lost)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """find how far the clocks of a capture's cameras are from each other
 
-For cameras that are not genlocked.  It listens to the videos' sound, looks for a flash that most cameras see, or compares how much changes
-from picture to picture in each camera; then it refines what it found by a short training on small pictures, to a few hundredths of a frame
-(a minute or two; --quick leaves it out, and a capture without poses has to do without).
+For cameras that are not genlocked.  It listens to the videos' sound.  Where poses are known, it compares what moves in the planes through
+each two cameras; else it looks for a flash that most cameras see, or compares how much changes from picture to picture.  A clock is moved
+only where two cameras show that it is off; others are called unsure and stay.  Then a short training on small pictures refines the offsets
+to a few hundredths of a frame (a minute or two; --quick leaves it out, and a capture without poses has to do without).
 
 sync.json beside the capture gets the offsets, with which training, evaluation and everything else then place each camera's pictures in
 time; sync.png shows how much changes from picture to picture in each camera, as filmed and with the clocks set right.
@@ -65,10 +66,10 @@ def run(args):
                 bar.note("")
                 bar.to(done, of)
 
-            clocks, lost = refined(args.capture, clocks.offsets, args.layout, frames=part, progress=stepped, starting=starting)
+            clocks, lost = refined(args.capture, clocks, lost, args.layout, frames=part, progress=stepped, starting=starting)
         if len(lost) == len(capture.views):
-            raise FastGSError(f"{capture.path}: too little moves in its pictures for clocks to be compared; film something that moves, or "
-                              "clap or flash a lamp.")
+            raise FastGSError(f"{capture.path}: unsure, as no two of its cameras see enough of the same movement for their clocks to be "
+                              "compared. Nothing was written. Film something that moves fast before all of them, or clap or flash a lamp.")
     path = files.write_clocks(capture.path, clocks)
     picture = path.with_suffix(".png")
     write_plot(picture, curves(capture) if shown is None else shown, clocks.offsets)
@@ -80,6 +81,6 @@ def run(args):
     rows = []
     for view, offset in clocks.offsets.items():
         spread = clocks.uncertainty.get(view)
-        sure = "not found" if view in lost else "" if spread is None else f"+- {spread:.2f}"
+        sure = "unsure" if view in lost else "" if spread is None else f"+- {spread:.2f}"
         rows.append((view, f"{offset:+.2f} frames, {1000 * offset / fps:+.0f} ms  {sure}".rstrip()))
     say_table(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))

@@ -30,7 +30,7 @@ class Result:
         """A line for each camera."""
         lines = [f"Clocks of {self.capture}, in frames, found by {self.found_by}", ""]
         for view, offset in self.offsets.items():
-            sure = "not found" if view in self.lost else f"+- {self.uncertainty[view]:.2f}" if view in self.uncertainty else ""
+            sure = "unsure" if view in self.lost else f"+- {self.uncertainty[view]:.2f}" if view in self.uncertainty else ""
             lines.append(f"{view:24} {offset:+8.2f}  {sure}".rstrip())
         return "\n".join([*lines, "", f"Written to {self.file}, with which training uses them.", f"The picture is {self.picture}."])
 

@@ -43,8 +43,8 @@ def uneven_capture(frames: int, views: int, offsets: Mapping[str, float] = {}, g
 
 
 def write_uneven(folder: Path, frames: int, views: int, offsets: Mapping[str, float] = {}, gains: Mapping[str, tuple] = {},
-                 speed: float = 1.0) -> Path:
+                 speed: float = 1.0, zoom: int = 1) -> Path:
     """The same as files of a FAST-GS capture."""
-    capture, store, _ = uneven_capture(frames, views, offsets, gains, speed)
+    capture, store, _ = uneven_capture(frames, views, offsets, gains, speed, zoom=zoom)
     write_shots(folder, capture, store)
     return folder

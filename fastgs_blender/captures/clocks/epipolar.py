@@ -49,8 +49,9 @@ FINE = 0.05
 """Frames between two shifts that are tried near the best whole one."""
 MOST_LAG = 24
 """Frames of the largest lag that is looked for."""
-LEAST_ERROR = 0.05
-"""Standard deviation of a pair's lag at best, in frames (measured on a dome of 31 genlocked cameras)."""
+LEAST_ERROR, COARSE = 0.05, 144
+"""Standard deviation of a pair's lag at best, in frames (measured on a dome of 31 genlocked cameras); pictures whose longer side has fewer
+pixels than this give worse ones."""
 DEPTHS = np.array([0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.6, 2.0, 3.0])
 """Depths at which a pixel's ray may be seen by the other camera, in units of the cameras' distance from what they look at."""
 
@@ -74,7 +75,8 @@ def pairs(capture: Capture, progress: Callable[[int, int], None] = lambda done, 
     for i, j in _neighbours(centres):
         profiles = _profiles(cameras[views[i]], cameras[views[j]], occupied[i], occupied[j], depths)
         if profiles is not None and (lag := lag_of(*profiles)) is not None:
-            found.append(Pair(i, j, *lag))
+            coarse = max(1.0, COARSE / max(cameras[views[i]].width, cameras[views[i]].height))
+            found.append(Pair(i, j, lag[0], float(np.hypot(lag[1], LEAST_ERROR * coarse)), lag[2]))
     return views, found
 
 
@@ -229,7 +231,7 @@ def lag_of(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float] | None:
     lag = _lowest(fine, _mean(whole))
     without = np.array([_lowest(fine, _mean(whole - parts[:, part])) for part in range(PARTS)])
     spread = np.sqrt((PARTS - 1) / PARTS * ((without - without.mean())**2).sum())  # jackknife
-    return lag, float(np.hypot(spread, LEAST_ERROR)), alone
+    return lag, float(spread), alone
 
 
 def _smoothed(profile: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 """Finds the clock offsets of a capture's cameras from their sound, a flash, or the motion in their pictures."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ...util.arguments import listener, one_of
 from ...util.arguments import shown as described
 from ...util.errors import FastGSError
-from ..capture import Capture
+from ..capture import Capture, Shot
 from . import epipolar
 from .alignment import COMMON_SHARE, LEAST_COMMON, compared, settled
 from .curves import Curves, activity, curves, flashes, moving
@@ -41,11 +41,13 @@ class Found:
     clocks  only what is sure: the offsets of all others are 0
     curves  of what moves, or None where they were not needed
     lost    views whose clock is unsure: it could not be compared, or not well enough
+    measured  the offsets as they were found, by view, also those that are not surely different from 0
     """
 
     clocks: Clocks
     curves: Curves | None
     lost: tuple[str, ...]
+    measured: Mapping[str, float]
 
 
 def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None) -> Found:
@@ -96,9 +98,9 @@ def by_epipolar_planes(capture: Capture, progress: Callable[[int, int], None] | 
     pictures  gives the pictures of shots; None: they are decoded
     """
     views, pairs = epipolar.pairs(capture, progress or (lambda done, of: None), pictures)
-    offsets, deviations = settled(len(views), pairs)
-    if not np.isfinite(offsets).any():
+    if not pairs:
         return None
+    offsets, deviations = settled(len(views), pairs)
     return _found(capture, dict(zip(views, zip(offsets, deviations))), "motion", None, VAGUE)
 
 
@@ -150,7 +152,17 @@ def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, s
         elif not deviation < vague:
             lost.append(view)
     known = {view: float(deviation) for view, (_, deviation) in values.items() if np.isfinite(deviation)}
-    return Found(Clocks(offsets, known, way), shown, tuple(lost))
+    return Found(Clocks(offsets, known, way), shown, tuple(lost), {view: float(values[view][0]) for view in known})
+
+
+def stated_offsets(shots: Sequence[Shot], frame_count: int) -> dict[str, float]:
+    """The offsets that the times of shots state, by view, with the median 0: those of a sync.json, or of times that the layout has."""
+    late: dict[str, list[float]] = {}
+    for shot in shots:
+        late.setdefault(shot.view, []).append(shot.t * frame_count - shot.frame)
+    offsets = {view: float(np.median(values)) for view, values in late.items()}
+    middle = float(np.median(list(offsets.values())))
+    return {view: value - middle for view, value in offsets.items()}
 
 
 def _by_sound(capture: Capture) -> Found | None:

@@ -51,10 +51,11 @@ TOLD = 1.0
 """Pull towards gains that starting points told, in mean squares of colour.  These are right to 0.01 or so, while a model that is trained
 with wrong gains partly believes them: its features see the direction, and with it the camera (benchmarks/uneven.py)."""
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
-"""Standard deviation of clock offsets in frames where the setting is on and no evidence is known; number of pixels whose errors are
-correlated and count as one."""
-SURE, LEAST_CLOCK = 3.0, 0.1
-"""A clock begins at the offset that evidence shows where that is so many standard deviations from 0, and so many frames."""
+"""Standard deviation of clock offsets in frames, as a prior where the setting is on; number of pixels whose errors are correlated and
+count as one."""
+SURE, LEAST_CLOCK, AROUND = 3.0, 0.1, 2.0
+"""Where the setting is auto, a clock moves only if its expected offset is so many standard deviations from 0, and so many frames; it then
+stays within so many standard deviations of that offset.  A poor model is sure of wrong clocks."""
 TOGETHER = 0.6
 """Where the clocks of this share of the cameras seem to differ by less than NOTICED_CLOCK, they run together and stay equal.  A model
 partly believes one wrong clock in all views near that camera, and a whole side of a rig would drift, by 0.1 frames and more
@@ -71,7 +72,7 @@ class Evening:
     gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
     told     [V, 3] gains that starting points told; 0: they did not
     expected [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in frames;
-             a clock whose deviation is 0 is not known, and stays
+             0, 0: none is known
     fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
     colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
     clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
@@ -98,18 +99,19 @@ class Evening:
     def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
               fades: np.ndarray | None = None, expected: np.ndarray | None = None) -> Evening:
         """The state at the first step: no sums, equal exposures, or those gains [V, 3] that starting points told (0: they did not), fades
-        [V, 3], and the clocks that are expected [V, 2]; None: where the setting is on, they may differ by PRIOR_CLOCK."""
+        [V, 3], and the clocks that are expected [V, 2]; None: none are known."""
         v = len(views)
         told = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
         several = v > 1
         exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
         steady = fades is None or exposures == "off"
-        if expected is None:
-            expected = np.tile([0.0, PRIOR_CLOCK if clocks == "on" else 0.0], (v, 1))
-        late = np.where(np.abs(expected[:, 0]) > np.maximum(LEAST_CLOCK, SURE * expected[:, 1]), expected[:, 0], 0.0)
-        return cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                   np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.clip(late, -FARTHEST, FARTHEST), told, np.array(expected, np.float64),
-                   np.zeros((v, 3)) if steady else np.array(fades, np.float64), np.zeros((v, 3, 5)), np.zeros((v, 4)))
+        expected = np.zeros((v, 2)) if expected is None else np.array(expected, np.float64)
+        if clocks == "on":
+            expected[expected[:, 1] == 0] = 0.0, PRIOR_CLOCK
+        begun = cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
+                    np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told, expected,
+                    np.zeros((v, 3)) if steady else np.array(fades, np.float64), np.zeros((v, 3, 5)), np.zeros((v, 4)))
+        return replace(begun, late=begun._clock_range().mean(0))
 
     def state(self) -> dict[str, np.ndarray]:
         """The arrays that a checkpoint holds."""
@@ -231,12 +233,16 @@ class Evening:
     def _fit_clocks(self) -> None:
         square, missing, error, n = self.clock.T
         expected, deviation = self.expected.T
+        low, high = self._clock_range()
         pull = ALIKE_PIXELS * error / np.maximum(n, 1e-9) / np.maximum(deviation, 1e-6)**2
-        known = (square > 0) & (deviation > 0)
+        known = (square > 0) & (high > low)
         if not known.any():
             return
         told = (missing + pull * expected) / np.maximum(square + pull, 1e-12)
-        late = np.clip(self.late + FARTHER * (told - self.late), -FARTHEST, FARTHEST)
+        late = np.clip(self.late + FARTHER * (told - self.late), low, high)
+        if self.clocks == "auto":
+            self.late = np.where(known, late, self.late)
+            return
         together = known & (np.abs(late - np.median(late[known])) < NOTICED_CLOCK)
         if self.apart is not None:
             together &= ~self.apart
@@ -244,6 +250,15 @@ class Evening:
             self.late = np.where(known & ~together, late, 0.0)
         else:
             self.late = np.where(known, late - np.median(late[known]), 0.0)
+
+    def _clock_range(self) -> np.ndarray:
+        """Between which offsets each clock may move [2, V]; equal ones: it stays."""
+        expected, deviation = self.expected.T
+        if self.clocks != "auto":
+            return np.stack([np.full_like(expected, -FARTHEST), np.full_like(expected, FARTHEST)])
+        moves = np.abs(expected) > np.maximum(LEAST_CLOCK, SURE * deviation)
+        low, high = (np.where(moves & (deviation > 0), expected + side * AROUND * deviation, 0.0) for side in (-1, 1))
+        return np.clip(np.stack([low, high]), -FARTHEST, FARTHEST)
 
     def uncertainty(self) -> np.ndarray:
         """Standard deviations [V] of the clocks, in frames; inf where nothing is known of one."""

@@ -45,13 +45,14 @@ class Trainer:
     reach           how far away is what the cameras film (initial.model.reach_of); None: the capture's extent
     gains           [V, 3] of the views trained on, as starting points tell them (initial.dense.evening_of); None: equal exposures
     fades           [V, 3] of these, how their exposures change (initial.fading.fades_of); None: they do not
+    clocks          [V, 2] of these, the clock offsets that are expected (initial.start.expected_clocks); None: none are known
     known           it began with a model: see schedule.learning_rates()
     backend         the name of the backend that all arrays live on (util/backends.py)
     """
 
     def __init__(self, capture, store, settings, model: GaussianModel | None = None, group: Group | None = None,
                  decoder: GaussianModel | None = None, sizes: np.ndarray | None = None, reach: float | None = None, backend: str = "cpu",
-                 gains: np.ndarray | None = None, fades: np.ndarray | None = None, known: bool = False):
+                 gains: np.ndarray | None = None, fades: np.ndarray | None = None, known: bool = False, clocks: np.ndarray | None = None):
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.group = group or Group()
@@ -68,7 +69,7 @@ class Trainer:
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
         views = tuple(dict.fromkeys(shot.view for shot in self.shots))
-        self.awaited = Awaited(Evening.begun(views, capture.clip.frame_count, settings, gains, fades))
+        self.awaited = Awaited(Evening.begun(views, capture.clip.frame_count, settings, gains, fades, clocks))
         self.awaited_poses = Awaited(Poses.begun(self.shots, settings.poses))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...captures.clocks.find import by_epipolar_planes, stated_offsets
 from ...model.gaussians import GaussianModel
-from ..core.evening import Evened, Evening
+from ..core.evening import FARTHEST, Evened, Evening
 from . import backdrop, known, points
 from .fading import fades_of
 from .model import model_from_points, reach_of
@@ -18,7 +19,7 @@ class Start:
     """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
     a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, 0 where they are not known, or
     None where they are not known to differ; fades [V, 3] of these views, how their exposures change, or None where none does; known: it
-    was made from a model that shows the scene."""
+    was made from a model that shows the scene; clocks [V, 2] of these views, see expected_clocks(), or None."""
 
     model: GaussianModel
     sizes: np.ndarray | None
@@ -26,11 +27,12 @@ class Start:
     gains: np.ndarray | None = None
     fades: np.ndarray | None = None
     known: bool = False
+    clocks: np.ndarray | None = None
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All of it but the model's kinds, for other processes."""
-        perhaps = {"sizes": self.sizes, "gains": self.gains, "fades": self.fades}
+        perhaps = {"sizes": self.sizes, "gains": self.gains, "fades": self.fades, "clocks": self.clocks}
         numbers = {"reach": np.array([self.reach]), "known": np.array([self.known])}
         return self.model.arrays | numbers | {name: a for name, a in perhaps.items() if a is not None}
 
@@ -38,7 +40,7 @@ class Start:
     def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
         """The inverse of arrays(), for a model of the same kinds as `empty`."""
         return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]),
-                   arrays.get("gains"), arrays.get("fades"), bool(arrays["known"][0]))
+                   arrays.get("gains"), arrays.get("fades"), bool(arrays["known"][0]), arrays.get("clocks"))
 
 
 def start(capture, store, settings, say=print, progress=lambda done, of: None) -> Start:
@@ -46,6 +48,7 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
 
     Raises FastGSError where what the settings ask for gives nothing.
     """
+    clocks = expected_clocks(capture, store, settings, say)
     store, fades = _steady(capture, store, settings, say)
     model = known.known_model(capture, settings, say)
     found, store = points.initial_points(capture, store, settings, say, progress) if model is None else \
@@ -55,16 +58,39 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     if model is None:
         behind = points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
-        return Start(first, behind.size, reach_of(behind, capture), gains, fades)
+        return Start(first, behind.size, reach_of(behind, capture), gains, fades, clocks=clocks)
     first = known.begun_with(model, capture, store, settings)
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))
     if not len(behind):
-        return Start(first, None, reach_of(found, capture), fades=fades, known=True)
+        return Start(first, None, reach_of(found, capture), fades=fades, known=True, clocks=clocks)
     second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
     both = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
     sizes = np.concatenate([np.full(len(first), np.nan, np.float32), behind.size])
-    return Start(both, sizes, reach_of(found, capture), fades=fades, known=True)
+    return Start(both, sizes, reach_of(found, capture), fades=fades, known=True, clocks=clocks)
+
+
+def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
+    """The clock offsets of the views trained on against the times of their shots, and their standard deviations [V, 2] in frames, as pairs
+    of cameras show them (captures.clocks); a deviation of 0: unsure.  None where nothing can be compared, or nobody asks."""
+    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    if settings.clocks == "off" or len(views) < 2:
+        return None
+
+    def pictures(shots, small):
+        return ((shot, store.pixels(shot).rgb) for shot in shots)
+
+    found = by_epipolar_planes(replace(capture, shots=capture.training), pictures=pictures)
+    if found is None:
+        return None
+    offsets, stated = found.clocks.offsets, stated_offsets(capture.training, capture.clip.frame_count)
+    expected = np.array([(0.0, 0.0) if view in found.lost else (found.measured[view] - stated[view], found.clocks.uncertainty[view])
+                         for view in views])
+    apart = {view: late for view in views if view not in found.lost and abs(late := offsets[view] - stated[view]) > FARTHEST}
+    if apart:
+        say("clocks differ by more frames than training corrects: " + ", ".join(f"{view} {value:+.1f}" for view, value in apart.items())
+            + "; run fastgs sync on this capture")
+    return expected
 
 
 def _steady(capture, store, settings, say):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,51 +14,53 @@ from ...captures.clocks.files import Clocks
 from ...captures.pixels.probe import picture_size
 from ...captures.pixels.store import FrameStore
 from ...util.errors import FastGSError
-from ..core.evening import FARTHEST
 from ..core.settings import settings
 from ..core.trainer import Trainer
-from ..initial.start import start
+from ..initial.start import expected_clocks, start
 
 SIDE, MOST_FRAMES = 200, 24
 """Pictures are shrunk to this; frames that are trained on, from the middle of the clip."""
 STEPS, GAUSSIANS, POINTS = 1600, 10_000, 6000
 ERROR = 0.04
 """Standard deviation of a refined clock at best, in frames (benchmarks/uneven.py)."""
-EXPECTED = 0.5
-"""Standard deviation beyond which a camera is said to show too little that moves."""
 
 
-def refined(path, first: Mapping[str, float], layout: str | None = None, steps: int = STEPS,
+def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None = None, steps: int = STEPS,
             *, frames: slice | None = None, progress: Callable[[int, int], None] = lambda done, of: None,
             starting: Callable[[int, int], None] = lambda done, of: None) -> tuple[Clocks, tuple[str, ...]]:
-    """The clocks of a posed capture, from offsets that are right within a frame or so; and the views before which too little moves.
+    """The clocks of a posed capture, from offsets that are right within a frame or so; and the views whose clock stays unsure.
 
-    All views are trained on, those to be held out later too: of their pictures nothing is kept but the clocks.
+    A clock moves only where pairs of cameras show where it is (initial.start.expected_clocks), and about as far as these are unsure; the
+    training agrees with these and with its own model.  All views are trained on, those to be held out later too: of their pictures nothing
+    is kept but the clocks.
+    first, lost   what find_offsets() gave: clocks, and views whose clock is unsure
     frames    the part of the clip to use, a slice without a step
     progress  called as progress(done, of) after each step;  starting: in the same way while starting points are looked for
     Raises FastGSError where the capture has no poses or nothing can be trained on.
     """
-    capture = _small(path, first, layout, frames)
+    capture = _small(path, first.offsets, layout, frames)
     if not capture.posed:
         raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
     with tempfile.TemporaryDirectory() as folder:
         store = FrameStore(capture, folder=folder)
         store.fill()
-        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, points=POINTS, clocks="on", preview_every=0)
-        began = start(capture, store, chosen, lambda text: None, starting)
-        trainer = Trainer(capture, store, chosen, began.model, sizes=began.sizes, reach=began.reach)
-        trainer.evening.apart = np.array([first.get(view, 0.0) != 0 for view in trainer.evening.views])
+        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, points=POINTS, preview_every=0)
+        expected = expected_clocks(capture, store, chosen)
+        if expected is None or not expected[:, 1].any():
+            return first, tuple(lost)
+        began = start(capture, store, replace(chosen, clocks="off"), lambda text: None, starting)
+        trainer = Trainer(capture, store, chosen, began.model, sizes=began.sizes, reach=began.reach, clocks=expected)
+        trainer.evening.apart = np.array([first.offsets.get(view, 0.0) != 0 for view in trainer.evening.views])
         while trainer.iteration < steps:
             trainer.step()
             progress(trainer.iteration, steps)
     found = trainer.evening
-    spread, late = found.uncertainty(), dict(zip(found.views, found.late))
-    known = {view for view, each in zip(found.views, spread) if each < EXPECTED and abs(late[view]) < FARTHEST}
-    offsets = {view: first.get(view, 0.0) + (float(late[view]) if view in known else 0.0) for view in found.views}
+    late, spread = dict(zip(found.views, found.late)), dict(zip(found.views, found.uncertainty()))
+    offsets = {view: first.offsets.get(view, 0.0) + float(late[view]) for view in found.views}
     middle = float(np.median(list(offsets.values())))
-    clocks = Clocks({view: offset - middle for view, offset in offsets.items()},
-                    {view: float(np.hypot(ERROR, each)) for view, each in zip(found.views, spread) if view in known}, "training")
-    return clocks, tuple(view for view in found.views if view not in known)
+    known = {view for view in found.views if np.isfinite(spread[view])}
+    uncertainty = {**first.uncertainty, **{view: float(np.hypot(ERROR, spread[view])) for view in known}}
+    return Clocks({view: offset - middle for view, offset in offsets.items()}, uncertainty, "training"), tuple(set(lost) - known)
 
 
 def _small(path, offsets: Mapping[str, float], layout: str | None, frames: slice | None) -> Capture:

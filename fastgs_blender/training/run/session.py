@@ -208,7 +208,7 @@ def _trainer(kind, capture, store, settings, group, reporter, found, decoder, ba
         began = group.first_does(lambda: start(capture, store, settings, reporter.say, report))
     began = Start.of(group.share_arrays(began.arrays if began else {}), empty_model(settings, capture.clip, capture.axes))
     return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach, backend, began.gains,
-                began.fades, began.known)
+                began.fades, began.known, began.clocks)
 
 
 def _finish(model, capture, store, settings, out, group, reporter) -> dict:

@@ -37,8 +37,8 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     pytest.importorskip("pycolmap")
     seen, began = [], []
 
-    def few(path, first, layout=None, **_):
-        return refined(path, first, layout, 240, progress=lambda done, of: seen.append((done, of)),
+    def few(path, first, lost=(), layout=None, **_):
+        return refined(path, first, lost, layout, 240, progress=lambda done, of: seen.append((done, of)),
                        starting=lambda done, of: began.append((done, of)))
 
     refined = clocks.refined

@@ -20,11 +20,11 @@ from fastgs_blender.kernels.protocol import Splatted
 from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.targets import Target
-from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.core.trainer import Trainer, measure
 from fastgs_blender.training.initial.dense import evening_of
 from fastgs_blender.training.initial.fading import fades_of
 from fastgs_blender.training.initial.model import model_from_points
-from fastgs_blender.training.initial.start import start
+from fastgs_blender.training.initial.start import expected_clocks, start
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.util.backends import load_backend
 
@@ -60,8 +60,8 @@ def said(found, view, target, rgb, change=None):
     return found.said([(shot(view), sums)])
 
 
-def evening(**choices):
-    return Evening.begun(VIEWS, 10, settings(**choices))
+def evening(expected=None, **choices):
+    return Evening.begun(VIEWS, 10, settings(**choices), expected=None if expected is None else np.array(expected, float))
 
 
 def test_gains_and_offsets_are_found_and_taken_out():
@@ -136,15 +136,51 @@ def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
 def test_a_clock_is_found_along_the_models_change():
     rng = np.random.default_rng(2)
     model, change = (np.float32(rng.uniform(low, 0.6, (24, 32, 3))) for low in (0.1, -0.6))
-    found, late = evening(exposures="off"), {"a": 0.0, "b": 0.4, "c": 0.0}
+    found, late = evening([[0, 0.1], [0.32, 0.1], [0.02, 0.1]], exposures="off"), {"a": 0.0, "b": 0.4, "c": 0.0}
     for _ in range(40):
         for view in VIEWS:
             drawn = model + change * np.float32(found.late[VIEWS.index(view)] if found.clocks_differ else 0)
             target = goal(model + change * np.float32(late[view]) + np.float32(rng.normal(0, 0.01, model.shape)))
             found.learn(*said(found, view, target, drawn, change))
-    assert found.late == pytest.approx([0, 0.4, 0], abs=0.02) and found.uncertainty().max() < 0.02
+    assert found.late == pytest.approx([0, 0.4, 0], abs=0.02) and (found.late[[0, 2]] == 0).all() and found.uncertainty().max() < 0.02
     assert found.moment(shot("b")) == pytest.approx(0.25 + 0.04, abs=0.002)
     assert found.facts()["clocks"]["b"] == pytest.approx(0.4, abs=0.02)
+
+
+def test_a_clock_moves_only_as_far_as_evidence_is_unsure():
+    """A poor model thinks that a clock is a frame off; two cameras show that it is not, or nothing is known."""
+    clock = np.array([(1e3, 0, 10.0, 1e4), (1e3, 1e3, 10.0, 1e4), (1e3, 0, 10.0, 1e4)])
+    for expected in ([[0, 0.05]] * 3, None):
+        found = evening(expected)
+        for _ in range(20):
+            found.learn(np.zeros((3, 3, 5)), clock)
+        assert not found.late.any() and not found.clocks_differ
+    assert not evening([[0, 0.1], [0.29, 0.1], [0, 0.1]]).late.any(), "0.29 +- 0.1 is not surely different from 0"
+    told = evening([[0, 0.05], [0.8, 0.05], [0, 0.05]])
+    assert told.late == pytest.approx([0, 0.8, 0]) and told.clocks_differ
+    for _ in range(20):
+        told.learn(np.zeros((3, 3, 5)), clock * [1, 1.5, 1, 1])
+    assert told.late == pytest.approx([0, 0.9, 0]), "the model may say more, within two standard deviations"
+    told = evening([[0, 0.05], [0.8, 0.05], [0, 0.05]])
+    assert np.isinf(evening().uncertainty()).all() and told.uncertainty() == pytest.approx(0.05)
+    free = evening(clocks="on")
+    for _ in range(20):
+        free.learn(np.zeros((3, 3, 5)), clock)
+    assert free.late[1] > 0.3
+
+
+def test_evidence_of_two_cameras_comes_from_their_pictures_alone():
+    capture, store, _ = uneven_capture(24, 5, {"cam02": 0.6}, zoom=3)
+    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    expected = expected_clocks(capture, store, settings())
+    assert expected.shape == (4, 2) and expected[:, 0] == pytest.approx([0, 0.6, 0, 0], abs=0.15) and views[1] == "cam02"
+    assert (expected[:, 1] > 0).all() and expected_clocks(capture, store, settings(clocks="off")) is None
+    placed = replace(capture, shots=[replace(s, t=s.t + (0.6 / 24 if s.view == "cam02" else 0)) for s in capture.shots])
+    assert expected_clocks(placed, store, settings())[:, 0] == pytest.approx(np.zeros(4), abs=0.15), "against the times that shots state"
+    heard = []
+    far, filmed, _ = uneven_capture(30, 5, {"cam02": 3.0}, zoom=3)
+    expected_clocks(far, filmed, settings(), heard.append)
+    assert len(heard) == 1 and "cam02 +3" in heard[0] and "sync" in heard[0]
 
 
 @pytest.mark.parametrize(("seems", "apart", "taken"), [
@@ -208,7 +244,8 @@ def test_evaluation_fits_colours_of_such_a_model_and_says_so(uneven):
     capture, store = with_it.capture, with_it.store
     result = evaluate(with_it.final_model({}), capture, store, lpips=False)
     assert result["fit_colours"] and halves.NOTE in result["notes"]
-    assert result["average"]["psnr"] == pytest.approx(with_it.measure(capture.held_out)[0], abs=0.01)
+    pictures = measure(with_it.final_model({}), capture, store, with_it.settings, capture.held_out, fit_colours=True)
+    assert result["average"]["psnr"] == pytest.approx(pictures[0], abs=0.01)
     plain = evaluate(without.final_model({}), capture, store, lpips=False)
     assert not plain["fit_colours"] and plain["average"]["psnr_right"] is None
 
