@@ -139,6 +139,7 @@ def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: lis
     pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most, error)) is not None]
     pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
     offsets, spread = settled(len(lines), pairs)
+    spread = np.hypot(spread, error)  # what curves of several cameras are alike in is wrong in the same way
     return _found(capture, {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}, way, shown)
 
 

@@ -23,6 +23,8 @@ LONGEST_STEP = 10.0
 """Adam's mean is at most 7.3 times the root of its mean square with the rates of forgetting that training uses, 0.9 and 0.999."""
 TINY = 1e-18
 """Gradients so small vanish when they are squared."""
+LARGEST_OFFSET = 1e6
+"""Frames of a clock offset that is expected, and of its standard deviation."""
 LARGEST_COUNT = 2**31 - 2
 """Steps that fit in the optimiser's int32 counters."""
 ADVICE = "the checkpoint is damaged or of another run, so delete it to train from the beginning."
@@ -147,6 +149,8 @@ def _evening_in_range(part: str, array: np.ndarray) -> bool:
         return bool(((array >= 0) & (array < 100)).all())
     if part in most:
         return bool((np.abs(array) <= most[part]).all())
+    if part == "expected":
+        return bool((np.abs(array[:, 0]) <= LARGEST_OFFSET).all() and ((array[:, 1] >= 0) & (array[:, 1] <= LARGEST_OFFSET)).all())
     if not (np.abs(array) <= LARGEST_SUM).all():
         return False
     if part in ("clock", "awaited_clock"):

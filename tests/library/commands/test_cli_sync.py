@@ -19,7 +19,7 @@ OFFSETS = {"cam02": 3.4}
 
 @pytest.fixture
 def shifted(tmp_path):
-    return write_uneven(tmp_path / "capture", 36, 4, OFFSETS)
+    return write_uneven(tmp_path / "capture", 36, 4, OFFSETS, zoom=2)
 
 
 def test_quick(shifted, capsys):
@@ -60,8 +60,8 @@ def test_what_cannot_be_found_is_told(tmp_path, capsys):
 def test_a_part_of_the_clip(shifted, monkeypatch, capsys):
     """--frames is what is compared and what is refined on; the offsets hold for all frames."""
     parts = []
-    monkeypatch.setattr(clocks, "refined", lambda path, first, layout=None, frames=None, **_: parts.append(clocks._small(
-        path, first, layout, frames)) or (clocks.Clocks(first, {}, "training"), ()))
+    monkeypatch.setattr(clocks, "refined", lambda path, first, lost, layout=None, frames=None, **_: parts.append(clocks._small(
+        path, first.offsets, layout, frames)) or (first, ()))
     assert main(["sync", str(shifted), "--quiet", "--frames", "2:33", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["offsets"]["cam02"] == pytest.approx(3.4, abs=0.35)
     clip = parts[0].clip
