@@ -13,17 +13,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
 
 import numpy as np
 
-from ..model.appearance import RGB, SH, SH_C0
+from ..model.appearance import SH, SH_C0, Changing
 from ..model.gaussians import GaussianModel, Raster
 from ..model.temporal import Always
 from ..util.errors import LossWarning
 from . import mip_filter, ply
 from .base import Format, generator
 from .description import comments, from_comments
+from .static import plain_harmonics
 from .unsupported import GAUSSIAN, is_2dgs
 
 KEYS = ("raster", "clip", "axes", "colour_space", "provenance", "surroundings")
@@ -87,15 +87,12 @@ class Inria(Format):
 
     def suits(self, model):
         still = model.basis.terms == 0 and model.rotation_basis.terms == 0
-        return still and isinstance(model.temporal_kind, Always) and isinstance(model.appearance, (RGB, SH))
+        return still and isinstance(model.temporal_kind, Always) and not isinstance(model.appearance, Changing)
 
     def fit(self, model):
         lost = comments(model, KEYS)[1]
-        if isinstance(model.appearance, RGB):
-            if len(model) and model.features.min() < 0:
-                lost.append("its negative colours become 0")
-            model = replace(model, features=(model.features.astype(np.float64) - 0.5) / SH_C0, appearance=SH(0))
-        return model, lost
+        model, clauses = plain_harmonics(model, 4)
+        return model, lost + clauses
 
     def write(self, model, targets):
         mode = ["SplatRenderMode: mip"] if model.raster.antialiased else []

@@ -264,3 +264,18 @@ def test_columns_beyond_what_readers_take(rng, make_model, tmp_path):
     with pytest.raises(fg.FastGSError, match=r"save it as \.safetensors"):
         fg.save(make_model(rng, 2, basis=fg.Fourier(9000)), tmp_path / "m.ply")
     assert not listing(tmp_path)
+
+
+def test_a_still_of_features_is_a_standard_ply_without_a_decoder(rng, make_model, tmp_path):
+    """The columns of INRIA's trainer at degree 0, in its order, and the loss told; a dynamic PLY still has its decoder beside it."""
+    model = make_model(rng, 30, basis=fg.Polynomial(3), rotation_basis=fg.Polynomial(1), temporal="radial", appearance="stg")
+    with pytest.warns(fg.LossWarning, match="features and decoder"):
+        fg.save(fg.freeze(model, 0.5), tmp_path / "still.ply")
+    assert [path.name for path in tmp_path.iterdir()] == ["still.ply"]
+    header = (tmp_path / "still.ply").read_bytes().partition(b"end_header")[0].decode()
+    columns = [line.split()[2] for line in header.splitlines() if line.startswith("property")]
+    assert columns == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+                       "rot_0", "rot_1", "rot_2", "rot_3"]
+    assert isinstance(fg.load(tmp_path / "still.ply").appearance, fg.SH)
+    fg.save(model, tmp_path / "moving.ply")
+    assert (tmp_path / "moving.pt").exists()
