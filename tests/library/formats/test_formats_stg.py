@@ -315,7 +315,7 @@ def test_decoders_of_another_kind(rng, tmp_path, tensors):
 def test_a_decoder_never_replaces_another_file(rng, make_model, tmp_path):
     (tmp_path / "m.pt").write_bytes(b"weeks of training")
     with pytest.raises(fg.FastGSError, match=r"m\.pt, which is something else"):
-        fg.save(make_model(rng, appearance="sigmoid"), tmp_path / "m.ply")
+        fg.save(make_model(rng, basis="cubic", appearance="sigmoid"), tmp_path / "m.ply")
     assert (tmp_path / "m.pt").read_bytes() == b"weeks of training"
     assert [p.name for p in tmp_path.iterdir()] == ["m.pt"]
 
