@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError, LossWarning
 from ..util.progress import progress
-from .shared import human_bytes, note, print_json, say
+from .shared import human_bytes, note, note_frames_outside, print_json, say
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
 PARTS = 100
@@ -53,7 +53,10 @@ def run(args):
         source = formats.open_source(args.input)
         if isinstance(source, Sequence) and frames is None:
             source = one_model(source)
+    if frames is not None:
+        note_frames_outside(source, frames)
     lines: list[str] = []
+    held = len(source)
     total = PARTS * len(targets) if args.compress or len(targets) > 1 else 0
     try:
         with progress(total, "step", "compressing" if args.compress else "writing", quiet=args.quiet) as bar:
@@ -67,12 +70,13 @@ def run(args):
                 with _collected(losses, str(target), args.output):
                     formats.save(result, target, args.compress, lambda share, done=done: bar.to(int((done + share) * PARTS)))
                 bar.to((done + 1) * PARTS)
-                lines.append(f"{target}: {len(result)} Gaussians, {human_bytes(target.stat().st_size)}")
+                held = len(formats.load(target) if args.compress else result)  # compression leaves Gaussians out
+                lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
     finally:  # once the bar is away
         for line in lines if not (args.json or args.quiet) else ():
             say(line)
     if args.json:
-        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": len(source), "losses": losses})
+        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": held, "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
 

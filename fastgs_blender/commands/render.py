@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
-from .shared import add_backend, chosen_backend, image_size, model_file, note, print_json, use_threads
+from .shared import add_backend, chosen_backend, image_size, model_file, note, note_frames_outside, print_json, use_threads
 
 OWN = "own"
 """The background that a model's decoder shows; a model without one shows black."""
@@ -55,7 +55,6 @@ def add_arguments(parser):
 
 def run(args):
     from .. import formats
-    from ..model.gaussians import GaussianModel
     from ..rendering import cryptomatte, images
     from ..rendering.passes import PASSES
     from ..util.backends import load_backend
@@ -80,9 +79,7 @@ def run(args):
     if frames is None:
         frames = parse_frames(f"0:{model.clip.frame_count - 1}")
     cameras = _cameras(views, frames, args, size)
-    if any(not 0 <= frame < model.clip.frame_count for frame in (frames.numbers[0], frames.numbers[-1])) and (
-            isinstance(model, GaussianModel) and model.basis.terms):
-        note(f"the clip has the frames 0 to {model.clip.frame_count - 1}; outside of these its motion is extrapolated.")
+    note_frames_outside(model, frames)
 
     out = Path(args.out)
     _make_folder(out)

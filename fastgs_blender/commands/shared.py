@@ -128,3 +128,12 @@ def human_bytes(count: float) -> str:
         return f"{count:.0f} bytes"
     power = min(int(len(f"{count:.0f}") - 1) // 3, 4)
     return f"{count / 1000**power:.1f} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
+
+
+def note_frames_outside(source, frames) -> None:
+    """Say that frames (util.frames.Frames) lie outside of the clip of a model that moves; a sequence shows its last frame there."""
+    from ..model.gaussians import GaussianModel
+
+    last = source.clip.frame_count - 1
+    if isinstance(source, GaussianModel) and source.basis.terms and not 0 <= min(frames) <= max(frames) < last + 1:
+        note(f"the clip has the frames 0 to {last}; outside of these its motion is extrapolated.")

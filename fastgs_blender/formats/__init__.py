@@ -168,6 +168,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
             writer = Native(Loss.of(compress), progress)
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
+            lost = lost + writer.lost_cameras(model)
             with replacing(writer.files(fitted, path)) as targets:
                 writer.write(fitted, targets)
     except InterruptedError:  # an OSError, but the caller's own, from progress()

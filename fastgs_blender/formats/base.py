@@ -34,6 +34,7 @@ class Format:
     reads       what file dialogs offer to read: extensions, lower case, with the dot, or whole names of files
     says_axes   whether the format, or each of its files, says which way is up
     antialiased whether it can say that the model is antialiased (Mip-Splatting)
+    keeps_cameras  whether it holds the places of the capture's cameras
     """
 
     name = ""
@@ -41,6 +42,7 @@ class Format:
     reads: tuple[str, ...] = ()
     says_axes = False
     antialiased = False
+    keeps_cameras = False
 
     def sniff(self, head: bytes, path: Path) -> bool:
         """Whether the file is of this format, by its first bytes `head` and, where these do not tell, its header."""
@@ -64,7 +66,13 @@ class Format:
 
     def losses(self, model: GaussianModel) -> list[str]:
         """What writing the model would lose, one clause each."""
-        return self.fit(model)[1]
+        return self.fit(model)[1] + self.lost_cameras(model)
+
+    def lost_cameras(self, model: GaussianModel) -> list[str]:
+        """A clause on the capture's cameras, where the format cannot hold those that the model knows."""
+        if self.keeps_cameras or not model.surroundings.cameras:
+            return []
+        return ["the places of the capture's cameras are left out, so that Antialias ends with them"]
 
     def files(self, model: GaussianModel, path: Path) -> list[Path]:
         """All files that save() writes, companions first, `path` last."""

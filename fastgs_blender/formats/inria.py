@@ -62,6 +62,7 @@ class Inria(Format):
     name = "INRIA PLY"
     extensions = reads = (".ply",)
     antialiased = True
+    keeps_cameras = True
 
     def sniff(self, head, path):
         if not head.startswith(b"ply"):

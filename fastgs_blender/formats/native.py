@@ -39,6 +39,7 @@ class Native(Format):
     name = "FAST-GS safetensors"
     says_axes = True
     extensions = reads = (".safetensors",)
+    keeps_cameras = True
 
     def sniff(self, head, path):
         return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER

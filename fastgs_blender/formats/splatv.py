@@ -40,6 +40,7 @@ class Splatv(Format):
 
     name = "splaTV"
     extensions = reads = (".splatv",)
+    keeps_cameras = True
 
     def sniff(self, head, path):
         return head.startswith(MAGIC)

@@ -46,6 +46,7 @@ class SpacetimeGaussians(Format):
 
     name = "Spacetime Gaussians PLY"
     extensions = reads = (".ply",)
+    keeps_cameras = True
 
     def sniff(self, head, path):
         names = ply.read_header(path).names if head.startswith(b"ply") else frozenset()

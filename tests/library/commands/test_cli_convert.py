@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""fastgs convert --antialias."""
+"""fastgs convert: what it says of frames, of what a file holds, and of antialiasing."""
 from __future__ import annotations
 
+import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import fastgs_blender as fg
 
@@ -25,3 +28,34 @@ def test_convert_for_viewers_that_antialias(run, rng, make_model, tmp_path):
     before, after = fg.load(plain), fg.load(soft)
     assert after.raster.antialiased and not before.raster.antialiased
     np.testing.assert_allclose(np.exp(2.0 * after.scale), np.exp(2.0 * before.scale) + 1.2, rtol=0.03)
+
+
+@pytest.mark.parametrize("frames", ["50", "-1", "40:60:10"])
+def test_frames_outside_of_the_clip_are_told(frames, run, rng, make_model, tmp_path):
+    path = tmp_path / "model.safetensors"
+    fg.save(make_model(rng, 5, basis=fg.Fourier(3), clip=fg.Clip(50, 25.0, 7)), path)
+    code, _, said = run("convert", path, tmp_path / "out_####.spz", f"--at={frames}")
+    assert code == 0 and "0 to 49" in said and "extrapolated" in said
+    assert "extrapolated" not in run("convert", path, tmp_path / "in_####.spz", "--at", "0:49:49")[2]
+
+
+def test_what_a_compressed_file_holds_is_reported(run, rng, make_model, tmp_path):
+    """Compression leaves out what pictures do not show: here, Gaussians that nobody can see."""
+    model = make_model(rng, 200, appearance="rgb")
+    model.opacity[:150] = -30
+    path, small = tmp_path / "model.safetensors", tmp_path / "small.safetensors"
+    fg.save(model, path)
+    code, text, _ = run("convert", path, small, "--compress", "--json")
+    assert code == 0 and json.loads(text)["gaussians"] == len(fg.load(small)) < 200
+
+
+@pytest.mark.parametrize("name", ["m.spz", "m.sog", "m.splat", "m.glb", "m.compressed.ply", "m.ply", "m.splatv", "m.safetensors"])
+def test_formats_without_cameras_say_that_antialiasing_ends(name, rng, make_model, tmp_path):
+    """They say so exactly where the file does not give the cameras back."""
+    camera = fg.Viewpoint(width=640, height=480, fx=500, fy=500, cx=320, cy=240, position=(0, 0, -1000))
+    model = replace(make_model(rng, 5, appearance="rgb"), surroundings=fg.Surroundings(cameras=(camera,)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", fg.LossWarning)
+        fg.save(model, tmp_path / name)
+    told = any("Antialias" in str(warning.message) for warning in caught)
+    assert told == (not fg.load(tmp_path / name).surroundings.cameras)
