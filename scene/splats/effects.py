@@ -216,7 +216,7 @@ EFFECTS = {
         "Direction": _vector("Where the front goes", 0.0, 0.0, 1.0),
         "Width": _number("Of the edge, as a share of the capture", 0.15, 0.0, 1.0, subtype='FACTOR'),
         "Glow": ('Color', {"default_value": (2.0, 0.7, 0.15, 1.0), "description": "Colour of the edge, scene linear"})}),
-    'FREEZE': Effect("Freeze at a Distance", "Let only what is near an object move; all else stands as on the Still Frame", _freeze, {
+    'FREEZE': Effect("Freeze at a Distance", "Let only what is near an object move; all else stands as on the Freeze Frame", _freeze, {
         "Amount": _number("How much is held back", 1.0, 0.0, 1.0, subtype='FACTOR'),
         "Centre": ('Object', {"description": "What moves is around this object; none: around the capture's origin"}),
         "Distance": _number("Up to where everything moves", 1.0, subtype='DISTANCE'),

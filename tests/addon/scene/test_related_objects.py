@@ -139,7 +139,7 @@ def test_modifiers_that_operators_add_are_told(splats, where, told, name):
     if modifier == "Fluid" and bpy.app.version < (5, 1, 0):
         pytest.skip("this Blender's operator takes the last modifier for its own, which it is not, and stops")
     as_a_mesh(splats, where, operator)
-    assert any(f'"{modifier}"' in text and "Points to All" in text for text in told)
+    assert any(f'"{modifier}"' in text and "Modifiers Change" in text for text in told)
     assert {modifier, "FAST-GS Proxy"} <= set(splats.modifiers.keys()) and len(splats.data.vertices) == 204
 
 
