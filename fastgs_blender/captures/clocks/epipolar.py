@@ -113,7 +113,7 @@ def _decoded(shots: list[Shot], small: Camera) -> Iterator[tuple[Shot, np.ndarra
 
 def _occupancies(standing: dict[str, list[Shot]], cameras: dict[str, Camera], pictures: Pictures,
                  progress: Callable[[int, int], None]) -> list[np.ndarray]:
-    """Of each view: its occupancy [pixels, F], 0..1; a frame that it lacks is the one before."""
+    """Of each view: its occupancy() [pixels, F]; a frame that it lacks is the one before."""
     total, done = sum(map(len, standing.values())), dict.fromkeys(standing, 0)
     numbers = [shot.frame for shots in standing.values() for shot in shots]
     first, last = min(numbers), max(numbers)
@@ -132,10 +132,10 @@ def _occupancies(standing: dict[str, list[Shot]], cameras: dict[str, Camera], pi
 
 
 def occupancy(frames: np.ndarray) -> np.ndarray:
-    """How far each pixel is from its median over time, above the noise, 0..1; frames [pixels, F] in 0..1."""
+    """How far each pixel is from its median over time, above the noise, uint8: 255 is full; frames [pixels, F] in 0..1."""
     noise = 1.5 * float(np.median(np.abs(np.diff(frames, axis=1)))) + 2 / 255
     away = np.abs(frames - np.median(frames, axis=1, keepdims=True))
-    return np.clip((away / noise - NOISE) / (SOLID - NOISE), 0, 1)
+    return np.uint8(255 * np.clip((away / noise - NOISE) / (SOLID - NOISE), 0, 1) + 0.5)  # of all views at once: bytes, not floats
 
 
 def _centre(camera: Camera) -> np.ndarray:
@@ -197,12 +197,12 @@ def _seen_by(other: Camera, centre: np.ndarray, rays: np.ndarray, depths: np.nda
 
 
 def _profile(plane: np.ndarray, seen: np.ndarray, occupied: np.ndarray) -> np.ndarray:
-    """How much of each plane is occupied, 0..1 [K, F]; plane [pixels] their numbers, occupied [pixels, F]."""
+    """How much of each plane is occupied, 0..1 [K, F]; plane [pixels] their numbers, occupied [pixels, F] as occupancy() gives it."""
     rows = np.flatnonzero(seen & (plane >= 0) & (plane < PLANES))
     rows = rows[np.argsort(plane[rows], kind="stable")]
     numbers, starts = np.unique(plane[rows], return_index=True)
     sums = np.zeros((PLANES, occupied.shape[1]), np.float32)
-    sums[numbers.astype(int)] = np.add.reduceat(occupied[rows], starts, axis=0)
+    sums[numbers.astype(int)] = np.add.reduceat(occupied[rows], starts, axis=0, dtype=np.float32) / 255
     return 1 - np.exp(-sums / FULL)
 
 

@@ -173,10 +173,12 @@ def test_evidence_of_two_cameras_comes_from_their_pictures_alone():
     capture, store, _ = uneven_capture(24, 5, {"cam02": 0.6}, zoom=3)
     views = tuple(dict.fromkeys(shot.view for shot in capture.training))
     expected = expected_clocks(capture, store, settings())
-    assert expected.shape == (4, 2) and expected[:, 0] == pytest.approx([0, 0.6, 0, 0], abs=0.15) and views[1] == "cam02"
-    assert (expected[:, 1] > 0).all() and expected_clocks(capture, store, settings(clocks="off")) is None
+    assert expected.shape == (4, 2) and views[1] == "cam02" and ((expected[:, 1] > 0) & (expected[:, 1] < 0.1)).all()
+    assert (np.abs(expected[:, 0] - [0, 0.6, 0, 0]) < 3 * expected[:, 1]).all()
+    assert expected_clocks(capture, store, settings(clocks="off")) is None
     placed = replace(capture, shots=[replace(s, t=s.t + (0.6 / 24 if s.view == "cam02" else 0)) for s in capture.shots])
-    assert expected_clocks(placed, store, settings())[:, 0] == pytest.approx(np.zeros(4), abs=0.15), "against the times that shots state"
+    against = expected_clocks(placed, store, settings())
+    assert (np.abs(against[:, 0]) < 3 * against[:, 1]).all(), "against the times that shots state"
     heard = []
     far, filmed, _ = uneven_capture(30, 5, {"cam02": 3.0}, zoom=3)
     expected_clocks(far, filmed, settings(), heard.append)
