@@ -9,7 +9,8 @@ trained on).  Without --move its cameras are written, each under its name; of a 
   dolly  from one camera straight on; --zoom keeps the subject's size
   path   smoothly through the cameras, in the order of --views
 
-The file is a cameras.json as 3DGS trainers write it; --format writes the paths of other programs.
+The file is a cameras.json as 3DGS trainers write it; --format writes those of other programs.  nerfstudio's camera path is what its viewer
+plays; its transforms.json has the cameras of a capture, each with the picture called like it.
 """
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ from .shared import image_size, note, print_json, say
 def add_arguments(parser):
     parser.add_argument("source", metavar="SOURCE", help="a capture, camera file, training run or model")
     parser.add_argument("--out", required=True, metavar="FILE", help="the file to write")
-    parser.add_argument("--format", metavar="NAME", default="cameras.json", help="cameras.json (default), fastgs, nerfstudio, "
-                        "instant-ngp, supersplat or colmap")
+    parser.add_argument("--format", metavar="NAME", default="cameras.json", help="cameras.json (default), fastgs, transforms.json, "
+                        "nerfstudio, instant-ngp, supersplat or colmap")
     parser.add_argument("--view", "--views", dest="views", metavar="NAME,NAME", help="the cameras to use: names, or numbers from 0")
     parser.add_argument("--move", choices=("orbit", "dolly", "path"), help="write a camera move instead")
     parser.add_argument("--frames", type=int, metavar="N", help="frames of the move (default: those of the source's clip, else 100)")
@@ -52,6 +53,7 @@ def run(args):
     size = image_size(args.size) if args.size else None
     seen = sight(args.source)
     views = seen.chosen(args.views.split(",") if args.views else None)
+    moving = args.move or any(views is frames for frames in seen.moving.values())
     if args.move:
         views = [View(f"{i:05d}", camera) for i, camera in enumerate(_moved(args, seen, [view.camera for view in views]))]
     views = [View(view.name, resized(view.camera, *size)) for view in views] if size else views
@@ -59,7 +61,7 @@ def run(args):
         save_cameras(views, out)
     else:
         save_path(CameraPath([view.camera for view in views], seen.fps, 1, seen.axes,
-                             names=() if args.move else [view.name for view in views]), out, args.format)
+                             names=() if moving else [view.name for view in views]), out, args.format)
     if args.json:
         print_json({"file": str(out), "cameras": len(views), "names": [view.name for view in views]})
     elif not args.quiet:

@@ -2,6 +2,7 @@
 """Loads cameras from a path of any kind: a capture, a training run, a model, or a camera file of any program."""
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,7 +52,12 @@ def sight(path: str | Path) -> Sight:
     if is_run(path):
         return _sight_of_model(model_file(path))
     if path.is_dir() or (path.is_file() and recognised(path)):
-        return _sight_of_capture(path)
+        try:
+            return _sight_of_capture(path)
+        except FastGSError:
+            with contextlib.suppress(FastGSError):  # cameras without their pictures
+                return _sight_of_file(path)
+            raise
     if path.suffix.lower() in (".json", ".ssproj", ".txt", ".bin"):
         return _sight_of_file(path)
     return _sight_of_model(path)

@@ -13,10 +13,10 @@ from types import ModuleType
 
 from ...util.errors import FastGSError
 from ...util.reading import open_file, read_json, reading
-from . import colmap, fastgs, inria, nerfstudio, ngp, supersplat
+from . import colmap, fastgs, inria, nerfstudio, ngp, supersplat, transforms
 from .base import CameraPath, Picture
 
-FORMATS: tuple[ModuleType, ...] = (fastgs, nerfstudio, ngp, supersplat, inria, colmap)
+FORMATS: tuple[ModuleType, ...] = (fastgs, nerfstudio, ngp, supersplat, inria, colmap, transforms)
 __all__ = ["FORMATS", "CameraPath", "Picture", "format_named", "load_path", "save_path"]
 
 

@@ -15,6 +15,7 @@ from ...util.errors import FastGSError, LossWarning
 from ...util.outputs import replacing
 from .. import poses
 from ..camera import LARGEST_SIDE, Camera
+from ..lens import Intrinsics, Lens, pinhole_for
 
 MOST_FRAMES = 1_000_000
 """Frames of a path whose file holds each of them."""
@@ -111,10 +112,30 @@ def named(entries: list[dict], path: CameraPath) -> list[dict]:
     return [{**entry, "name": name} for entry, name in zip(entries, path.names, strict=True)] if path.names else entries
 
 
-def names_of(entries: Sequence) -> tuple[str, ...]:
+def names_of(entries: Sequence, key: str = "name") -> tuple[str, ...]:
     """What named() added; nothing where not all entries have a name."""
-    names = tuple(entry.get("name") for entry in entries if isinstance(entry, dict))
+    names = tuple(entry.get(key) for entry in entries if isinstance(entry, dict))
     return names if names and len(names) == len(entries) and all(isinstance(name, str) for name in names) else ()
+
+
+def frame_names(path: CameraPath) -> list[str]:
+    """The frames' numbers with as many digits each, so that names sort as the frames go; from 0 where the first is below it."""
+    first = max(path.start_frame, 0)
+    digits = max(5, len(str(first + len(path) - 1)))
+    return [f"{first + i:0{digits}}" for i in range(len(path))]
+
+
+def pinholes(views: Sequence[tuple[Lens, Intrinsics, np.ndarray]], kind: str) -> list[Camera]:
+    """Cameras of lenses, intrinsics and poses (world-to-camera); a LossWarning says that distortion is left out."""
+    if not all(lens.is_pinhole for lens, *_ in views):
+        warnings.warn(f"{kind}: the distortion of its lenses is left out; these cameras are pinholes.", LossWarning, stacklevel=4)
+    return [pinhole_for(Lens(), intrinsics, pose) for _, intrinsics, pose in views]
+
+
+def warn_of_rate(path: CameraPath, kind: str) -> None:
+    """LossWarning for what formats without times cannot hold."""
+    if path.fps and not path.names and len(path) > 1:
+        warnings.warn(f"{kind} holds no frame rate; it is left out ({path.fps:.6g} frames a second).", LossWarning, stacklevel=3)
 
 
 def warn_of_losses(path: CameraPath, kind: str) -> None:

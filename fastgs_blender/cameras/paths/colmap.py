@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A COLMAP model as a path: its images in the order of their names.  Written as text: cameras.txt, images.txt, points3D.txt."""
+"""A COLMAP model as a path: its images in the order of their names.  Written in COLMAP's binary form: cameras, images, points3D (none).
+
+In images.txt a name ends at its first blank (colmap, scene/reconstruction_io_text.cc); in images.bin it may have blanks.
+"""
 from __future__ import annotations
 
-import warnings
+import struct
 from pathlib import Path
 
 from ...util import rotations
-from ...util.errors import FastGSError, LossWarning
+from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.stated_paths import below
-from ..colmap_files import has_model, read_images
-from ..lens import pinhole_for
-from .base import CameraPath, refuse_orthographic
+from ..colmap_files import MODELS, has_model, read_images, read_points
+from .base import CameraPath, frame_names, pinholes, refuse_orthographic, warn_of_rate
 
 name, label = "colmap", "COLMAP model (folder)"
 PLACES = ("", "sparse/0", "sparse")
@@ -27,17 +29,16 @@ def folder_of(path: Path) -> Path | None:
 
 def load(folder: Path, values, picture) -> CameraPath:
     images = read_images(folder)
-    if any(not image.camera.lens.is_pinhole for image in images):
-        warnings.warn("the distortion of COLMAP's lenses is left out: these cameras are pinholes.", LossWarning, stacklevel=3)
-    return CameraPath([pinhole_for(type(image.camera.lens)(), image.camera.intrinsics, image.world_to_camera) for image in images],
+    return CameraPath(pinholes([(image.camera.lens, image.camera.intrinsics, image.world_to_camera) for image in images], label),
                       names=[image.name for image in images])
 
 
-def _plain(name: str) -> str:
-    """A name that can be a picture's in images.txt; raises FastGSError."""
-    if name.split() != [name] or below(Path(), name) is None:
-        raise FastGSError(f"a COLMAP model has no camera called {name!r}: a name there has no spaces, and is that of a picture.")
-    return name
+def _plain(name: str) -> bytes:
+    """A name that can be a picture's in images.bin; raises FastGSError."""
+    found = below(Path(), name)
+    if found is None or found.as_posix() != name:
+        raise FastGSError(f"a COLMAP model has no camera called {name!r}: a name there is that of a picture, without \\, : and .. in it.")
+    return name.encode("utf-8", "surrogateescape")
 
 
 def save(path: CameraPath, folder, picture) -> None:
@@ -47,20 +48,19 @@ def save(path: CameraPath, folder, picture) -> None:
         raise FastGSError(f"{folder}: a COLMAP model is a folder; give the name of one.")
     if folder.suffix.lower() in FILES:
         raise FastGSError(f"{folder}: a COLMAP model is a folder; give a name without {folder.suffix}.")
-    folder.mkdir(parents=True, exist_ok=True)
-    names = [_plain(name) for name in path.names] or [f"frame_{path.start_frame + i:05d}.png" for i in range(len(path))]
-    cameras: dict = {}
-    images = ["# Image list with two lines of data per image:", "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME",
-              "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
+    if has_model(folder) and read_points(folder) is not None:
+        raise FastGSError(f"{folder}: there is a COLMAP model with points, which these cameras have none of; give another folder.")
+    names = [_plain(name) for name in path.names] or [f"frame_{number}.png".encode() for number in frame_names(path)]
+    warn_of_rate(path, label)
+    cameras: dict[bytes, int] = {}
+    images = []
     for i, camera in enumerate(path.cameras):
-        key = camera.width, camera.height, *(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
-        number = cameras.setdefault(key, len(cameras) + 1)
-        pose = camera.world_to_camera
-        numbers = [repr(float(v)) for v in (*rotations.from_matrices(pose[:3, :3]), *pose[:3, 3])]
-        images += [" ".join([f"{i + 1}", *numbers, f"{number}", names[i]]), ""]
-    rows = [f"{number} PINHOLE {w} {h} {' '.join(map(repr, rest))}" for (w, h, *rest), number in cameras.items()]
-    texts = {"cameras.txt": ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", *rows],
-             "images.txt": images, "points3D.txt": ["# 3D point list: none"]}
-    with replacing([folder / file for file in texts]) as parts:
-        for part, lines in zip(parts, texts.values()):
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        lens = struct.pack("<iQQ4d", MODELS["PINHOLE"][0], camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        number, pose = cameras.setdefault(lens, len(cameras) + 1), camera.world_to_camera
+        images.append(struct.pack("<I7dI", i + 1, *rotations.from_matrices(pose[:3, :3]), *pose[:3, 3], number) + names[i] + bytes(9))
+    lenses = [struct.pack("<I", number) + lens for lens, number in cameras.items()]
+    files = {"cameras.bin": lenses, "images.bin": images, "points3D.bin": []}
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing([folder / file for file in files]) as parts:
+        for part, records in zip(parts, files.values()):
+            part.write_bytes(struct.pack("<Q", len(records)) + b"".join(records))

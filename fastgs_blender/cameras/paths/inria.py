@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..cameras_json import View, load_cameras, save_cameras
-from .base import CameraPath, refuse_orthographic
+from .base import CameraPath, frame_names, refuse_orthographic, warn_of_rate
 
 name, label = "cameras.json", "cameras.json (3D Gaussian Splatting)"
 
@@ -20,5 +20,5 @@ def load(file, values, picture) -> CameraPath:
 
 def save(path: CameraPath, file, picture) -> None:
     refuse_orthographic(path, label)
-    names = path.names or [f"{path.start_frame + i:05d}" for i in range(len(path))]
-    save_cameras([View(name, camera) for name, camera in zip(names, path.cameras, strict=True)], file)
+    warn_of_rate(path, label)
+    save_cameras([View(name, camera) for name, camera in zip(path.names or frame_names(path), path.cameras, strict=True)], file)

@@ -79,6 +79,10 @@ def save(path: CameraPath, file, picture) -> None:
     if path.names:
         warnings.warn(f"{label} holds no names of cameras; they are numbered.", LossWarning, stacklevel=2)
     fps, first = path.fps or picture.fps, path.cameras[0]
+    warnings.warn(f"{label} holds no size of pictures; it is left out ({first.width} x {first.height}).", LossWarning, stacklevel=2)
+    if fps < LEAST_RATE:
+        warnings.warn(f"{label} holds no frame rate below {LEAST_RATE}: the frames are read as keyframes, with others between them.",
+                      LossWarning, stacklevel=2)
     places = np.array([camera_to_world(camera) for camera in path.cameras])
     position, forward = places[:, :3, 3] @ TURN, places[:, :3, 2] @ TURN
     if np.abs(places[:, :3, 0] @ TURN @ UP).max() > 1e-6:

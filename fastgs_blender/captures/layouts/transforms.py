@@ -13,10 +13,8 @@ from __future__ import annotations
 from pathlib import Path
 from reprlib import repr as shortened
 
-import numpy as np
-
 from ...cameras import poses
-from ...cameras.lens import Intrinsics, Lens
+from ...cameras.transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
 from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ...util.stated_paths import local
@@ -30,12 +28,6 @@ from .transforms_views import Picture, times_of, views_of
 name = "transforms.json"
 SPLITS = ("train", "val", "test")
 POINT_FILES = ("sparse_pc.ply", "points3d.ply", "points3D.ply", "fused.ply")
-LENSES = {"PINHOLE": "pinhole", "SIMPLE_PINHOLE": "pinhole", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv", "RADIAL": "opencv",
-          "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye", "RADIAL_FISHEYE": "fisheye", "FULL_OPENCV": "full"}
-COEFFICIENTS = {"pinhole": (), "opencv": ("k1", "k2", "k3", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4"),
-                "full": ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
-INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "camera_model", "is_fisheye", *COEFFICIENTS["full"])
-"""What stands at the top, or with each picture."""
 
 
 def recognises(path: Path) -> bool:
@@ -50,25 +42,24 @@ def load(path: Path, options: Options) -> Capture:
     files = _files(path) if path.is_dir() else {_split(path): path}
     if not files:
         raise FastGSError(f"{path}: there is no transforms.json or transforms_train.json in it.")
-    pictures: list[Picture] = []
-    for split, file in files.items():
-        pictures += _read(file, split)
+    tables = {file: poses.table(read_json(file), f"{file}: it") for file in files.values()}
+    pictures = [picture for split, file in files.items() for picture in _read(file, tables[file], split)]
     there = [picture for picture in pictures if picture.source is not None]
     if not there:
         raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {shortened(pictures[0].stated)}); copy them "
                           "beside it.")
     views = views_of(pictures)
     frames, times, fps, notes = times_of(pictures, views)
+    fps = next((rate for file, values in tables.items() if (rate := fps_of(values, file)) is not None), fps)
     gaps = [(views[i], frames[i]) for i, picture in enumerate(pictures) if picture.source is None]
     masks = sum(picture.mask is not None for picture in there)
     entries = [Entry(views[i], frames[i], picture.source, picture.pose, picture.mask, times[i])
                for i, picture in enumerate(pictures) if picture.source is not None]
     held_out = dict.fromkeys(views[i] for i, picture in enumerate(pictures) if picture.split in ("val", "test"))
-    folder = next(iter(files.values())).parent
     faults = gap_sentences(gaps) if max(frames) else _missing(pictures)
     return from_entries(
         path, name, entries, options, frame_count=max(frames) + 1, fps=fps, held_out=list(held_out), axes="RFU",
-        points=_points(files, folder), mask_means="valid" if masks else "foreground", notes=notes, faults=faults)
+        points=_points(tables), mask_means="valid" if masks else "foreground", notes=notes, faults=faults)
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -88,9 +79,9 @@ def _missing(pictures) -> list[str]:
     return [f"{len(lost)} of its {len(pictures)} pictures are missing: {', '.join(lost[:4])}{more}"] if lost else []
 
 
-def _points(files, folder):
-    stated = [read_json(file).get("ply_file_path") for file in files.values()]
-    for file, value in zip(files.values(), stated):
+def _points(tables: dict[Path, dict]):
+    folder, stated = next(iter(tables)).parent, [values.get("ply_file_path") for values in tables.values()]
+    for file, value in zip(tables, stated):
         _check_local(folder, value, f"{file}: its ply_file_path")
     for path in (local(folder, value) for value in [*stated, *POINT_FILES]):
         if path is not None and path.is_file():
@@ -101,14 +92,12 @@ def _points(files, folder):
 # Reading
 
 
-def _read(file: Path, split: str) -> list[Picture]:
-    values = poses.table(read_json(file), f"{file}: it")
+def _read(file: Path, values: dict, split: str) -> list[Picture]:
     if "frames" not in values:
         raise FastGSError(f"{file}: it lacks frames, the list of its pictures.")
     splits = {str(name): part for part in SPLITS
               for name in poses.listed(values.get(f"{part}_filenames") or [], f"{file}: its {part}_filenames", 0)}
-    shared = {key: values[key] for key in INTRINSICS if key in values}
-    sizes: dict[Path, Intrinsics] = {}
+    sizes: dict[Path, tuple[int, int]] = {}
     pictures = []
     for i, frame in enumerate(poses.listed(values["frames"], f"{file}: its frames")):
         where = f"{file}: frame {i}"
@@ -120,13 +109,11 @@ def _read(file: Path, split: str) -> list[Picture]:
             _check_local(file.parent, frame.get(key), f"{where}: its {key}")
         picture = _found(file.parent, stated)
         time = frame.get("time")
-        given = shared | {key: frame[key] for key in INTRINSICS if frame.get(key) is not None}
-        source = None if picture is None else _source(picture, given, where, sizes)
+        source = None if picture is None else _source(picture, given_for(values, frame), where, sizes)
         mask = _found(file.parent, frame.get("mask_path"))
         pictures.append(Picture(
             splits.get(stated, split), stated, source, None if mask is None else Source(mask),
-            _pose(frame.get("transform_matrix"), f"{where}: its transform_matrix"),
-            None if time is None else poses.number(time, f"{where}: its time")))
+            pose_of(frame, where), None if time is None else poses.number(time, f"{where}: its time")))
     return pictures
 
 
@@ -147,55 +134,13 @@ def _found(folder: Path, stated: object) -> Path | None:
     return None
 
 
-def _pose(value, where) -> np.ndarray:
-    """World-to-camera of a camera-to-world matrix; the scale of a Blender camera does not count."""
-    if isinstance(value, list) and len(value) == 3:
-        value = [*value, [0, 0, 0, 1]]
-    matrix = poses.numbers(value, (4, 4), where)
-    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-    if lengths.min() < 1e-9:
-        raise FastGSError(f"{where} is no pose: one of its axes has no length.")
-    matrix[:3, :3] /= lengths
-    return poses.from_opengl(poses.rigid(matrix, where))
-
-
 def _source(picture: Path, given: dict, where: str, sizes: dict) -> Source:
-    lens = _lens(given, where)
-    if "w" in given and "h" in given:
-        width, height = given["w"], given["h"]
-    else:
+    def size():
         try:
-            width, height = picture_size(Source(picture))
-            sizes[picture.parent] = width, height
+            sizes[picture.parent] = picture_size(Source(picture))
         except FastGSError:  # check() tells of the picture; its neighbours' size will do until then
             if picture.parent not in sizes:
                 raise
-            width, height = sizes[picture.parent]
-    width, height = (poses.whole(side, f"{where}: its {key}", 1) for key, side in (("w", width), ("h", height)))
-    fx = given["fl_x"] if "fl_x" in given else _focal(given, "camera_angle_x", width, where)
-    if fx is None:
-        raise FastGSError(f"{where} lacks a focal length: fl_x or camera_angle_x.")
-    fy = given.get("fl_y", _focal(given, "camera_angle_y", height, where) if "fl_x" not in given else None)
-    fy = fx if fy is None else fy
-    centre = given.get("cx", width / 2), given.get("cy", height / 2)
-    return Source(picture, None, lens, poses.intrinsics(where, fx, fy, *centre, width, height))
+        return sizes[picture.parent]
 
-
-def _focal(given, key, side, where):
-    if key not in given:
-        return None
-    return side / 2 / np.tan(poses.number(given[key], f"{where}: its {key}", 1e-6, np.pi - 1e-6) / 2)
-
-
-def _lens(given: dict, where: str) -> Lens:
-    stated = given.get("camera_model", "OPENCV_FISHEYE" if given.get("is_fisheye") else "OPENCV")
-    if not isinstance(stated, str) or stated not in LENSES:
-        raise FastGSError(f"{where} has the camera_model {shortened(stated)}; only {', '.join(LENSES)} are known, so undistort the "
-                          "pictures first.")
-    model = LENSES[stated]
-    names = COEFFICIENTS[model]
-    values = {key: poses.number(given[key], f"{where}: its {key}") for key in COEFFICIENTS["full"] if key in given}
-    extra = [key for key, value in values.items() if value and key not in names]
-    if extra and model != "pinhole":
-        raise FastGSError(f"{where} has {', '.join(extra)}, which {stated} does not have here; undistort the pictures first.")
-    return Lens.named("opencv" if model == "full" else model, {key: value for key, value in values.items() if key in names})
+    return Source(picture, None, lens_of(given, where), intrinsics_of(given, where, size))

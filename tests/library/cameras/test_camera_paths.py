@@ -2,6 +2,7 @@
 """Camera paths of other programs: what is written is read again, and what their own files say is understood."""
 from __future__ import annotations
 
+import dataclasses
 import json
 import warnings
 import zipfile
@@ -9,17 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_captures
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, load_path, save_path
+from fastgs_blender.captures import open_capture
 from fastgs_blender.util.errors import LossWarning
 from fastgs_blender.util.rotations import to_matrices
 
 NAMES = [module.name for module in FORMATS]
-FULL = ("fastgs", "cameras.json", "colmap")
+FULL = ("fastgs", "cameras.json", "colmap", "transforms.json")
 """Formats that hold any intrinsics."""
+PARTS = st.text("ab z09-_.é", min_size=1, max_size=8).filter(lambda part: part not in (".", ".."))
+CAMERA_NAMES = st.lists(PARTS, min_size=1, max_size=3).map("/".join)
+"""Of cameras: paths of pictures, with blanks too."""
 
 
 def random_path(rng, frames: int, full: bool, level: bool) -> CameraPath:
@@ -65,25 +72,49 @@ def assert_same(got, wanted, rng):
         np.testing.assert_allclose(project(a, points), project(b, points), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", NAMES)
-@given(seed=st.integers(0, 2**32 - 1), frames=st.integers(1, 40))
-@settings(max_examples=12)
-def test_round_trip(name, seed, frames, tmp_path):
-    """Animated focal lengths; far within the 1e-5 of a pose and the 1e-4 pixels that are promised."""
-    rng = np.random.default_rng(seed)
-    path = random_path(rng, frames, name in FULL, name == "supersplat")
-    file = tmp_path / (f"model-{seed}" if name == "colmap" else "path.json")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+def saved(path, file, name) -> str:
+    """What is told of losses when a path is written."""
+    with warnings.catch_warnings(record=True) as lost:
+        warnings.simplefilter("always")
         save_path(path, file, name)
-    first = path.cameras[0]
-    got = load_path(file, Picture(first.width, first.height, path.fps))
-    assert_same(got.cameras, path.cameras, rng)
-    assert got.axes == ("RFU" if name in {"nerfstudio", "instant-ngp"} else "RDF")
-    if name not in {"cameras.json", "colmap"}:
-        assert got.fps == path.fps
-    if name == "fastgs":
-        assert got.start_frame == path.start_frame
+    assert all(w.category is LossWarning for w in lost)
+    return " ".join(str(w.message) for w in lost)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=st.integers(0, 2**32 - 1), full=st.booleans(), level=st.booleans(), start=st.integers(-50, 100_001), fps=st.floats(1, 200),
+       names=st.one_of(st.integers(1, 40), st.lists(CAMERA_NAMES, min_size=1, max_size=9, unique=True)))
+@settings(max_examples=40)
+def test_all_comes_back_or_the_loss_is_told(name, seed, full, level, start, fps, names, tmp_path):
+    """Number, names, poses, intrinsics, sizes and times; far within the 1e-5 of a pose and the 1e-4 pixels that are promised."""
+    rng = np.random.default_rng(seed)
+    still = isinstance(names, list)
+    path = random_path(rng, len(names) if still else names, full, level)
+    sizes = rng.integers(16, 2000, (len(path), 2)).tolist() if full and level else [[c.width, c.height] for c in path.cameras]
+    cameras = [dataclasses.replace(c, width=w, height=h, window=(0, 0, w, h)) for c, (w, h) in zip(path.cameras, sizes, strict=True)]
+    path = CameraPath(cameras, fps, start, "RDF", names=names if still else ())
+    file = tmp_path / f"{seed}-{len(path)}-{fps}"
+    told = saved(path, file, name)
+    moves = not still and len(path) > 1
+    fits, upright = name in FULL or not full, name != "supersplat" or level
+    rate = name in ("cameras.json", "colmap") and moves
+    assert [word in told for word in ("shift", "square", "roll", "no size", "no names", "holds no frame rate;")] == [
+        not fits, not fits, not upright, name == "supersplat", name == "supersplat" and still, rate]
+    assert told or (fits and upright and not rate)
+    got = load_path(file, Picture(*sizes[0], fps) if "no size" in told else None)
+    if "rate below" in told:
+        return
+    order = sorted(range(len(path)), key=lambda i: path.names[i]) if still and name == "colmap" else range(len(path))
+    assert len(got) == len(path)
+    if still and "no names" not in told:
+        assert list(got.names) == [path.names[i] for i in order]
+    if moves and not rate:
+        assert got.fps == pytest.approx(fps, rel=1e-12)
+    if fits and upright:
+        assert_same(got.cameras, [path.cameras[i] for i in order], rng)
+    elif upright:
+        for a, i in zip(got.cameras, order, strict=True):
+            np.testing.assert_allclose(a.world_to_camera, path.cameras[i].world_to_camera, atol=1e-9)
 
 
 def test_our_own_keeps_keys_too(rng, tmp_path):
@@ -256,35 +287,21 @@ def test_files_that_cannot_be_read(tmp_path):
         save_path(CameraPath([fg.Camera(8, 8, 8, 8, 4, 4, np.eye(4))]), tmp_path / "absent" / "p.json")
 
 
-def test_colmap_binary_and_project_folders(rng, tmp_path):
-    """As COLMAP's own tools write them."""
+def test_colmap_reads_ours_and_we_read_its_text(rng, tmp_path):
+    """COLMAP itself; in images.txt it ends a name at its first blank, so ours are binary."""
     pycolmap = pytest.importorskip("pycolmap")
-    path = random_path(rng, 4, True, False)
-    folder = tmp_path / "sparse" / "0"
-    folder.mkdir(parents=True)
-    save_path(path, folder / "text", "colmap")
-    pycolmap.Reconstruction(folder / "text").write_binary(folder)
-    assert_same(load_path(tmp_path).cameras, path.cameras, rng)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@given(seed=st.integers(0, 2**32 - 1), frames=st.integers(1, 9), fps=st.floats(1, 200))
-@settings(max_examples=8)
-def test_as_many_cameras_come_back_whatever_the_rate(name, seed, frames, fps, tmp_path):
-    """Read without being told the rate or the size of the pictures."""
-    rng = np.random.default_rng(seed)
-    cameras = random_path(rng, frames, False, name == "supersplat").cameras
-    file = tmp_path / (f"rate-{seed}-{frames}" if name == "colmap" else "path.json")
-    save_path(CameraPath(cameras, fps), file, name)
-    got = load_path(file)
-    if name == "supersplat" and fps < 8:
-        return  # such rates count seconds there
-    assert len(got) == frames
-    np.testing.assert_allclose([c.world_to_camera for c in got.cameras], [c.world_to_camera for c in cameras], atol=1e-9)
-    if name != "supersplat":  # it has no place for the size
-        assert {(c.width, c.height) for c in got.cameras} == {(c.width, c.height) for c in cameras}
-    if name in ("fastgs", "nerfstudio", "instant-ngp"):
-        assert got.fps == pytest.approx(fps)
+    names = ["a/left eye.png", "b/right.png", "c.png"]
+    path = CameraPath(random_path(rng, 3, True, False).cameras, names=names)
+    save_path(path, tmp_path / "sparse" / "0", "colmap")
+    model = pycolmap.Reconstruction(tmp_path / "sparse" / "0")
+    images = sorted(model.images.values(), key=lambda image: image.name)
+    assert [image.name for image in images] == names
+    for image, camera in zip(images, path.cameras, strict=True):
+        np.testing.assert_allclose(image.cam_from_world().matrix(), camera.world_to_camera[:3], atol=1e-12)
+        np.testing.assert_array_equal(image.camera.params, [camera.fx, camera.fy, camera.cx, camera.cy])
+    (tmp_path / "text").mkdir()
+    model.write_text(tmp_path / "text")
+    assert_same(load_path(tmp_path / "text").cameras, path.cameras, rng)
 
 
 def test_a_colmap_model_is_no_file(rng, tmp_path):
@@ -293,22 +310,64 @@ def test_a_colmap_model_is_no_file(rng, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "supersplat"])
-def test_names_come_back(name, rng, tmp_path):
-    names = ["b/cam00", "a_cam10", "zebra", "cam07"]
-    path = CameraPath(random_path(rng, 4, False, False).cameras, 25.0, names=names)
-    file = tmp_path / ("model" if name == "colmap" else "path.json")
-    save_path(path, file, name)
-    got = load_path(file)
-    found = dict(zip(got.names, got.cameras, strict=True))
-    assert (sorted(found) if name == "colmap" else list(got.names)) == (sorted(names) if name == "colmap" else names)
-    for each, camera in zip(names, path.cameras, strict=True):
-        np.testing.assert_allclose(found[each].world_to_camera, camera.world_to_camera, atol=1e-9)
-
-
 def test_names_that_a_format_cannot_hold(rng, tmp_path):
-    path = CameraPath(random_path(rng, 2, False, True).cameras, 25.0, names=["left eye", "b"])
-    with pytest.warns(LossWarning, match="no names"):
-        save_path(path, tmp_path / "s.json", "supersplat")
-    with pytest.raises(fg.FastGSError, match="left eye"):
+    path = CameraPath(random_path(rng, 2, False, True).cameras, 25.0, names=["left eye", "a/../b"])
+    with pytest.raises(fg.FastGSError, match="a/../b"):
         save_path(path, tmp_path / "model", "colmap")
+
+
+def test_a_colmap_model_with_points_is_not_replaced(rng, tmp_path):
+    tiny_captures.colmap_model(tmp_path, ["a.png", "b.png"], True)
+    before = tiny_captures.contents(tmp_path)
+    with pytest.raises(fg.FastGSError, match="points"):
+        save_path(random_path(rng, 2, True, False), tmp_path, "colmap")
+    assert tiny_captures.contents(tmp_path) == before
+
+
+def test_transforms_json_by_nerfstudio_s_rules(rng, tmp_path):
+    """What its dataparser asks for in each frame, whose z points backwards and y up; it sorts by the names of files, which must open."""
+    path = random_path(rng, 12, True, False)
+    save_path(CameraPath(path.cameras, 25.0, 99_995), tmp_path / "transforms.json", "transforms.json")
+    values = json.loads((tmp_path / "transforms.json").read_text())
+    frames = sorted(values["frames"], key=lambda frame: frame["file_path"])
+    assert frames == values["frames"] and values["camera_model"] == "PINHOLE" and values["fps"] == 25
+    assert all(Path(frame["file_path"]).suffix == ".png" for frame in frames)
+    assert [frame["time"] for frame in frames] == [i / 12 for i in range(12)]
+    for frame, camera in zip(frames, path.cameras, strict=True):
+        world = seen(camera, rng)
+        x, y, z = (np.linalg.inv(frame["transform_matrix"]) @ np.hstack([world, np.ones((20, 1))]).T)[:3]
+        pixels = np.stack([frame["fl_x"] * x / -z + frame["cx"], frame["fl_y"] * -y / -z + frame["cy"]], 1)
+        np.testing.assert_allclose(pixels, project(camera, world), atol=1e-6)
+        assert (frame["w"], frame["h"]) == (camera.width, camera.height)
+
+
+@pytest.mark.parametrize("names", [(), ("left eye", "b.jpg", "c/d")])
+def test_transforms_json_opens_as_a_capture(names, rng, tmp_path):
+    """Beside the pictures that it names."""
+    path = CameraPath(random_path(rng, 3, True, False).cameras, 12.5, names=names)
+    save_path(path, tmp_path / "transforms.json", "transforms.json")
+    for frame, camera in zip(json.loads((tmp_path / "transforms.json").read_text())["frames"], path.cameras, strict=True):
+        picture = tmp_path / frame["file_path"]
+        picture.parent.mkdir(exist_ok=True)
+        Image.new("RGB", (camera.width, camera.height)).save(picture)
+    capture = open_capture(tmp_path)
+    assert_same([shot.camera for shot in capture.shots], path.cameras, rng)
+    assert (capture.views, capture.clip.frame_count) == ((["left eye", "b", "c/d"], 1) if names else (["camera"], 3))
+    assert capture.clip.fps == 12.5
+    assert [shot.t for shot in capture.shots] == ([0, 0, 0] if names else pytest.approx([0, 1 / 3, 2 / 3]))
+
+
+def test_transforms_json_of_others(tmp_path):
+    """D-NeRF: an angle for all frames, no sizes, and frames in any order of time; nerfstudio: a lens with distortion."""
+    pose = np.eye(4).tolist()
+    frames = [{"file_path": f"./train/r_{i}", "time": t, "transform_matrix": [*pose[:2], [0, 0, 1, t], pose[3]]}
+              for i, t in enumerate((0.5, 0, 1))]
+    values = {"camera_angle_x": np.pi / 2, "frames": frames}
+    path = load_path(write(tmp_path, values), Picture(800, 600))
+    assert [-camera.world_to_camera[:3, 3] @ camera.world_to_camera[:3, 2] for camera in path.cameras] == [0, 0.5, 1]
+    assert all((c.fx, c.fy, c.cx, c.height) == pytest.approx((400, 400, 400, 600)) for c in path.cameras) and not path.names
+    frames = [{"file_path": f"images/{i}.jpg", "transform_matrix": pose} for i in (2, 1)]
+    values = {"w": 80, "h": 60, "fl_x": 50, "k1": 0.1, "frames": frames}
+    with pytest.warns(LossWarning, match="distortion"):
+        path = load_path(write(tmp_path, values))
+    assert path.names == ("images/2.jpg", "images/1.jpg") and path.cameras[0].width == 80

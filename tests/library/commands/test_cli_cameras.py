@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_captures
 from toy_captures import toy_cameras, write_capture
 
 import fastgs_blender as fg
@@ -102,6 +103,25 @@ def test_paths_of_other_programs(run, capture, tmp_path):
     assert "camera_path" in json.loads(out.read_text())
     again = run(out)
     assert len(again) == 9 and np.linalg.norm(place(again[0].camera) - place(toy_cameras(5)[0])) < 1e-4
+
+
+@pytest.mark.parametrize(("kind", "out"), [("transforms.json", "transforms.json"), ("colmap", "model")])
+def test_cameras_without_pictures_are_a_source_too(run, capture, tmp_path, kind, out):
+    """What is written beside no pictures, as a data set of another program, is read as cameras."""
+    assert cli.main(["cameras", str(capture), "--format", kind, "--out", str(tmp_path / out)]) == 0
+    views = run(tmp_path / out)
+    assert [view.name for view in views] == [f"cam{i:02}" for i in range(5)]
+    for view, truth in zip(views, toy_cameras(5), strict=True):
+        np.testing.assert_allclose(view.camera.world_to_camera, truth.world_to_camera, atol=1e-9)
+
+
+def test_frames_of_a_camera_that_moves_have_times(tmp_path):
+    tiny_captures.fastgs(tmp_path)
+    out = tmp_path / "out" / "transforms.json"
+    out.parent.mkdir()
+    assert cli.main(["cameras", str(tmp_path), "--view", "cam01", "--size", "32x24", "--format", "transforms.json", "--out", str(out)]) == 0
+    values = json.loads(out.read_text())
+    assert values["fps"] == 24 and [frame["time"] for frame in values["frames"]] == [0, 0.5]
 
 
 def test_from_a_model_to_frames_without_a_capture(run, tmp_path):

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a transforms.json says of a picture's camera: pose, lens and intrinsics, at the top of the file or with each picture.
+
+Poses are camera-to-world with OpenGL's camera axes.  (nerfstudio, data/dataparsers/nerfstudio_dataparser.py; instant-ngp, nerf_loader.cu)
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from reprlib import repr as shortened
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from . import poses
+from .lens import Intrinsics, Lens
+
+LENSES = {"PINHOLE": "pinhole", "SIMPLE_PINHOLE": "pinhole", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv", "RADIAL": "opencv",
+          "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye", "RADIAL_FISHEYE": "fisheye", "FULL_OPENCV": "full"}
+COEFFICIENTS = {"pinhole": (), "opencv": ("k1", "k2", "k3", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4"),
+                "full": ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "camera_model", "is_fisheye", *COEFFICIENTS["full"])
+"""What stands at the top, or with each picture."""
+
+
+def given_for(values: dict, frame: dict) -> dict:
+    """INTRINSICS that hold for a picture."""
+    return {key: values[key] for key in INTRINSICS if key in values} | {key: frame[key] for key in INTRINSICS if frame.get(key) is not None}
+
+
+def fps_of(values: dict, where: object) -> float | None:
+    """The frame rate, which our own files state."""
+    return None if values.get("fps") is None else poses.number(values["fps"], f"{where}: its fps", 1e-3, 1e6)
+
+
+def pose_of(frame: dict, where: str) -> np.ndarray:
+    """World-to-camera of a picture's transform_matrix; the scale of a Blender camera does not count."""
+    value, where = frame.get("transform_matrix"), f"{where}: its transform_matrix"
+    if isinstance(value, list) and len(value) == 3:
+        value = [*value, [0, 0, 0, 1]]
+    matrix = poses.numbers(value, (4, 4), where)
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if lengths.min() < 1e-9:
+        raise FastGSError(f"{where} is no pose: one of its axes has no length.")
+    matrix[:3, :3] /= lengths
+    return poses.from_opengl(poses.rigid(matrix, where))
+
+
+def intrinsics_of(given: dict, where: str, size: Callable[[], tuple[int, int]]) -> Intrinsics:
+    """Checked intrinsics; size() gives the picture's where the file does not say it."""
+    width, height = (given["w"], given["h"]) if "w" in given and "h" in given else size()
+    width, height = (poses.whole(side, f"{where}: its {key}", 1) for key, side in (("w", width), ("h", height)))
+    fx = given["fl_x"] if "fl_x" in given else _focal(given, "camera_angle_x", width, where)
+    if fx is None:
+        raise FastGSError(f"{where} lacks a focal length: fl_x or camera_angle_x.")
+    fy = given.get("fl_y", _focal(given, "camera_angle_y", height, where) if "fl_x" not in given else None)
+    fy = fx if fy is None else fy
+    return poses.intrinsics(where, fx, fy, given.get("cx", width / 2), given.get("cy", height / 2), width, height)
+
+
+def lens_of(given: dict, where: str) -> Lens:
+    stated = given.get("camera_model", "OPENCV_FISHEYE" if given.get("is_fisheye") else "OPENCV")
+    if not isinstance(stated, str) or stated not in LENSES:
+        raise FastGSError(f"{where} has the camera_model {shortened(stated)}; only {', '.join(LENSES)} are known, so undistort the "
+                          "pictures first.")
+    model = LENSES[stated]
+    names = COEFFICIENTS[model]
+    values = {key: poses.number(given[key], f"{where}: its {key}") for key in COEFFICIENTS["full"] if key in given}
+    extra = [key for key, value in values.items() if value and key not in names]
+    if extra and model != "pinhole":
+        raise FastGSError(f"{where} has {', '.join(extra)}, which {stated} does not have here; undistort the pictures first.")
+    return Lens.named("opencv" if model == "full" else model, {key: value for key, value in values.items() if key in names})
+
+
+def _focal(given, key, side, where):
+    if key not in given:
+        return None
+    return side / 2 / np.tan(poses.number(given[key], f"{where}: its {key}", 1e-6, np.pi - 1e-6) / 2)
