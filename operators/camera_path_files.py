@@ -20,7 +20,7 @@ from ..scene.frame_range import frame_rate
 from ..scene.splats.splat_object import sentence
 from .camera_moves import can
 
-AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU"}
+AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU", "transforms.json": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""
 FORMAT_ITEMS = tuple((module.name.upper().replace("-", "_").replace(".", "_"), module.label, "", i) for i, module in enumerate(FORMATS))
 NAMES = {item[0]: module.name for item, module in zip(FORMAT_ITEMS, FORMATS)}
@@ -43,7 +43,7 @@ def _reported(operator, work):
 
 
 class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
-    """Import a camera path as an animated camera: FAST-GS, Nerfstudio, instant-ngp, SuperSplat, cameras.json or COLMAP"""
+    """Import a camera path as an animated camera: FAST-GS, Nerfstudio, instant-ngp, SuperSplat, cameras.json, COLMAP or transforms.json"""
 
     bl_idname = "fastgs.import_camera_path"
     bl_label = "Import Camera Path"
@@ -137,7 +137,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
 
 
 class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
-    """Export the animated camera, frame by frame, for other programs"""
+    """Export the animated camera, frame by frame, or all selected cameras, for other programs"""
 
     bl_idname = "fastgs.export_camera_path"
     bl_label = "Export Camera Path"
@@ -147,6 +147,8 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
     filter_glob: StringProperty(default="*.json", options={'HIDDEN'})
     format: EnumProperty(name="Format", description="The program that will read the path", items=FORMAT_ITEMS, default='FASTGS')
     space: EnumProperty(name="World", description="The world to write the cameras in", items=camera_space.ITEMS, default='AUTO')
+    selected: BoolProperty(name="Selected Cameras", default=False,
+                           description="Write each selected camera at the current frame, under its name, instead of one camera's frames")
     use_range: BoolProperty(name="Own Range", description="Export other frames than the scene's", default=False)
     frame_start: IntProperty(name="First Frame", description="First frame that is written", default=1)
     frame_end: IntProperty(name="Last Frame", description="Last frame that is written", default=100)
@@ -156,61 +158,75 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
         return can(cls, _source(context) is not None, "Select a camera first; the scene has none")
 
     def check(self, context):
-        if NAMES[self.format] == "colmap":  # a folder
-            return False
-        return super().check(context)
+        """Give the name the ending of its format; a COLMAP model is a folder, and has none."""
+        if NAMES[self.format] != "colmap":
+            return super().check(context)
+        before, self.filepath = self.filepath, self.filepath.removesuffix(self.filename_ext)
+        return self.filepath != before
 
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        for name in ("format", "space", "use_range"):
+        for name in ("format", "space", "selected") if self.selected else ("format", "space", "selected", "use_range"):
             layout.prop(self, name)
-        if self.use_range:
+        if self.use_range and not self.selected:
             layout.prop(self, "frame_start")
             layout.prop(self, "frame_end")
 
     def execute(self, context):
         scene, name = context.scene, NAMES[self.format]
-        first, last = (self.frame_start, self.frame_end) if self.use_range else (scene.frame_start, scene.frame_end)
-        file = bpy.path.abspath(self.filepath)
         try:
-            if not file:
+            if not self.filepath:
                 raise FastGSError("no file was chosen; give the camera path a name.")
-            if last < first:
-                raise FastGSError("the last frame must not come before the first.")
-            if last - first >= MOST_FRAMES:
-                raise FastGSError(f"the range has {last - first + 1} frames, and at most {MOST_FRAMES} are exported; choose a shorter one.")
+            if name == "colmap":
+                self.check(context)
+            file, shots = bpy.path.abspath(self.filepath), self._chosen(context)
             splat = camera_space.splat_of(context, self.space)
             axes = camera_space.axes_of(splat, AXES.get(name, "RDF"))
-            shots = self._shots(context, splat, axes, range(first, last + 1))
-            path = CameraPath(shots, scene.render.fps / scene.render.fps_base, first, axes)
+            path = CameraPath(self._cameras(context, splat, axes, shots), scene.render.fps / scene.render.fps_base, shots[0][1], axes,
+                              names=[obj.name for obj, _ in shots] if self.selected else ())
             _reported(self, lambda: save_path(path, file, name))
         except FastGSError as error:
             self.report({'ERROR'}, sentence(error))
             return {'CANCELLED'}
-        self.report({'INFO'}, f"Exported {len(path)} frames to {file} ({format_named(name).label})")
+        self.report({'INFO'}, f"Exported {len(path)} {'cameras' if self.selected else 'frames'} to {file} ({format_named(name).label})")
         return {'FINISHED'}
 
-    def _shots(self, context, splat, axes, frames):
-        scene, obj = context.scene, _source(context)
+    def _chosen(self, context):
+        """[(camera's object, frame)] that are written."""
+        scene = context.scene
+        if self.selected:
+            found = sorted((obj for obj in context.selected_objects if obj.type == 'CAMERA'), key=lambda obj: obj.name)
+            if not found:
+                raise FastGSError("no camera is selected; select those to export, or switch off Selected Cameras.")
+            return [(obj, scene.frame_current) for obj in found]
+        first, last = (self.frame_start, self.frame_end) if self.use_range else (scene.frame_start, scene.frame_end)
+        if last < first:
+            raise FastGSError("the last frame must not come before the first.")
+        if last - first >= MOST_FRAMES:
+            raise FastGSError(f"the range has {last - first + 1} frames, and at most {MOST_FRAMES} are exported; choose a shorter one.")
+        return [(_source(context), number) for number in range(first, last + 1)]
+
+    def _cameras(self, context, splat, axes, shots):
+        scene = context.scene
         now, sub = scene.frame_current, scene.frame_subframe
-        frame, shots = cameras.render_area(scene.render), []
+        frame, found = cameras.render_area(scene.render), []
         try:
-            for number in frames:
+            for obj, number in shots:
                 scene.frame_set(number)
                 depsgraph = context.evaluated_depsgraph_get()
                 evaluated = obj.evaluated_get(depsgraph)
                 world = camera_space.world_matrix(splat.evaluated_get(depsgraph) if splat else None, axes)
-                shots.append(camera_space.into(cameras.camera_of(evaluated, frame, depsgraph), world))
+                found.append(camera_space.into(cameras.camera_of(evaluated, frame, depsgraph), world))
         finally:
             scene.frame_set(now, subframe=sub)
-        return shots
+        return found
 
 
 def _source(context):
-    """The camera to export: the active one, else the scene's."""
-    for obj in (context.object, context.scene.camera):
+    """The camera to export: the active one, else the scene's, else a selected one."""
+    for obj in (context.object, context.scene.camera, *context.selected_objects):
         if obj is not None and obj.type == 'CAMERA':
             return obj
     return None

@@ -17,7 +17,8 @@ def camera_paths(module):
     return module("fastgs_blender.cameras.paths")
 
 
-FORMATS = {'FASTGS': True, 'NERFSTUDIO': False, 'INSTANT_NGP': False, 'SUPERSPLAT': False, 'CAMERAS_JSON': True, 'COLMAP': True}
+FORMATS = {'FASTGS': True, 'NERFSTUDIO': False, 'INSTANT_NGP': False, 'SUPERSPLAT': False, 'CAMERAS_JSON': True, 'COLMAP': True,
+           'TRANSFORMS_JSON': True}
 """Each format, and whether it holds any intrinsics."""
 
 
@@ -64,9 +65,10 @@ def test_a_path_goes_out_and_comes_back(scene, flight, now, tmp_path, kind, spla
         splat_object(model_file(make_model()), matrix=np.array(matrix))
     wanted = shots_of(scene, obj, now)
     scene.frame_set(9)
-    file = tmp_path / ("model" if kind == 'COLMAP' else "path.json")
+    file = tmp_path / "path.json"
     assert bpy.ops.fastgs.export_camera_path(filepath=str(file), format=kind) == {'FINISHED'}
-    assert scene.frame_current == 9
+    assert scene.frame_current == 9 and file.is_file() == (kind != 'COLMAP')
+    file = tmp_path / "path" if kind == 'COLMAP' else file
     assert bpy.ops.fastgs.import_camera_path(filepath=str(file)) == {'FINISHED'}
     assert scene.camera != obj and scene.frame_current == 9
     for got, camera in zip(shots_of(scene, scene.camera, now), wanted, strict=True):
@@ -83,7 +85,8 @@ def test_cameras_as_blender_makes_them_lose_nothing(scene, add_camera, tmp_path,
         camera.data.lens = lens
         for kind in ('NERFSTUDIO', 'INSTANT_NGP', 'SUPERSPLAT'):
             assert bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"), format=kind) == {'FINISHED'}
-    assert "Warning" not in capfd.readouterr().out
+    told = [line for line in capfd.readouterr().out.splitlines() if "Warning" in line]
+    assert len(told) == 3 and all("no size of pictures" in line for line in told), "SuperSplat's only"
 
 
 def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, camera_paths, module):
@@ -96,6 +99,25 @@ def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, ca
         np.testing.assert_allclose(upright[:3, :3] @ entry["position"], centre, atol=1e-6)
         np.testing.assert_allclose(upright[:3, :3] @ np.array(entry["rotation"])[:, 2], camera.world_to_camera[2, :3], atol=1e-6)
         assert (entry["fx"], entry["fy"], entry["cx"]) == (camera.fx, camera.fy, camera.cx)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != 'SUPERSPLAT'])
+def test_selected_cameras_keep_their_names(scene, add_camera, now, tmp_path, camera_paths, kind):
+    wanted = {}
+    for i, name in enumerate(["right", "left eye", "middle"]):
+        camera = add_camera((1 + i, -3, 0.5), lens=30.0 + i)
+        camera.name = name
+        camera.select_set(i < 2)
+        wanted[name] = now(camera)
+    where = tmp_path / "rig.json"
+    assert bpy.ops.fastgs.export_camera_path(filepath=str(where), format=kind, selected=True, space='WORLD') == {'FINISHED'}
+    path = camera_paths.load_path(tmp_path / "rig" if kind == 'COLMAP' else where)
+    assert list(path.names) == ["left eye", "right"]
+    for name, camera in zip(path.names, path.cameras, strict=True):
+        assert (camera.width, camera.fx) == (wanted[name].width, pytest.approx(wanted[name].fx))
+    bpy.ops.object.select_all(action='DESELECT')
+    with pytest.raises(RuntimeError, match="No camera is selected"):
+        bpy.ops.fastgs.export_camera_path(filepath=str(where), format=kind, selected=True)
 
 
 def test_scaled_world_keeps_positions(scene, flight, now, tmp_path, make_model, model_file, splat_object):
