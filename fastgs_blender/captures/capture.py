@@ -6,7 +6,7 @@ World: as the layout gives it.  Cameras: OpenCV axes, world-to-camera, pixel cen
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from pathlib import Path
 
@@ -140,6 +140,24 @@ class Capture:
     def at_frame(self, frame: int) -> list[Shot]:
         """All shots of one frame."""
         return [shot for shot in self.shots if shot.frame == frame]
+
+    def part(self, begin: int, count: int) -> Capture:
+        """The frames begin .. begin + count - 1, with times from 0 to 1 of their own; the pictures are the same files."""
+        clip, whole = Clip(count, self.clip.fps, self.clip.start_frame + begin), self.clip.frame_count
+        at, length = begin / whole, count / whole
+        shots = [replace(shot, frame=shot.frame - begin, t=(shot.t - at) / length)
+                 for shot in self.shots if begin <= shot.frame < begin + count]
+        points = self.points
+        if points is not None and points.t is not None:
+            t = (np.asarray(points.t) - at) / length
+            points = replace(points, t=t).take(~((t < 0) | (t >= 1)))  # those without a time, NaN, stay
+        first, all_of_it = self.within
+        return replace(self, shots=shots, clip=clip, points=points, within=(first + all_of_it * at, all_of_it * length))
+
+    def middle(self, most: int) -> Capture:
+        """The frames in the middle, at most so many."""
+        count = min(self.clip.frame_count, most)
+        return self.part((self.clip.frame_count - count) // 2, count)
 
     def centres(self, shots: Iterable[Shot] | None = None) -> np.ndarray:
         """Camera centres [n, 3] of the shots (default: those to train on), each different one once."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,10 +15,17 @@ from ..cameras.lens import pinhole_for
 from ..model.gaussians import Clip
 from ..util.errors import FastGSError, printable
 from .capture import Capture, Options, Points, Shot
+from .pixels.probe import facts
 from .sources import Source
 
 MOST_SHOTS = 1_000_000
 """Pictures of a capture: 46 cameras that film for six minutes."""
+MOST_TOLD = 6
+"""Missing and damaged pictures that a sentence names."""
+MOST_LOST = 1 / 3
+"""Share of a capture's pictures that may be missing or damaged.  So many are left out; with more, the capture is refused."""
+LEAST_COMMON = 0.5
+"""Share of the longest film that all films must have in common; where they have less, the capture is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,26 +57,65 @@ class RigCamera:
 
 
 def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (), **settings) -> Capture:
-    """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them."""
-    count = settings.pop("frame_count", None) or max((len(camera.pictures) for camera in cameras), default=0)
+    """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them.
+
+    Films may begin and end at different times: the frames that all of them have are the clip, and a note says so.  A camera that has no
+    picture at all shortens nothing.
+    """
+    count = settings.pop("frame_count", None) or _longest(cameras)
     if count < 1 and faults:
         raise FastGSError(faults[0])
     check_count(path, count, len(cameras))
-    chosen = _chosen(count, options.frames, path)
+    chosen, remarks, apart = _shared(cameras, options, _chosen(count, options.frames, path), settings.get("start_frame", 0))
+    if remarks:
+        options = replace(options, frames=slice(chosen.start, chosen.stop, chosen.step))
     entries, gaps = [], []
     for camera in cameras:
-        late = _whole(options.offsets.get(_name(camera.name), 0.0))
-        for frame in (moment - late for moment in chosen):
-            if late and not 0 <= frame < count:  # it began later, or ended earlier, than the clip
-                continue
+        late = _late(camera, options)
+        for frame in (moment - late for moment in chosen if 0 <= moment - late < count):
             image = camera.pictures[frame] if frame < len(camera.pictures) else None
             if image is None:
                 gaps.append((camera.name, frame))
                 continue
             pose = camera.pose if camera.pose is None or np.ndim(camera.pose) == 2 else camera.pose[frame]
             entries.append(Entry(camera.name, frame, image, pose, camera.masks[frame] if frame < len(camera.masks) else None))
-    faults = [*faults, *gap_sentences(gaps, settings.get("start_frame", 0))]
-    return from_entries(path, layout, entries, options, frame_count=count, faults=faults, **settings)
+    notes = [*settings.pop("notes", ()), *remarks]
+    return from_entries(path, layout, entries, options, frame_count=count, gaps=gaps, notes=notes, faults=[*faults, *apart], **settings)
+
+
+def chosen_frames(cameras: Sequence[RigCamera], options: Options, path) -> Sequence[int]:
+    """The frames of a rig that are used, counted from 0: those that the options choose and all films have."""
+    return _shared(cameras, options, _chosen(_longest(cameras), options.frames, path))[0]
+
+
+def _longest(cameras: Sequence[RigCamera]) -> int:
+    return max((len(camera.pictures) for camera in cameras), default=0)
+
+
+def _late(camera: RigCamera, options: Options) -> int:
+    return _whole(options.offsets.get(_name(camera.name), 0.0))
+
+
+def _shared(cameras: Sequence[RigCamera], options: Options, chosen: range, start_frame: int = 0) -> tuple[range, list[str], list[str]]:
+    """Those of the chosen moments that all films have, and a note where some have not; with too few, all of them and a fault."""
+    begins, ends = {}, {}
+    for camera in cameras:
+        there = [frame for frame, picture in enumerate(camera.pictures) if picture is not None]
+        if there:
+            begins[camera.name], ends[camera.name] = there[0] + _late(camera, options), there[-1] + _late(camera, options)
+    first, last = max(begins.values(), default=chosen[0]), min(ends.values(), default=chosen[-1])
+    shared = [i for i, moment in enumerate(chosen) if first <= moment <= last]
+    if len(shared) == len(chosen):
+        return chosen, [], []
+    reasons = [f"{view} begins with {begin + start_frame}" for view, begin in begins.items() if begin == first > chosen[0]]
+    reasons += [f"{view} ends with {end + start_frame}" for view, end in ends.items() if end == last < chosen[-1]]
+    reason = "; ".join(reasons[:4]) + ("; ..." if len(reasons) > 4 else "")
+    if len(shared) < LEAST_COMMON * len(chosen):
+        fault = (f"all its cameras have {len(shared)} of {len(chosen)} frames in common, which is less than half ({reason}); leave out the "
+                 "camera that filmed another part")
+        return chosen, [], [fault]
+    kept = chosen[shared[0]:shared[-1] + 1]
+    return kept, [f"the frames {kept[0] + start_frame}-{kept[-1] + start_frame} are used, which all cameras have: {reason}"], []
 
 
 def lone_sentence(found: Sequence[str], lost: Sequence[str]) -> list[str]:
@@ -81,16 +128,15 @@ def lone_sentence(found: Sequence[str], lost: Sequence[str]) -> list[str]:
     return [sentence]
 
 
-def chosen_frames(cameras: Sequence[RigCamera], options: Options, path) -> Sequence[int]:
-    """The frames of a rig that the options choose, counted from 0."""
-    return _chosen(max((len(camera.pictures) for camera in cameras), default=0), options.frames, path)
-
-
 def from_entries(
         path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
         held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,
-        mask_means: str = "foreground", notes: Sequence[str] = (), faults: Sequence[str] = (), model: Path | None = None) -> Capture:
-    """The capture of these pictures, with the options applied; held_out, scale and focal (see pinhole_for) are the layout's defaults."""
+        mask_means: str = "foreground", gaps: Sequence[tuple[str, int]] = (), notes: Sequence[str] = (), faults: Sequence[str] = (),
+        model: Path | None = None) -> Capture:
+    """The capture of these pictures, with the options applied; held_out, scale and focal (see pinhole_for) are the layout's defaults.
+
+    gaps    (view, frame) of pictures that are not there: these, and damaged ones, are left out with a note, or are a fault (MOST_LOST)
+    """
     check_count(path, frame_count)
     check_count(path, len(entries))
     scale = scale if options.scale is None else options.scale
@@ -106,7 +152,18 @@ def from_entries(
         notes.append(f"pictures are used at {scale:.0%} of their size, as in published work; a scale of 1 keeps all their pixels")
     if options.frames is not None and frame_count < (options.frames.stop or 0):
         notes.append(f"the part asked for goes on behind the capture's last frame, {frame_count - 1}, and ends there")
-    entries = [entry for entry in entries if entry.frame in place]
+    entries, lost = _readable([entry for entry in entries if entry.frame in place])
+    gaps = [(view, frame) for view, frame in gaps if frame + _whole(options.offsets.get(_name(view), 0.0)) in place]
+    faults = [*faults]
+    if lost or gaps:
+        missing, of = len(lost) + len(gaps), len(entries) + len(lost) + len(gaps)
+        clauses = [*(gap_sentences(gaps, start_frame) if frame_count > 1 else _names(gaps)), *lost]
+        text = "; ".join(clauses[:MOST_TOLD]) + (f"; and {len(clauses) - MOST_TOLD} more" if len(clauses) > MOST_TOLD else "")
+        text = text.replace(f"{path}{os.sep}", "")
+        if missing > MOST_LOST * of:
+            faults.append(f"{missing} of its {of} pictures are missing or damaged, which is more than a third: {text}")
+        else:
+            notes.append(f"left out: {missing} of {of} pictures, missing or damaged: {text}")
     if not entries:
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
@@ -127,6 +184,26 @@ def from_entries(
     clip = Clip(len(chosen), fps / step, start_frame + chosen[0])
     return Capture(Path(path), layout, shots, clip, axes, scale, points, mask_means, [*map(printable, notes)], [*map(printable, faults)],
                    model, (chosen[0] / frame_count, len(chosen) * step / frame_count))
+
+
+def _readable(entries: Sequence[Entry]) -> tuple[list[Entry], list[str]]:
+    """The entries whose pictures and masks are whole, and a clause for each other one; headers and ends of files are looked at."""
+    whole, damaged = [], []
+    for entry in entries:
+        try:
+            for source in (entry.image, entry.mask):
+                if source is not None and source.frame is None:
+                    facts(source)
+            whole.append(entry)
+        except FastGSError as error:
+            damaged.append(str(error).rstrip("."))
+    return whole, damaged
+
+
+def _names(gaps: Sequence[tuple[str, int]], most: int = 4) -> list[str]:
+    """A clause for views of one moment that are not there."""
+    names = [view for view, _ in gaps]
+    return [f"there is no {', '.join(names[:most])}{' ...' if len(names) > most else ''}"] if names else []
 
 
 def _name(view: str) -> str:

@@ -42,7 +42,7 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
         low, high = WEIGHTS[stage]
         report(stage, low + (high - low) * min(share, 1.0))
 
-    looked = Looked(capture, Path(path), layout, scale, at)
+    looked = Looked(capture, Path(path), layout, scale, frames, at)
     look(looked)
     sections = {}
     for name in CHECKS:

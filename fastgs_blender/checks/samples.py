@@ -49,7 +49,7 @@ class Sample:
 class Looked:
     """A capture and its sampled pictures; checks ask it for pictures and matches.
 
-    path, layout  to open the capture again; progress(stage, share) is called while something takes long, share in 0..1
+    path, layout, scale, frames  to open the capture again; progress(stage, share) is called while something takes long, share in 0..1
     samples       by view, ordered by time
     """
 
@@ -57,6 +57,7 @@ class Looked:
     path: Path
     layout: str | None = None
     scale: float | None = None
+    frames: slice | None = None
     progress: Callable[[str, float], None] = lambda stage, share: None
     samples: dict[str, list[Sample]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..captures import open_capture
+from ..captures import Capture, open_capture
 from ..captures.clocks.curves import activity, moving
 from ..captures.clocks.files import read_clocks
 from ..captures.clocks.find import LEAST, SURE, find_offsets, stated_offsets
@@ -29,7 +29,7 @@ def run(looked: Looked) -> Section:
         section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
         return section
     try:
-        found = find_offsets(_part(looked, count), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
+        found = find_offsets(_as_filmed(looked), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
     except FastGSError as error:
         reason = str(error).partition(": ")[2] or str(error)
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs "
@@ -54,10 +54,10 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def _part(looked: Looked, count: int):
+def _as_filmed(looked: Looked) -> Capture:
     """The middle of the capture, with no offsets applied."""
-    begin = max((count - FRAMES) // 2, 0)
-    return open_capture(looked.path, scale=looked.scale, frames=slice(begin, min(begin + FRAMES, count)), layout=looked.layout, offsets={})
+    part = None if looked.frames is None else slice(looked.frames.start, looked.frames.stop)
+    return open_capture(looked.path, scale=looked.scale, frames=part, layout=looked.layout, offsets={}).middle(FRAMES)
 
 
 def _known(looked: Looked) -> dict[str, float]:

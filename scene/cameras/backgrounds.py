@@ -26,19 +26,18 @@ class Reel:
 
 
 def reel_of(shots: list) -> Reel:
-    """How to play these shots' files, one a frame, in order; a still where Blender could not."""
-    sources = [shot.image for shot in shots]
-    first, count = sources[0], len(sources)
-    together = all(shot.frame == shots[0].frame + i for i, shot in enumerate(shots))
+    """How to play these shots' files, one a frame, in order; a still where Blender could not.  A frame that is missing stays empty."""
+    first, count = shots[0].image, shots[-1].frame - shots[0].frame + 1
+    sources = [(shot.frame - shots[0].frame, shot.image) for shot in shots]
     if first.frame is not None:
-        even = together and all(s.path == first.path and s.frame == first.frame + i for i, s in enumerate(sources))
+        even = all(s.path == first.path and s.frame == first.frame + i for i, s in sources)
         return Reel(first.path, 'MOVIE', count if even else 1, first.frame)
     digits = re.search(r"(\d+)(?=\D*$)", first.path.name)
-    if digits is None or not together or count == 1:
+    if digits is None or count == 1:
         return Reel(first.path, 'FILE', 1, 0)
     number, width = int(digits[1]), len(digits[1])
-    names = (f"{first.path.name[:digits.start()]}{number + i:0{width}}{first.path.name[digits.end():]}" for i in range(count))
-    if any(source.path != first.path.with_name(name) for source, name in zip(sources, names)):
+    head, tail = first.path.name[:digits.start()], first.path.name[digits.end():]
+    if any(source.path != first.path.with_name(f"{head}{number + i:0{width}}{tail}") for i, source in sources):
         return Reel(first.path, 'FILE', 1, 0)
     return Reel(first.path, 'SEQUENCE', count, number - 1)
 

@@ -20,7 +20,7 @@ from ...cameras.colmap_files import ColmapImage, read_images, read_points
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
 from ..pixels.sequences import frame_range, numbered_pictures, video_frames
-from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig, gap_sentences
+from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig
 from ..sources import PICTURES, VIDEOS, Source
 from .prepared import frame_workspaces, model_place, timed
 
@@ -62,29 +62,22 @@ def _workspaces(path, frames: dict[int, Path], options) -> Capture:
     start, count = min(frames), max(frames) - min(frames) + 1
     check_count(path, count)
     chosen = set(range(count)[options.frames] if options.frames is not None else range(count))
-    entries, faults, points = [], [], []
+    entries, points = [], []
     for number, folder in frames.items():
         if number - start not in chosen:
             continue
         model = model_place(folder)
         images = read_images(model)
         top = _folder_of(folder, images)
-        for image in images:
-            file = top / image.name
-            if file.is_file():
-                view = Path(image.name).with_suffix("").as_posix()
-                entries.append(Entry(view, number - start, _source(file, image), image.world_to_camera))
-            else:
-                faults.append(f"{file} is missing")
+        entries += [Entry(Path(image.name).with_suffix("").as_posix(), number - start, _source(top / image.name, image),
+                          image.world_to_camera) for image in images]
         points.append((read_points(model), sorted(chosen).index(number - start) / len(chosen)))
-    lacking = sorted(chosen - {number - start for number in frames})
-    faults += [f"{path / f'colmap_{n + start}'} is missing" for n in lacking]
     views = dict.fromkeys(entry.view for entry in entries)
     have = {(entry.view, entry.frame) for entry in entries}
-    gaps = [(view, n - start) for n in frames if n - start in chosen for view in views if (view, n - start) not in have]
+    gaps = [(view, frame) for frame in chosen for view in views if (view, frame) not in have]
     entries.sort(key=lambda entry: (entry.view, entry.frame))
     return from_entries(path, name, entries, options, frame_count=count, start_frame=start, points=timed(points),
-                        faults=faults + ([] if faults else gap_sentences(gaps, start)))
+                        gaps=gaps)
 
 
 def _workspace(path, options) -> Capture:
@@ -169,10 +162,8 @@ def _entries(camera: RigCamera) -> list[Entry]:
 
 def _moment(path, images, top, points, options) -> Capture:
     """Every registered picture is a view of one moment."""
-    faults = [f"{top / image.name} is missing" for image in images if not (top / image.name).is_file()]
     stems = [Path(image.name).with_suffix("").as_posix() for image in images]
     twice = len(set(stems)) < len(stems)
     entries = [Entry(image.name if twice else stem, 0, _source(top / image.name, image), image.world_to_camera)
-               for image, stem in zip(images, stems) if (top / image.name).is_file()]
-    return from_entries(path, name, entries, options, frame_count=1, points=points, faults=faults,
-                        notes=["all pictures show one moment"])
+               for image, stem in zip(images, stems)]
+    return from_entries(path, name, entries, options, frame_count=1, points=points, notes=["all pictures show one moment"])

@@ -19,7 +19,7 @@ from ...util.errors import FastGSError
 from ...util.reading import read_bytes
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..rigs import Entry, check_count, from_entries, gap_sentences
+from ..rigs import Entry, check_count, from_entries
 from ..sources import Source
 from .prepared import frame_workspaces, prepared_points
 
@@ -68,7 +68,7 @@ def load(path: Path, options: Options) -> Capture:
             if (scene, frame, camera) in CORRUPT:
                 notes += [f"frame {frame} of camera {camera} is left out: it is corrupt as published"] if (frame, camera) in found else []
             elif (frame, camera) not in found:
-                gaps.append((camera, frame))
+                gaps.append((camera, frame - first))
             else:
                 source, pose = known[camera]
                 entries.append(Entry(camera, frame - first, Source(found[frame, camera], **source), pose))
@@ -77,7 +77,7 @@ def load(path: Path, options: Options) -> Capture:
         notes.append(f"published figures use the pictures {begin} to {begin + 49}: frames {begin - first}:{begin - first + 50}")
     points, remarks = _prepared(path, {camera: pose for camera, (_, pose) in known.items()}, first, last, options)
     return from_entries(path, name, entries, options, frame_count=last - first + 1, start_frame=first, held_out=[HELD_OUT],
-                        notes=notes + remarks, faults=gap_sentences(gaps), points=points)
+                        notes=notes + remarks, gaps=gaps, points=points)
 
 
 def _prepared(path, poses_of, first, last, options):

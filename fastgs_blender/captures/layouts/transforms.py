@@ -21,7 +21,7 @@ from ...util.stated_paths import local
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..points import load_points
-from ..rigs import Entry, from_entries, gap_sentences
+from ..rigs import Entry, from_entries
 from ..sources import PICTURES, Source
 from .transforms_views import Picture, times_of, views_of
 
@@ -56,10 +56,9 @@ def load(path: Path, options: Options) -> Capture:
     entries = [Entry(views[i], frames[i], picture.source, picture.pose, picture.mask, times[i])
                for i, picture in enumerate(pictures) if picture.source is not None]
     held_out = dict.fromkeys(views[i] for i, picture in enumerate(pictures) if picture.split in ("val", "test"))
-    faults = gap_sentences(gaps) if max(frames) else _missing(pictures)
     return from_entries(
         path, name, entries, options, frame_count=max(frames) + 1, fps=fps, held_out=list(held_out), axes="RFU",
-        points=_points(tables), mask_means="valid" if masks else "foreground", notes=notes, faults=faults)
+        points=_points(tables), mask_means="valid" if masks else "foreground", notes=notes, gaps=gaps)
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -71,12 +70,6 @@ def _files(path: Path) -> dict[str, Path]:
 
 def _split(file: Path) -> str:
     return next((split for split in SPLITS if file.stem.lower().endswith("_" + split)), "")
-
-
-def _missing(pictures) -> list[str]:
-    lost = [picture.stated for picture in pictures if picture.source is None]
-    more = " ..." if len(lost) > 4 else ""
-    return [f"{len(lost)} of its {len(pictures)} pictures are missing: {', '.join(lost[:4])}{more}"] if lost else []
 
 
 def _points(tables: dict[Path, dict]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks a capture's files before training: are any missing, unreadable, unsynchronised or of another size?"""
+"""Checks a capture's files before training: are they of one size, and do the films run together?  rigs.py left damaged ones out."""
 from __future__ import annotations
 
 from collections import Counter
@@ -10,8 +10,7 @@ from ...util.errors import FastGSError
 from ..capture import Capture, Shot
 from ..clocks.files import FILE, read_clocks
 from ..rigs import ranges
-from ..sources import Source
-from .probe import Facts, facts
+from .probe import facts
 from .video import index
 
 MOST = 12
@@ -55,22 +54,19 @@ def _by_view(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
 
 
 def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str]:
-    unreadable, wrong, masks = {}, {}, {}
+    wrong, masks = {}, {}
     start = capture.clip.start_frame
     for shot in shots:
-        own = _facts(shot.image, unreadable)
-        if own is None:
-            continue
+        own = facts(shot.image)
         size = own.width, own.height
         sizes[size] += 1
         expected = shot.image.intrinsics
         if expected is not None and size != (expected.width, expected.height):
             wrong.setdefault((size, (expected.width, expected.height)), []).append(shot.frame + start)
-        mask = None if shot.mask is None else _facts(shot.mask, unreadable)
+        mask = None if shot.mask is None else facts(shot.mask)
         if mask is not None and (mask.width, mask.height) != size:
             masks.setdefault(((mask.width, mask.height), size), []).append(shot.frame + start)
-    found = list(unreadable.values())
-    found += [f"{view} has pictures of {_text(size)} pixels where its calibration is for {_text(want)} (frames {ranges(frames)})"
+    found = [f"{view} has pictures of {_text(size)} pixels where its calibration is for {_text(want)} (frames {ranges(frames)})"
               for (size, want), frames in wrong.items()]
     found += [f"{view} has masks of {_text(size)} pixels for pictures of {_text(want)} (frames {ranges(frames)})"
               for (size, want), frames in masks.items()]
@@ -82,16 +78,6 @@ def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str
         bare = [shot.frame + start for shot in shots if shot.mask is None]
         found.append(f"{view} has masks for some of its frames only, not for {ranges(bare)}")
     return found
-
-
-def _facts(source: Source, unreadable: dict) -> Facts | None:
-    """The facts of a source's file; None, and one clause for the file, where it cannot be read."""
-    if source.path not in unreadable:
-        try:
-            return facts(source)
-        except FastGSError as error:
-            unreadable[source.path] = str(error)
-    return None
 
 
 def _synchronisation(capture: Capture) -> list[str]:

@@ -19,6 +19,10 @@ from .limits import check_size
 
 BRIGHTEST = np.float32(65504)
 """Linear values beyond it are cut: they are white with any gain, and larger ones would overflow on their way there."""
+ENDS = {"PNG": b"IEND\xaeB`\x82", "JPEG": b"\xff\xd9"}
+"""What stands at the end of a whole file: PNG's last chunk with its checksum, JPEG's EOI."""
+LAST = 4096
+"""Bytes at the end of a file in which it is looked for: some cameras and programs append their own."""
 MOST_PIXELS_A_BYTE = 8 * 1032
 """Deflate, which compresses PNG best, makes at most 1032 bytes of one, and a byte holds at most 8 pixels."""
 
@@ -102,3 +106,11 @@ def opened(path: Path) -> Iterator:
         with picture:
             check_size(path, *picture.size, file.size * MOST_PIXELS_A_BYTE)
             yield picture
+
+
+def check_end(path: Path, picture) -> None:
+    """Raise FastGSError where an opened() picture's file was cut short, without decoding it."""
+    file = picture.fp
+    file.seek(max(file.size - LAST, 0))
+    if ENDS[picture.format] not in file.read():
+        raise FastGSError(f"{path}: the picture was cut short, for its end is missing; copy or export it again.")

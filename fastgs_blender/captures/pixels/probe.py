@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads the size and depth of a picture or video, and whether it has alpha, from its header."""
+"""Reads the size and depth of a picture or video, and whether it has alpha, from its header, and whether the file has its end."""
 from __future__ import annotations
 
 from functools import lru_cache
@@ -10,7 +10,7 @@ from ...util.errors import FastGSError
 from ...util.reading import open_file, reading
 from ..sources import Source
 from . import exr
-from .pictures import opened
+from .pictures import check_end, opened
 from .video import index
 
 
@@ -24,7 +24,7 @@ class Facts(NamedTuple):
 
 
 def facts(source: Source) -> Facts:
-    """The facts of a source's file; raises FastGSError where it cannot be read."""
+    """The facts of a source's file; raises FastGSError where it cannot be read, or is a PNG or JPEG that was cut short."""
     if source.frame is not None:
         found = index(source.path)
         return Facts(found.width, found.height, False, False)
@@ -53,5 +53,6 @@ def _exr(path: Path) -> Facts:
 
 def _pillow(path: Path) -> Facts:
     with opened(path) as picture:
+        check_end(path, picture)
         alpha = "A" in picture.getbands() or "transparency" in picture.info
         return Facts(*picture.size, alpha, picture.mode.startswith(("I", "F")))

@@ -66,9 +66,6 @@ def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None 
 def _small(path, offsets: Mapping[str, float], layout: str | None, frames: slice | None) -> Capture:
     """The capture with these offsets, small, of the middle of the frames."""
     whole = open_capture(path, layout=layout, offsets=offsets, held_out=(), frames=frames)
-    count = whole.clip.frame_count
-    begin = max((count - MOST_FRAMES) // 2, 0) + (0 if frames is None else frames.start or 0)
     scale = min(1.0, SIDE / max(picture_size(whole.shots[0].image)))
-    part = slice(begin, begin + min(count, MOST_FRAMES))
-    capture = open_capture(path, layout=layout, offsets=offsets, held_out=(), scale=scale, frames=part)
-    return replace(capture, points=None, model=None)
+    capture = open_capture(path, layout=layout, offsets=offsets, held_out=(), scale=scale, frames=frames)
+    return replace(capture.middle(MOST_FRAMES), points=None, model=None)

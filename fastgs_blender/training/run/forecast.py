@@ -12,7 +12,7 @@ from ...captures.pixels.store import Pixels
 from ..core.settings import Settings
 from ..core.trainer import Trainer
 from ..initial.model import model_from_points
-from .segments import part, spans
+from .segments import spans
 
 SHARE = 0.7
 """Of the largest number of Gaussians, what a run has in the mean."""
@@ -40,7 +40,8 @@ def gaussians_of(settings: Settings) -> int:
 
 def step_seconds(capture: Capture, settings: Settings, backend: str) -> float:
     """Seconds of a step: whole pictures, Gaussians around what the cameras film, no density control."""
-    first = part(capture, spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)[0])
+    cut = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)[0]
+    first = capture.part(cut.first, cut.count)
     rng, count = np.random.default_rng(0), gaussians_of(settings)
     distance = float(np.linalg.norm(first.focus - first.centres(), axis=1).mean())
     points = Points(np.asarray(first.focus + 0.3 * distance * rng.normal(size=(count, 3)), np.float32), rng.random((count, 3)))

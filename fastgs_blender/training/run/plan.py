@@ -130,13 +130,13 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     named  the settings that were asked for by name, which stay
     """
     from ..initial.known import begins_with_model, following
-    from .segments import part, spans
+    from .segments import spans
 
     if not begins_with_model(capture, settings):
         return settings
     chosen = replace(settings, **{name: value for name, value in KNOWN.get(settings.preset, {}).items() if name not in named})
     cuts = spans(capture.clip.frame_count, chosen.segment_frames, chosen.segment_overlap)
-    each = [following(part(capture, cut), chosen) for cut in cuts]  # segments are joined, so all have the same motion
+    each = [following(capture.part(cut.first, cut.count), chosen) for cut in cuts]  # segments are joined, so all have the same motion
     freedom = {name: max(getattr(one, name) for one in each) for name in ("order", "rotation_degree") if name not in named}
     return replace(chosen, **freedom)
 

@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...captures.capture import Capture
 from ...model.gaussians import Clip, GaussianModel
 from ...model.joining import Segment, join
 
@@ -38,21 +37,6 @@ def spans(frame_count: int, segment_frames: int, overlap: int) -> list[Span]:
     count = min(-(-(frame_count + (number - 1) * overlap) // number), segment_frames)
     firsts = np.floor(np.linspace(0, frame_count - count, number) + 0.5).astype(int)
     return [Span(int(first), count) for first in firsts]
-
-
-def part(capture: Capture, span: Span) -> Capture:
-    """The capture of a span's frames, with times from 0 to 1 of its own; the pictures are the same files."""
-    clip, whole = Clip(span.count, capture.clip.fps, capture.clip.start_frame + span.first), capture.clip.frame_count
-    begin, length = span.first / whole, span.count / whole
-    shots = [replace(shot, frame=shot.frame - span.first, t=(shot.t - begin) / length)
-             for shot in capture.shots if span.first <= shot.frame < span.first + span.count]
-    points = capture.points
-    if points is not None and points.t is not None:
-        t = (np.asarray(points.t) - begin) / length
-        inside = ~((t < 0) | (t >= 1))  # those without a time, NaN, stay
-        points = replace(points, t=t).take(inside)
-    first, all_of_it = capture.within
-    return replace(capture, shots=shots, clip=clip, points=points, within=(first + all_of_it * begin, all_of_it * length))
 
 
 def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> GaussianModel:

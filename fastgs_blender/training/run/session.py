@@ -99,7 +99,7 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
 
 
 def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) -> dict:
-    from .segments import joined_model, part
+    from .segments import joined_model
 
     reporter.status("preparing")
     capture, store, cameras = _refined(capture, store, settings, out, group, reporter)
@@ -116,7 +116,7 @@ def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) 
             group.first_does(lambda folder=folder: folder.mkdir(parents=True, exist_ok=True))
             reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
             decoder = models[0] if models else None
-            models.append(_segment(part(capture, cut), store, settings, folder, group, reporter, stop, decoder, number,
+            models.append(_segment(capture.part(cut.first, cut.count), store, settings, folder, group, reporter, stop, decoder, number,
                                    backend))
         evened = training_record.evened(models[0])  # exposures stay, and clocks run on
         model = joined_model(models, cuts, capture.clip, {})

@@ -132,6 +132,16 @@ def test_backgrounds_are_in_step(scene, capture, film):
         assert bpy.path.abspath(image.filepath).startswith(str(folder))
 
 
+def test_a_missing_picture_shifts_no_other(scene, capture):
+    folder, _, _ = capture()
+    sorted((folder / "cam1").iterdir())[2].unlink()
+    bpy.ops.fastgs.import_capture(filepath=str(folder))
+    background = bpy.data.objects["cam1"].data.background_images[0]
+    assert background.image.source == 'SEQUENCE' and background.image_user.frame_duration == FRAMES
+    for frame in (1, 2, 4, 6):
+        assert value_shown(scene, background, frame) == pytest.approx(20 + frame - 1, abs=1)
+
+
 def test_films_play_in_step_in_a_render(scene, capture, tmp_path):
     """What Blender itself shows of a background's image on a frame, through a material."""
     folder, _, _ = capture(film=True)

@@ -33,12 +33,14 @@ def capture(module, tmp_path):
 def test_a_check_leaves_a_text_and_a_page(module, scene, capture, monkeypatch):
     """What is wrong stands in the text, on the page and in the panel; undo has nothing to take back."""
     (capture / "Left" / "0002.png").unlink()
+    module("fastgs_blender.util.picture_files").write_png(capture / "Left" / "0003.png", np.zeros((9, 9, 3), np.uint8))
     scene.fastgs.training.capture = str(capture)
     monkeypatch.setattr(module("fastgs_blender.jobs.capture_check"), "latest", None)
     assert bpy.ops.fastgs.check_capture() == {'FINISHED'}
     text = bpy.data.texts["FAST-GS Check"].as_string()
     page = capture.with_name("capture-check") / "check.html"
-    assert "WRONG: Left lacks the frame 2." in text and str(page) in text and "2 training cameras are few" in text
+    assert "WRONG: Left has pictures of 9 x 9" in text and "Left lacks the frame 2" in text
+    assert str(page) in text and "2 training cameras are few" in text
     assert page.read_text("utf-8").startswith("<!DOCTYPE html>")
     assert json.loads(page.with_name("check.json").read_text("utf-8"))["findings"]
     assert bpy.ops.fastgs.check_capture(capture=str(capture), out=str(capture / "page")) == {'FINISHED'}
@@ -48,7 +50,7 @@ def test_a_check_leaves_a_text_and_a_page(module, scene, capture, monkeypatch):
     context = SimpleNamespace(scene=scene, region=SimpleNamespace(width=600), preferences=bpy.context.preferences)
     panel.draw(SimpleNamespace(layout=layout), context)
     drawn = " ".join(text for _, text, _ in layout.record)
-    assert "Left lacks the frame 2" in drawn and "should be put right" in drawn
+    assert "Left has pictures of 9 x 9" in drawn and "should be put right" in drawn
 
 
 def test_what_cannot_be_checked_is_one_sentence(scene, tmp_path):

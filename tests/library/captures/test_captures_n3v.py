@@ -81,7 +81,8 @@ def test_camera_that_is_not_synchronised_is_left_out(pictures):
 def test_missing_frame_is_told(pictures):
     path, _ = pictures
     (path / "cam02" / "images" / "0001.png").unlink()
-    assert any("cam02" in text and "1" in text for text in problems(load(path)))
+    capture = load(path)
+    assert not problems(capture) and any("cam02 lacks the frame 1" in text for text in capture.notes)
 
 
 def test_deleted_camera_is_refused(pictures):

@@ -79,7 +79,8 @@ def test_without_masks_points_and_test_cameras(scene):
 
 def test_missing_picture_is_told(scene):
     (scene / "ims" / "2" / "000001.jpg").unlink()
-    assert any("000001.jpg" in text for text in problems(load(scene)))
+    capture = load(scene)
+    assert not problems(capture) and "1 of 12 pictures" in capture.notes[0] and "ims/2/000001.jpg" in capture.notes[0]
 
 
 @pytest.mark.parametrize(("change", "sentence"), [

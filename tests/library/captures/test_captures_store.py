@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""FrameStore: decoded once, bounded in memory, kept whatever happens; and the list of what is wrong with a capture."""
+"""FrameStore: decoded once, bounded in memory, kept whatever happens."""
 from __future__ import annotations
 
 import errno
@@ -18,7 +18,6 @@ from PIL import Image
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.layouts.fastgs import write_cameras
 from fastgs_blender.captures.pixels import decoding, framefiles
-from fastgs_blender.captures.pixels.checks import check, problems
 from fastgs_blender.captures.pixels.store import FrameStore
 from fastgs_blender.util.errors import FastGSError
 
@@ -27,31 +26,9 @@ VIEWS, FRAMES, WIDTH, HEIGHT = 3, 8, 40, 30
 BYTES = WIDTH * HEIGHT * 3
 
 
-def shade(view: int, frame: int) -> int:
-    return 40 * view + 5 * frame
-
-
-@pytest.fixture
-def capture(tmp_path):
-    """Pictures of one shade each."""
-    folder = tmp_path / "capture"
-    folder.mkdir()
-    write_cameras(folder, [dict(name=f"cam{i}", width=WIDTH, height=HEIGHT, fx=40, fy=40, cx=20, cy=15, world_to_camera=np.eye(4))
-                           for i in range(VIEWS)], frame_count=FRAMES, fps=24)
-    for i in range(VIEWS):
-        (folder / f"cam{i}").mkdir()
-        for frame in range(FRAMES):
-            Image.fromarray(np.full((HEIGHT, WIDTH, 3), shade(i, frame), np.uint8)).save(folder / f"cam{i}" / f"{frame + 1:04}.png")
-    return open_capture(folder)
-
-
-@pytest.fixture
-def cache(tmp_path):
-    return tmp_path / "cache"
-
-
 def right(store, shots):
-    return all((store.stored(shot) == shade(int(shot.view[3:]), shot.frame)).all() for shot in shots)
+    """Whether each picture has the shade that the fixture gave it."""
+    return all((store.stored(shot) == 40 * int(shot.view[3:]) + 5 * shot.frame).all() for shot in shots)
 
 
 def test_filled_once_and_reused(capture, cache, monkeypatch):
@@ -273,98 +250,6 @@ def test_a_size_of_the_cache_that_is_no_number(capture, tmp_path, monkeypatch):
         monkeypatch.setenv("FASTGS_CACHE_GB", text)
         with pytest.raises(FastGSError, match="FASTGS_CACHE_GB"):
             FrameStore(capture).fill()
-
-
-# What is wrong with a capture
-
-
-def test_nothing_wrong(capture):
-    assert problems(capture) == []
-    check(capture)
-
-
-def test_everything_wrong_is_told_at_once(capture):
-    folder = capture.path
-    (folder / "cam0" / "0003.png").unlink()
-    (folder / "cam0" / "0004.png").unlink()
-    (folder / "cam1" / "0002.png").write_bytes(b"")
-    (folder / "cam1" / "0005.png").write_bytes(b"no picture")
-    Image.fromarray(np.zeros((20, 20, 3), np.uint8)).save(folder / "cam2" / "0006.png")
-    (folder / "masks" / "cam0").mkdir(parents=True)
-    Image.fromarray(np.zeros((9, 9), np.uint8)).save(folder / "masks" / "cam0" / "0001.png")
-    found = "\n".join(problems(open_capture(folder)))
-    for words in ("cam0 lacks 2 frames: 3-4", "0002.png: the picture is empty",
-                  "0005.png: the picture cannot be read (it is no PNG or JPEG)",
-                  "cam2 has pictures of 20 x 20 pixels where its calibration is for 40 x 30 (frames 6)", "masks of 9 x 9",
-                  "cam0 has masks for some of its frames only"):
-        assert words in found
-    with pytest.raises(FastGSError, match="there are 6 problems") as error:
-        check(open_capture(folder))
-    assert str(error.value).startswith(str(folder)) and "\n" not in str(error.value)
-    assert not open_capture(folder, frames=slice(6, None)).faults  # the part asked for is whole
-
-
-def test_many_problems_are_not_all_listed(capture):
-    for shot in capture.shots[:20]:
-        shot.image.path.write_bytes(b"x")
-    with pytest.raises(FastGSError, match="and 8 more"):
-        check(open_capture(capture.path))
-
-
-def test_a_picture_whose_end_is_missing_is_found_while_filling(capture, cache):
-    path = capture.shots[4].image.path
-    rng = np.random.default_rng(0)
-    Image.fromarray(rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)).save(path)
-    path.write_bytes(path.read_bytes()[:900])
-    damaged = open_capture(capture.path)
-    assert not problems(damaged)
-    store = FrameStore(damaged, folder=cache)
-    with pytest.raises(FastGSError, match=path.name) as error:
-        store.fill()
-    assert "there is a problem" in str(error.value)
-    assert store.missing() == [damaged.shots[4]]
-
-
-def test_a_whole_camera_that_is_missing(capture):
-    shutil.rmtree(capture.path / "cam1")
-    assert problems(open_capture(capture.path)) == ["cam1 lacks 8 frames: 1-8"]
-
-
-def write_videos(folder, *videos):
-    """Films of 32 x 32 pixels: (name, rate, number of frames) each."""
-    av = pytest.importorskip("av")
-    for name, rate, count in videos:
-        with av.open(str(folder / f"{name}.mp4"), "w") as container:
-            stream = container.add_stream("mpeg4", rate=rate)
-            stream.width, stream.height = 32, 32
-            for _ in range(count):
-                container.mux(stream.encode(av.VideoFrame(32, 32, "yuv420p")))
-            container.mux(stream.encode(None))
-
-
-def test_videos_of_different_length_and_rate(tmp_path):
-    write_videos(tmp_path, ("a", 25, 10), ("b", 30, 10), ("c", 25, 7))
-    (tmp_path / "d.mp4").write_bytes(b"x")
-    found = "\n".join(problems(open_capture(tmp_path)))
-    for words in ("c lacks 3 frames: 7-9", "different frame rates (a, c at 25, b at 30)", "d.mp4: it cannot be read (Invalid data"):
-        assert words in found
-
-
-def test_rates_that_hardly_differ_are_no_problem_where_offsets_are_known(tmp_path):
-    """Phones film at 29 or 30 frames per second, whatever they were told: over ten frames that is a third of a frame."""
-    write_videos(tmp_path, ("a", 30, 10), ("b", 29, 10))
-    assert "so they are not synchronised" in problems(open_capture(tmp_path))[0]
-    offsets = tmp_path / "sync.json"
-    offsets.write_text('{"format": "fast-gs sync", "version": 1, "offsets": {"a": 0.0, "b": 2.0}}')
-    assert problems(open_capture(tmp_path)) == []
-    write_videos(tmp_path, ("b", 24, 10))
-    (found,) = problems(open_capture(tmp_path))
-    assert "drift apart by 2.0 frames, which offsets in sync.json cannot express" in found
-    offsets.unlink()
-    capture = open_capture(tmp_path)
-    for shot in capture.shots:
-        object.__setattr__(shot, "t", shot.t * (30 / 24 if shot.view == "b" else 1))  # as timestamps.csv would have it
-    assert problems(capture) == []
 
 
 def test_cameras_json_written_by_us_is_plain_json(capture):

@@ -62,7 +62,8 @@ def test_skew_is_undone_with_the_lens(scene):
 
 def test_missing_picture_is_told(scene):
     (scene / "Fabien_undist_00052_01.png").unlink()
-    assert problems(load(scene)) == ["01 lacks the frame 52"]
+    capture = load(scene)
+    assert not problems(capture) and "01 lacks the frame 52" in capture.notes[-1]
 
 
 def test_corrupt_picture_of_birthday_is_left_out(tmp_path):

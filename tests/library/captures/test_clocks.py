@@ -22,7 +22,6 @@ from fastgs_blender.captures.clocks.sound import onsets
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import record
 from fastgs_blender.training.core.schedule import Views
-from fastgs_blender.training.run.segments import Span, part
 from fastgs_blender.util.errors import FastGSError
 
 FRAMES = 40
@@ -109,13 +108,16 @@ def test_pictures_are_placed_at_their_moments(shifted, tmp_path):
     assert times(bare, "cam02")[1] == (0, 0)
     capture = open_capture(shifted, offsets={"cam02": 7.3, "cam03": -3.6})
     late, early = times(capture, "cam02"), times(capture, "cam03")
-    assert late[1] == (7, pytest.approx(7.3)) and max(late) == FRAMES - 7 and len(late) == FRAMES - 7
-    assert min(early) == 5 and early[5] == (0, pytest.approx(0.4)) and early[FRAMES] == (FRAMES - 5, pytest.approx(FRAMES - 4.6))
-    assert times(capture, "cam01") == times(bare, "cam01")
+    count = FRAMES - 7 - 4  # cam02 begins 7 frames late, cam03 ends 4 early
+    assert capture.clip.frame_count == count and capture.clip.start_frame == bare.clip.start_frame + 7
+    assert late[1] == (0, pytest.approx(0.3)) and late[count] == (count - 1, pytest.approx(count - 0.7)) and len(late) == count
+    assert min(early) == 12 and early[12] == (0, pytest.approx(0.4)) and early[FRAMES] == (count - 1, pytest.approx(count - 0.6))
+    assert times(capture, "cam01")[8] == (0, 0)
     assert [note for note in capture.notes if "cam02 +7.3, cam03 -3.6" in note] and not capture.faults
+    assert [note for note in capture.notes if "cam02 begins with 8; cam03 ends with" in note]
     groups = Views(capture.training, 0).moments
-    assert len(groups) == FRAMES and {capture.training[i].frame for i in groups[9]} == {9}
-    segment = part(capture, Span(10, 20))
+    assert len(groups) == count and {capture.training[i].frame for i in groups[9]} == {9}
+    segment = capture.part(3, 20)
     assert times(segment, "cam02")[4] == (0, pytest.approx(0.3))
 
 
@@ -146,7 +148,7 @@ def test_the_file_beside_the_capture_is_used(shifted, tmp_path):
     assert read_clocks(folder) is None
     path = write_clocks(folder / "cameras.json", Clocks({"cam01": 0.5}, {"cam01": 0.02}, "sound"))
     assert path == folder / FILE and read_clocks(folder) == Clocks({"cam01": 0.5}, {"cam01": 0.02}, "sound")
-    assert times(open_capture(folder), "cam01")[1] == (1, pytest.approx(0.5))
+    assert times(open_capture(folder), "cam01")[1] == (0, pytest.approx(-0.5))
     assert times(open_capture(folder, offsets={}), "cam01")[1] == (0, 0)
 
 

@@ -174,10 +174,11 @@ def test_captures_without_poses_and_with_missing_files(folder, tmp_path):
     (made / "cam01" / "0002.png").unlink()
     report = check(made)
     assert "does not say where its cameras are" in report.sections["coverage"].summary
-    assert [f.sentence for _, f in report.findings if f.severity == "wrong"] == ["Cam01 lacks the frame 2."]
+    assert not [f for _, f in report.findings if f.severity == "wrong"]
+    assert any("the frames 1-1 are used, which all cameras have: cam01 ends with 1" in f.sentence for _, f in report.findings)
     for image in made.rglob("*.png"):
         image.write_bytes(b"no picture")
-    with pytest.raises(FastGSError, match="none of its pictures can be read"):
+    with pytest.raises(FastGSError, match="3 of its 3 pictures are missing or damaged"):
         check(made)
 
 
@@ -187,7 +188,7 @@ def test_the_command(tmp_path, capsys):
     made = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     flags = [str(made), "--out", str(tmp_path / "out"), "--quiet"]
     assert cli.main(["check", *flags]) == 0 and "check.html" in capsys.readouterr().out
-    (made / "cam01" / "0002.png").unlink()
+    Image.new("RGB", (9, 9)).save(made / "cam01" / "0002.png")
     assert cli.main(["check", *flags, "--json", "--status", str(tmp_path / "status.json")]) == 1
     values = json.loads(capsys.readouterr().out)
     assert values["findings"][0]["severity"] == "wrong" and values["page"] == str(tmp_path / "out" / "check.html")

@@ -12,7 +12,7 @@ from toy_captures import toy_capture
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.training.core import settings
-from fastgs_blender.training.run.segments import Span, joined_model, part, spans
+from fastgs_blender.training.run.segments import Span, joined_model, spans
 
 
 @given(st.integers(1, 2000), st.integers(4, 300), st.integers(0, 20))
@@ -51,7 +51,7 @@ def test_segments_can_be_switched_off():
 def test_a_part_has_its_own_time():
     capture, _, points = toy_capture(frames=10)
     capture.points = Points(points.xyz, points.rgb, np.linspace(0, 0.9, len(points)))
-    cut = part(capture, Span(4, 5))
+    cut = capture.part(4, 5)
     assert cut.clip == fg.Clip(5, 24.0, 5) and len(cut.shots) == 25
     np.testing.assert_allclose([shot.t for shot in cut.shots], np.repeat(np.arange(5) / 5, 5), atol=1e-12)
     assert all(a.image is b.image and a.camera is b.camera for a, b in zip(cut.shots, capture.shots[20:]))
