@@ -191,6 +191,17 @@ def _attribute(prim, name: str):
     return None
 
 
+def _value(attribute, when):
+    """The value of an attribute; raises FastGSError for the name of a file, which USD would look for, perhaps on another machine."""
+    sdf = _library().Sdf
+    for spec in attribute.GetPropertyStack(when):
+        _, low, high = spec.layer.GetBracketingTimeSamplesForPath(spec.path, when.GetValue())
+        stored = [spec.default, *(spec.layer.QueryTimeSample(spec.path, time) for time in {low, high})]
+        if any(isinstance(value, (sdf.AssetPath, sdf.AssetPathArray)) for value in stored):
+            raise FastGSError(f"{attribute.GetPath()} names a file where numbers should be; export it again.")
+    return attribute.Get(when)
+
+
 def _times(prims) -> np.ndarray:
     """All times at which an attribute of the Gaussians has a sample, increasing."""
     names = ("positions", "orientations", "scales", "opacities", COEFFICIENTS)
@@ -214,7 +225,7 @@ def _model(stage, prims, time: float | None) -> GaussianModel:
 def _gaussians(prim, when) -> GaussianModel:
     def read(name: str, width: int, default=None) -> np.ndarray:
         attribute = _attribute(prim, name)
-        value = None if attribute is None else attribute.Get(when)
+        value = None if attribute is None else _value(attribute, when)
         if value is None:
             if default is None:
                 raise FastGSError(f"its prim {prim.GetPath()} has no {name}; export it again.")
@@ -227,7 +238,7 @@ def _gaussians(prim, when) -> GaussianModel:
     position = read("positions", 3)
     n = len(position)
     attribute = prim.GetAttribute(DEGREE)
-    degree = attribute.Get(when) if attribute and attribute.HasValue() else 0
+    degree = _value(attribute, when) if attribute and attribute.HasValue() else 0
     if not isinstance(degree, int) or not 0 <= degree <= 4:
         raise FastGSError(f"its degree of spherical harmonics cannot be {degree!r}; at most 4 are read.")
     opacity = read("opacities", 1, 1.0)[:, 0].astype(np.float64)

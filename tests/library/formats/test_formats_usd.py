@@ -116,6 +116,23 @@ def test_no_other_file_is_opened(tmp_path):
                 fg.load(tmp_path / "m.usda")
 
 
+@pytest.mark.parametrize("typed", [True, False])
+def test_a_file_in_the_place_of_numbers_is_not_looked_for(pxr, tmp_path, typed):
+    """USD asks the system for a path as soon as such a value is read, whatever type the attribute says that it has."""
+    from pxr import Sdf
+
+    usd.write_frames(tmp_path / "m.usdc", ".usdc", [(None, random_model(np.random.default_rng(3), 2, appearance="sh0"))])
+    layer = Sdf.Layer.OpenAsAnonymous(str(tmp_path / "m.usdc"))
+    prim = layer.GetPrimAtPath("/Splats")
+    if typed:
+        prim.RemoveProperty(prim.attributes["positions"])
+        Sdf.AttributeSpec(prim, "positions", Sdf.ValueTypeNames.Asset)
+    prim.attributes["positions"].SetInfo("default", Sdf.AssetPath("//host/share/a.usd"))
+    layer.Export(str(tmp_path / "forged.usdc"))
+    with pytest.raises(fg.FastGSError, match=r"forged\.usdc.*/Splats\.positions names a file"):
+        fg.load(tmp_path / "forged.usdc")
+
+
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
 def test_mutated_files(tmp_path, extension):
     inner = extension.replace("usdz", "usdc")
