@@ -45,11 +45,15 @@ def is_length(value) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e30
 
 
+def _are_numbers(values, count: int, most: float) -> bool:
+    """Whether a JSON value is a list of so many numbers that are smaller than `most`."""
+    return isinstance(values, list) and len(values) == count and all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < most for v in values)
+
+
 def checked_clip(values) -> Clip:
     """The clip of [frame_count, fps, start_frame]; raises FastGSError where these are no such numbers."""
-    numbers = isinstance(values, list) and len(values) == 3 and all(
-        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < 1e12 for v in values)
-    if not numbers or int(values[0]) != values[0] or int(values[2]) != values[2]:
+    if not _are_numbers(values, 3, 1e12) or int(values[0]) != values[0] or int(values[2]) != values[2]:
         raise FastGSError(f"it does not say which frames the run is about; {ADVICE}")
     return Clip(int(values[0]), float(values[1]), int(values[2]))
 
@@ -65,6 +69,8 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
     if not is_length(about.get("reach", 1.0)):  # older checkpoints state none
         raise FastGSError(f"it does not say how far away the scene is; {ADVICE}")
+    if not _are_numbers(about.get("around", [0.0] * 4), 4, LIMIT):  # nor this
+        raise FastGSError(f"it does not say what the cameras stand around; {ADVICE}")
     if not isinstance(about.get("known", False), bool):  # nor this
         raise FastGSError(f"it does not say whether it began with a model; {ADVICE}")
     expected = _expected(arrays, template)

@@ -2,7 +2,10 @@
 """Whatever is in a checkpoint, it is refused in one sentence or training goes on from it; nothing in it reaches a kernel unchecked."""
 from __future__ import annotations
 
+import copy
+import functools
 import json
+import operator
 import os
 import warnings
 from dataclasses import replace
@@ -140,25 +143,49 @@ def test_a_damaged_checkpoint_is_refused_before_it_is_used(toy, whole, tmp_path,
         resumed(toy, tmp_path, trainer.settings)
 
 
-def test_no_number_of_a_checkpoint_ends_in_anything_but_a_sentence_or_a_model(toy, whole, tmp_path):
-    """Each array, whole and in its first number, is one of these at a time; what is accepted is trained on, written and read."""
-    trainer, arrays, about = whole
-    floats, refused = [name for name, array in arrays.items() if array.dtype.kind == "f"], 0
-    for name in floats:
-        for change in (with_value(name, 0, -1e30), with_value(name, 0, 1e17), changed(name, lambda array: np.full_like(array, 1e9)),
-                       changed(name, lambda array: np.full_like(array, -1e3))):
+def told_of(about, above=()):
+    """The way to each value in what a checkpoint says beside its arrays; its settings have a reader of their own."""
+    for key, value in about.items() if isinstance(about, dict) else enumerate(about):
+        if key != "settings":
+            yield (*above, key)
+            yield from told_of(value, (*above, key)) if isinstance(value, (dict, list)) else ()
+
+
+def forgeries(arrays, about):
+    """Checkpoints of which one array, or one value beside the arrays, is another: far out, no number, of another type or shape."""
+    for name, array in arrays.items():
+        numbers = {"f": (-1e30, 1e17, np.nan, np.inf), "i": (np.iinfo("i4").min, np.iinfo("i4").max)}[array.dtype.kind]
+        changes = [with_value(name, -1, number) for number in numbers]
+        changes += [changed(name, lambda array, number=number: np.full_like(array, number)) for number in (1e9, -1e3, *numbers[-1:])]
+        changes += [changed(name, lambda array: array.astype(np.float16)), changed(name, lambda array: array[..., None])]
+        for change in changes:
             forged = dict(arrays)
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore")
-                change(forged, about)
-                checkpoint.save(tmp_path, forged, about)
-                try:
-                    written.write(resumed(toy, tmp_path, trainer.settings, 2).final_model({}), tmp_path / "model.safetensors")
-                except fg.FastGSError:
-                    refused += 1
-                else:
-                    fg.load(tmp_path / "model.safetensors")
-    assert refused > len(floats)
+            change(forged, about)
+            yield forged, about
+    for way in told_of(about):
+        for value in (None, "x", {}, [[]], -1, 1e30, True):
+            forged = copy.deepcopy(about)
+            inner = functools.reduce(operator.getitem, way[:-1], forged)
+            inner[way[-1]] = value
+            yield arrays, forged
+
+
+def test_no_value_of_a_checkpoint_ends_in_anything_but_a_sentence_or_a_model(toy, whole, tmp_path):
+    """What is accepted is trained on, written and read."""
+    trainer, arrays, about = whole
+    told = {True: 0, False: 0}
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        for forged in forgeries(arrays, about):
+            checkpoint.save(tmp_path, *forged)
+            try:
+                written.write(resumed(toy, tmp_path, trainer.settings, 2).final_model({}), tmp_path / "model.safetensors")
+            except fg.FastGSError:
+                told[False] += 1
+            else:
+                fg.load(tmp_path / "model.safetensors")
+                told[True] += 1
+    assert told[False] > 6 * len(arrays) > told[True] > 0
 
 
 def test_a_model_that_nobody_could_read_is_not_written(make_model, rng, tmp_path):
