@@ -8,6 +8,10 @@ import os
 import time
 from typing import BinaryIO
 
+from .reading import regular_file
+
+FLAGS = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+"""How a lock file is opened: a link, which may have come in an archive, would make a file wherever it leads."""
 PLACE = 1 << 30
 """The byte that is locked on Windows: beyond the file's content, so that it can still be read."""
 LOCKED = {errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK}
@@ -26,11 +30,12 @@ def hold(path, patience: float = 0.0) -> BinaryIO | None:
     """Hold the file until it is closed or this process ends; returns the open file, None where another process holds it.
 
     patience  seconds to go on trying
-    Raises OSError where the file cannot be opened, and NoLocks where its file system has no locks.
+    Raises OSError where the file cannot be opened or is a link, FastGSError for a pipe or a device, and NoLocks where its file system
+    has no locks.
     """
     until = time.monotonic() + patience
     while True:
-        file = open(path, "a+b")  # noqa: SIM115 (it stays open)
+        file = os.fdopen(regular_file(path, FLAGS), "a+b")
         try:
             if _lock(file) and _is_at(file, path):
                 return file

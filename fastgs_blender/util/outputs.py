@@ -33,6 +33,7 @@ from .reading import read_json, regular_file
 ASIDE = re.compile(r"\.fastgs-[0-9a-f]{12}\.tmp")
 LOCK, BEFORE = ".held", ".before-"
 """In the hidden folder: its writer's lock, and what the names of copies of the old files begin with."""
+COPY = re.compile(re.escape(BEFORE) + r"\d+")
 LARGEST_JOURNAL = 1 << 16
 STALE = 6 * 3600.0
 """Seconds after which hidden files are left over that no lock tells about: cached frames, and where there are no locks."""
@@ -170,7 +171,7 @@ def _aside(folder: Path, journal: Path) -> Iterator[Path]:
 
 def _remove_dead(path: Path) -> None:
     """Remove a hidden folder, or a file such as the cache of frames has them, unless its writer lives."""
-    with suppress(OSError):
+    with suppress(OSError, FastGSError):
         about = os.lstat(path)
         old = time.time() - about.st_mtime > STALE
         if not _ours(path):
@@ -279,16 +280,21 @@ def _follow(journal: Path, found: _Journal) -> None:
 
 
 def _read_journal(journal: Path) -> _Journal | None:
-    """What a journal says; None where it is damaged: it is from outside, and names may not leave the folder."""
+    """What a journal says; None where it is damaged, or says what _replace_together() never does: it may be from outside."""
     try:
         values = read_json(journal, LARGEST_JOURNAL)
         found = _Journal([_Step(*step) for step in values["steps"]], values["aside"], values["undo"])
         good = (ASIDE.fullmatch(found.aside) is not None and isinstance(found.undo, bool)
-                and all(_is_plain(step.target) and (step.source is None or _is_plain(step.source)) for step in found.steps)
+                and all(_is_plain(step.target) and _is_aside(step) for step in found.steps)
                 and not os.path.islink(journal.parent / found.aside))
     except (FastGSError, KeyError, TypeError, ValueError):
         return None
     return found if good else None
+
+
+def _is_aside(step: _Step) -> bool:
+    """Whether a step's source is in the hidden folder; C:x would lie in another one on Windows."""
+    return step.source in (None, step.target) or (isinstance(step.source, str) and COPY.fullmatch(step.source) is not None)
 
 
 def _is_plain(name: object) -> bool:

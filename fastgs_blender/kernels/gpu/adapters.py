@@ -98,7 +98,7 @@ def find(part: str) -> Adapter:
         return found[0]
     hardware = [each for each in every if not each.software]
     if not hardware:
-        software = f" but {', '.join(each.name for each in every)}, which must be called by name" if every else ""
+        software = f", only the software {', '.join(each.name for each in every)}" if every else ""
         raise FastGSError(f"no GPU was found{software}; use the device cpu.")
     rank = os.environ.get("LOCAL_RANK", "0")
     return hardware[int(rank) % len(hardware) if rank.isdecimal() else 0]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import fastgs_blender as fg
-from fastgs_blender.util import outputs
+from fastgs_blender.util import locks, outputs
 from fastgs_blender.util.outputs import check_whole, complete, remove_leftovers, replacing
 
 CALLS = ("mkdir", "replace", "unlink", "rmdir")
@@ -164,9 +164,9 @@ ASIDE = ".fastgs-000000000000.tmp"
 
 
 def journal(folder, *steps, aside=ASIDE, undo=False) -> Path:
-    """A journal of m.ply, beside a hidden folder with the file "new" in it."""
+    """A journal of m.ply, beside a hidden folder with a new m.ply in it."""
     (folder / ASIDE).mkdir(parents=True, exist_ok=True)
-    (folder / ASIDE / "new").write_text("new")
+    (folder / ASIDE / "m.ply").write_text("new")
     path = outputs._journal(folder / "m.ply")
     path.write_text(json.dumps({"steps": steps, "aside": aside, "undo": undo}))
     return path
@@ -177,8 +177,8 @@ def listing(folder) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("steps", [
-    ["new", "../victim"], ["../victim", "m.ply"], [None, "../victim"], [None, "victim"], ["new", "victim"], ["new", ".."], ["victim", ""],
-    [None, "C:\\victim"], [None, 3]])
+    ["m.ply", "../victim"], ["../victim", "m.ply"], [None, "../victim"], [None, "victim"], ["m.ply", "victim"], ["m.ply", ".."],
+    ["victim", ""], [None, "C:\\victim"], [None, 3], [3, "m.ply"], [["m.ply"], "m.ply"]])
 @pytest.mark.parametrize("aside", [ASIDE, "..", ".", "victim", 3, None])
 def test_a_journal_from_a_stranger_touches_nothing_else(tmp_path, steps, aside):
     folder = tmp_path / "folder"
@@ -193,6 +193,16 @@ def test_a_journal_from_a_stranger_touches_nothing_else(tmp_path, steps, aside):
     complete([folder / "m.ply"])
     made_name = str(made.relative_to(tmp_path))
     assert listing(tmp_path) == {name: text for name, text in before.items() if name != made_name}
+
+
+@pytest.mark.parametrize("source", ["C:m.ply", "m.ply:a", "other", ".before-", ".before-0x", ".held"])
+def test_a_journal_takes_nothing_but_what_was_written(tmp_path, source):
+    """C:m.ply lies in the hidden folder here; on Windows it lies in whatever folder is open on that disk."""
+    (tmp_path / "m.ply").write_text("old")
+    journal(tmp_path, [source, "m.ply", outputs._state(tmp_path / "m.ply")])
+    (tmp_path / ASIDE / source).write_text("precious")
+    complete([tmp_path / "m.ply"])
+    assert (tmp_path / "m.ply").read_text() == "old" and not outputs._journal(tmp_path / "m.ply").exists()
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"steps": [1], "aside": 1, "undo": 2}', "[" * 5000])
@@ -210,7 +220,7 @@ def test_a_damaged_journal_is_removed_by_who_writes(tmp_path, content):
 @pytest.mark.parametrize("what", ["journal", "aside"])
 def test_a_journal_of_another_user_is_not_followed(tmp_path, monkeypatch, what):
     (tmp_path / "m.ply").write_text("old")
-    made = journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    made = journal(tmp_path, ["m.ply", "m.ply", outputs._state(tmp_path / "m.ply")])
     strange = {"journal": made, "aside": tmp_path / ASIDE}[what]
     really = outputs._ours
     monkeypatch.setattr(outputs, "_ours", lambda path: really(path) and path != strange)
@@ -221,7 +231,7 @@ def test_a_journal_of_another_user_is_not_followed(tmp_path, monkeypatch, what):
 def test_reading_waits_for_who_is_renaming(tmp_path, monkeypatch):
     for name in FILES:
         (tmp_path / name).write_text("old")
-    made = journal(tmp_path, ["gone", "m.pt", [0, 0]], ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    made = journal(tmp_path, ["m.pt", "m.pt", [0, 0]], ["m.ply", "m.ply", outputs._state(tmp_path / "m.ply")])
     looks = []
     monkeypatch.setattr(outputs.time, "sleep", lambda seconds: looks.append(seconds) or (len(looks) == 3 and made.unlink()))
     check_whole(tmp_path / "m.ply")
@@ -230,7 +240,7 @@ def test_reading_waits_for_who_is_renaming(tmp_path, monkeypatch):
 
 def test_a_rest_that_cannot_be_done_is_a_sentence(tmp_path, monkeypatch):
     (tmp_path / "m.ply").write_text("old")
-    journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    journal(tmp_path, ["m.ply", "m.ply", outputs._state(tmp_path / "m.ply")])
 
     def refused(*_):
         raise PermissionError(13, "Permission denied")
@@ -281,7 +291,7 @@ def test_leftovers_of_others_stay(tmp_path, monkeypatch):
         if age:
             os.utime(tmp_path / name, (age, age))
     (tmp_path / "m.ply").write_text("old")
-    journal(tmp_path, ["new", "m.ply", outputs._state(tmp_path / "m.ply")])
+    journal(tmp_path, ["m.ply", "m.ply", outputs._state(tmp_path / "m.ply")])
     (tmp_path / ASIDE / outputs.LOCK).touch()
     (tmp_path / ".fastgs-111111111111.tmp").symlink_to(tmp_path / ASIDE)
     remove_leftovers(tmp_path)
@@ -294,6 +304,21 @@ def test_leftovers_of_others_stay(tmp_path, monkeypatch):
     monkeypatch.undo()
     remove_leftovers(tmp_path)
     assert not (tmp_path / ASIDE).exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
+def test_a_lock_is_an_ordinary_file(tmp_path):
+    """An archive may bring a hidden folder whose lock is a link: it would make a file wherever it leads."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(fg.FastGSError, match="pipe"):
+        locks.hold(tmp_path / "pipe")
+    (tmp_path / ASIDE).mkdir()
+    (tmp_path / ASIDE / outputs.LOCK).symlink_to(tmp_path / "victim")
+    os.utime(tmp_path / ASIDE, (0, 0))
+    with pytest.raises(OSError, match="link"):
+        locks.hold(tmp_path / ASIDE / outputs.LOCK)
+    remove_leftovers(tmp_path)
+    assert not (tmp_path / "victim").exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
