@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """say what is wrong with a capture before training on it
 
-Looks at a few moments of all cameras, for about a minute: are the files whole, do the cameras stand where the calibration says, do they
-run together, are they equally bright and sharp, how many of them see which part of the scene, and which views will be poor whatever the
-settings; and how much disk, memory and time training will need.
+Looks at a few moments of all cameras, for about a minute.  Are the files whole?  Do the cameras stand where the calibration says?  Do
+they run together, equally bright and sharp?  How many of them see which part of the scene?  Which views will be poor whatever the
+settings?  How much disk, memory and time will training need?
 
 --out (default: a folder beside the capture) gets check.html, one page of pictures and sentences, and check.json.  The exit code is 1 where
 something should be put right before training.

@@ -2,8 +2,8 @@
 """write a model in another format, or frames of it as static models
 
 The format of OUT follows from its name.  Whatever that format cannot hold is reported at the end, one line each.
---at FRAME writes the model as it is at that frame (counted from 0; fractions allowed); --at A:B or A:B:S (both ends included)
-writes one file a frame, and OUT then says where the number goes: out_####.ply or out_%04d.ply.
+With --at FRAME the model is written as it is at that frame, counted from 0; fractions are allowed.  With --at A:B or A:B:S, both ends
+included, a file is written for each frame.  OUT then says where the number goes: out_####.ply or out_%04d.ply.
 IN may be a sequence: a folder or a zip of numbered files, or a pattern of their names (take_####.ply).  Without --at one model is fitted
 to its frames, which must hold the same Gaussians in the same order; what is lost says how well.
 """

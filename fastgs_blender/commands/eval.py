@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """measure a model against the pictures of a capture
 
-Renders the views that the model was not trained on, as its file says (else those that the capture holds out), at every frame, and
-compares: PSNR (dB), DSSIM1 and DSSIM2 ((1 - SSIM) / 2 with 3DGS's window at data range 1, and with scikit-image's at data range 2),
-LPIPS with AlexNet where its weights are on this machine (as 3DGS trainers feed it, and normalised to -1..1 as its authors do), else FLIP
-where flip-evaluator is installed, flicker (how differently the picture and the truth change from one frame to the next), and PSNR of the
-foreground alone where the capture has masks.  Pixels that a lens or the capture's masks rule out count in no measure.
+Renders the views that the model was not trained on, as its file says, at every frame; else those that the capture holds out.  What it
+measures:
+
+  PSNR      in dB; where the capture has masks, of the foreground alone too
+  DSSIM1    (1 - SSIM) / 2 with 3DGS's window at data range 1
+  DSSIM2    the same with scikit-image's window at data range 2
+  LPIPS     with AlexNet, where its weights are on this machine: as 3DGS
+            trainers feed it, and normalised to -1..1 as its authors do
+  FLIP      where there is no LPIPS and flip-evaluator is installed
+  flicker   how differently picture and truth change from frame to frame
+
+Pixels that a lens or the capture's masks rule out count in no measure.
 
 --out (default: a folder beside the model) gets evaluation.json, evaluation.csv, truth, render and error side by side as PNG, and a
 film of each view with the truth beside the render.

@@ -8,9 +8,9 @@ files.  Of a training run (the folder that fastgs train wrote): how far it is, i
 It shows one screen; --all shows the rest: constants of the rasteriser, where the model came from, every problem.  --json gives everything
 for scripts.  The exit code is 1 where something is wrong with a capture or a run.
 
---devices lists the GPUs instead: how they are reached, their drivers, the largest array that each holds (WebGPU does not say how much
-memory there is), and what the self-test said: it compares small pictures with the processor's, and takes the time of a frame and of a
-training step on both.  --device auto takes a GPU that is faster in both, and otherwise the processor.
+With --devices it lists the GPUs instead: how they are reached, their drivers, and what the self-test said.  The largest array that each
+holds is shown because WebGPU does not say how much memory there is.  The self-test compares small pictures with the processor's, and takes
+the time of a frame and of a training step on both.  The device auto is a GPU that is faster in both, and otherwise the processor.
 """
 from __future__ import annotations
 

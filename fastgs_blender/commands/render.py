@@ -8,8 +8,8 @@ model, size, camera, background ...), it stops; --overwrite renders them again.
 PNG holds the model's display colours (sRGB) with straight alpha, or over --background.  EXR holds scene-linear, premultiplied
 R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where there is nothing).
 
-Several cameras: --view picks one by name or number.  Without it, the cameras are a camera path if there are as many of them as
-frames: each frame takes the next camera.  --path makes them a path for any frames: frame f takes camera f.  Else the first is used.
+Of several cameras --view picks one by name or number.  Without it, as many cameras as frames are a camera path: each frame takes the
+next camera.  With --path they are one for any frames: frame f takes camera f.  Else the first camera is used.
 """
 from __future__ import annotations
 

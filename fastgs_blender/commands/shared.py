@@ -19,9 +19,8 @@ of what was stopped."""
 
 def add_device(parser):
     """--device; its default is $FASTGS_DEVICE, or auto."""
-    parser.add_argument("--device", metavar="NAME", help="auto (default: a GPU that is faster than "
-                        "the processor in its self-test, else the processor), cpu, gpu, or a part of a GPU's name; fastgs info --devices "
-                        "lists them")
+    parser.add_argument("--device", metavar="NAME", help="cpu, gpu, a part of a GPU's name, or auto, the default.  auto is a GPU that was "
+                        "faster than the processor in its self-test, and otherwise the processor.  fastgs info --devices lists them")
 
 
 def add_backend(parser):

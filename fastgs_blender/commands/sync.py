@@ -6,8 +6,8 @@ each two cameras; else it looks for a flash that most cameras see, or compares h
 only where two cameras show that it is off; others are called unsure and stay.  Then a short training on small pictures refines the offsets
 to a few hundredths of a frame (a minute or two; --quick leaves it out, and a capture without poses has to do without).
 
-sync.json beside the capture gets the offsets, with which training, evaluation and everything else then place each camera's pictures in
-time; sync.png shows how much changes from picture to picture in each camera, as filmed and with the clocks set right.
+The offsets go into sync.json beside the capture.  Training, evaluation and everything else then place each camera's pictures in time by
+them.  The picture sync.png shows how much changes from picture to picture in each camera, as filmed and with the clocks set right.
 """
 from __future__ import annotations
 

@@ -2,7 +2,9 @@
 """Sentences of the documentation are short: on average under 18 words, and none over 35 (tools/readability.py)."""
 from __future__ import annotations
 
+import ast
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,22 @@ def test_sentences_are_short(page):
     mean, every = readability.measure(page)
     assert mean < MEAN
     assert not [" ".join(words) for words in every if len(words) > LONGEST]
+
+
+def told(file: Path):
+    """What a file tells its users: docstrings without their lists, and texts of help=... and description=..."""
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            paragraphs = re.sub(r"^ .*$|^\S+(, \S+)* {2,}.*$", "", ast.get_docstring(node) or "", flags=re.MULTILINE).split("\n\n")
+            yield from (" ".join(paragraph.split()) for paragraph in paragraphs)
+        if isinstance(node, ast.keyword) and node.arg in ("help", "description"):
+            yield "".join(part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant) and isinstance(part.value, str))
+
+
+@pytest.mark.parametrize("folder", ["fastgs_blender/commands", "operators", "ui"])
+def test_help_texts_and_tooltips_have_short_sentences(folder):
+    every = [words for file in sorted((ROOT / folder).rglob("*.py")) for text in told(file) for words in readability.sentences(text)]
+    assert len(every) > 50 and not [" ".join(words) for words in every if len(words) > LONGEST]
 
 
 def test_what_counts_as_a_sentence():
