@@ -89,6 +89,7 @@ def test_manifest_says_what_the_library_says(manifest):
     assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
     assert set(manifest["tags"]) <= TAGS
     assert not {"wheels", "platforms"} & set(manifest)
+    assert set(manifest["permissions"]) == {"files", "network"} and "Make an Environment" in manifest["permissions"]["network"]
 
 
 def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from held_runs import until
 
 import fastgs_blender as fg
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_convert_for_viewers_that_antialias(run, rng, make_model, tmp_path):
@@ -59,3 +67,38 @@ def test_formats_without_cameras_say_that_antialiasing_ends(name, rng, make_mode
         fg.save(model, tmp_path / name)
     told = any("Antialias" in str(warning.message) for warning in caught)
     assert told == (not fg.load(tmp_path / name).surroundings.cameras)
+
+
+HELD = "import os, signal\nos.fsync = lambda handle: signal.pause()\n"
+"""What a process reads at its start that is held after its last byte and before its first rename."""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pause"), reason="signals")
+@pytest.mark.parametrize("names", [("a.safetensors",), ("a.ply", "a.pt")], ids=str)
+def test_what_a_killed_conversion_left_goes_with_the_next_one(names, rng, make_model, tmp_path):
+    """All that it wrote aside goes, and nothing else, be it hidden or called alike."""
+    hook, out = tmp_path / "hook", tmp_path / "out"
+    for folder in (hook, out, out / ".fastgs-mine", out / "fastgs-000000000000.tmp"):
+        folder.mkdir()
+    (hook / "sitecustomize.py").write_text(HELD)
+    for name in (".fastgs-mine/x", "fastgs-000000000000.tmp/x", ".hidden", "b.ply.tmp"):
+        (out / name).write_text("precious")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    model = make_model(rng, 3000, basis="cubic", rotation_basis="line", temporal="radial", appearance="sigmoid")  # a .ply has a decoder
+    fg.save(model, tmp_path / "model.safetensors")
+    command = [sys.executable, "-m", "fastgs_blender", "convert", str(tmp_path / "model.safetensors"), str(out / names[0])]
+    path = os.pathsep.join([str(hook), str(ROOT)])
+    with subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": path}, stderr=subprocess.PIPE) as process:
+        def written():
+            assert process.poll() is None, process.stderr.read()
+            return [file for file in out.glob(f".fastgs-*.tmp/{names[0]}") if file.stat().st_size > 10_000]
+
+        until(written)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    after = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert len(after) > len(before) and {path: after[path] for path in before} == before
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    left = {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path not in {out / name for name in names}}
+    assert left == before and all((out / name).stat().st_size > 1000 for name in names) and not list(out.glob(".fastgs-*.tmp"))
