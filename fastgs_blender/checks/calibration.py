@@ -2,15 +2,18 @@
 """Checks the poses and lenses of a calibration, by features that pictures of several cameras have in common."""
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from ..captures.pixels import undistortion
+from ..training.core.targets import small_camera, smaller
 from ..training.initial import features
 from . import drawing
 from .matching import Matches
 from .report import Section, listed
 from .reprojection import OFF, offsets
-from .samples import Looked
+from .samples import Looked, Sample
 
 FAR_OFF = 3.0
 """Error, in pixels of the sampled pictures, above which the calibration of the whole rig is reported; of one camera: reprojection.OFF."""
@@ -20,6 +23,8 @@ BORDER, RISE = 0.7, 1.5
 EMPTY = 0.15
 """Largest share of a picture that may be empty after undistortion."""
 ODD_FOCAL, ODD_CENTRE = 0.05, 0.15
+SAME, ALIKE, SIDE = 1e-6, 0.8, 48
+"""Difference of two poses that are equal, in units of the scene; correlation of pictures that are taken from one place, at SIDE pixels."""
 
 
 def run(looked: Looked) -> Section:
@@ -31,6 +36,7 @@ def run(looked: Looked) -> Section:
         section.summary = "The capture does not say where its cameras are; training finds them from its pictures first."
         return section
     _lenses(section, looked)
+    _same_places(section, looked)
     matches = looked.matches
     if not matches.pairs:
         pairs = f"none of {matches.tried} pairs" if matches.tried else "none of the pairs"
@@ -144,6 +150,38 @@ def _lenses(section: Section, looked: Looked) -> None:
             section.add("note", f"Undoing the lens of {view} leaves {empty:.0%} of its picture empty.", "Such borders do not count in "
                                                                                                         "training; check the "
                         "coefficients of distortion if that is a surprise.", [view], ("empty share", round(empty, 3), ""))
+
+
+def _same_places(section: Section, looked: Looked) -> None:
+    """Cameras that have one pose and show different things."""
+    groups: list[dict[str, Sample]] = []
+    for view, (sample, *_) in looked.samples.items():
+        own = next((group for group in groups if _same_pose(sample, next(iter(group.values())), looked.capture.extent)), None)
+        if own is None:
+            groups.append(own := {})
+        own[view] = sample
+    for group in groups:
+        if any(_alike(a, b) < ALIKE for a, b in combinations(group.values(), 2)):
+            section.add("wrong", f"The calibration is wrong: {listed(group)} have the same pose, and their pictures show different things.",
+                        "Calibrate them again, or correct the poses that were copied; or leave all but one of them out.", list(group))
+
+
+def _same_pose(a: Sample, b: Sample, extent: float) -> bool:
+    apart = np.abs(a.camera.world_to_camera - b.camera.world_to_camera) / [1, 1, 1, extent]
+    return a.shot.frame == b.shot.frame and apart.max() < SAME
+
+
+def _alike(a: Sample, b: Sample) -> float:
+    """The correlation of two small grey pictures, where a camera with the first one's pose sees both."""
+    small = [max(1, max(sample.rgb.shape[:2]) // SIDE) for sample in (a, b)]
+    one, two = (smaller(sample.rgb.mean(2), step) for sample, step in zip((a, b), small))
+    first, second = (small_camera(sample.camera, step) for sample, step in zip((a, b), small))
+    y, x = np.mgrid[:one.shape[0], :one.shape[1]] + 0.5
+    u = np.floor((x - first.cx) / first.fx * second.fx + second.cx).astype(int)
+    v = np.floor((y - first.cy) / first.fy * second.fy + second.cy).astype(int)
+    inside = (u >= 0) & (u < two.shape[1]) & (v >= 0) & (v < two.shape[0])
+    values = np.stack([one[inside], two[v[inside], u[inside]]])
+    return float(np.corrcoef(values)[0, 1]) if inside.sum() > SIDE and values.std(1).min() > 1 else 1.0
 
 
 def _most(scale: dict[str, int]) -> int:

@@ -53,6 +53,24 @@ def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
     assert "Undoing the lens of cam01 leaves" in found["cam01"]
 
 
+def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path, looked):
+    """As where a calibration was copied by hand; one camera whose film is there twice, zoomed and darker, is none."""
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    values = json.loads((path / "cameras.json").read_text("utf-8"))
+    zero, one, two = values["cameras"]
+    two["world_to_camera"] = zero["world_to_camera"]
+    for file in (path / "cam00").iterdir():
+        shown = Image.open(file)
+        shown.crop((40, 30, 280, 210)).resize((320, 240)).point(lambda v: 0.8 * v).save(path / "cam02" / file.name)
+    two["fx"], two["fy"] = zero["fx"] * 4 / 3, zero["fy"] * 4 / 3
+    (path / "cameras.json").write_text(json.dumps(values), "utf-8")
+    assert not [finding for finding in calibration.run(looked(path)).findings if finding.severity == "wrong"]
+    one["world_to_camera"] = zero["world_to_camera"]
+    (path / "cameras.json").write_text(json.dumps(values), "utf-8")
+    (finding,) = (finding for finding in calibration.run(looked(path)).findings if finding.severity == "wrong")
+    assert finding.views == VIEWS and "calibration is wrong" in finding.sentence and "same pose" in finding.sentence
+
+
 def test_transparent_pixels_are_no_fault_of_the_lens(tmp_path, looked):
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     values = json.loads((path / "cameras.json").read_text("utf-8"))
