@@ -49,7 +49,7 @@ def pycolmap_module():
     # Its log takes SIGTERM for a crash; a training run saves and stops.
     if terminate is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, terminate)
-    pycolmap.logging.minloglevel = pycolmap.logging.ERROR  # it reports every step
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL  # it reports every step, and its failures are told in our own words
     return pycolmap
 
 

@@ -319,6 +319,17 @@ def test_a_run_can_still_be_stopped_by_a_signal_once_pycolmap_is_loaded():
     assert (done.returncode, done.stdout.strip()) == (0, "saved"), done.stderr
 
 
+def test_lines_of_pycolmap_stay_away_from_the_terminal():
+    """Pictures of noise have nothing in common, which its mapper calls an error; our own sentence says so."""
+    script = ("from types import SimpleNamespace as some\n"
+              "import numpy as np\n"
+              "from fastgs_blender.training.initial.calibrate import mapped\n"
+              "noise = np.random.default_rng(0).random((3, 60, 80, 3))\n"
+              "assert mapped([some(view=k) for k in range(3)], some(pixels=lambda shot: some(rgb=noise[shot.view]))) == ({}, {})\n")
+    done = subprocess.run([sys.executable, "-c", script], cwd=Path(fg.__file__).parents[1], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
 def test_poses_are_found_where_the_capture_has_none(filmed, tmp_path):
     _, store = filmed
     capture = Capture(Path("planes"), "test", shots(posed=False), fg.Clip(FRAMES))
