@@ -141,8 +141,8 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
             gone = np.flatnonzero(side.beyond(start + 2 * np.pi * turns * share))
             if len(gone):
                 self.report({'WARNING'}, f"From frame {self.frame_start + int(gone[0])} on the orbit leaves the side that was filmed, "
-                                         f"{np.degrees(side.width):.0f} degrees wide; expect holes there. Stay on Filmed Side, below, "
-                                         "keeps to it.")
+                                         f"{np.degrees(side.width):.0f} degrees wide; expect holes there. Stay on Filmed Side, in the "
+                                         "panel Orbit below, keeps to it.")
         return lambda s: moves.orbit(s, np.array(centre), self.radius, self.elevation, start, turns, lens, self.rise)
 
     @staticmethod

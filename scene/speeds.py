@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Integrates the animation of a splat object's *Speed*: how far its clip has run by a frame, whichever frames were looked at before.
 
-Between keys, constant, linear and Bezier curves are integrated in closed form, as Blender evaluates them.  Eased keys, modifiers of curves
-and drivers are evaluated at the nodes of a Gauss rule in each frame.
+Between keys, constant, linear and Bezier curves are integrated in closed form, as Blender evaluates them.  Eased keys, modifiers of curves,
+NLA strips and drivers are evaluated at the nodes of a Gauss rule in each frame.
 """
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ import numpy as np
 
 from .cameras.keys import curve_of, driver_of
 from .drivers import value_at
+from .strips import Strips
 from .time import Run
 
-PATH = "fastgs.speed"
+PATH, USUAL = "fastgs.speed", 1.0
 MOST_CUTS = 100_000
 """Parts of the time that are integrated one by one; longer times are divided into so many."""
 NODES, WEIGHTS = (tuple(each.tolist()) for each in np.polynomial.legendre.leggauss(8))
@@ -44,8 +45,23 @@ def speed_of(obj) -> Speed | None:
     if driver_of(obj, PATH) is not None:
         speed = value_at(obj, PATH)
         return None if speed is None else Speed(speed, whole_frames)
+    if strips := Strips(obj, PATH, USUAL):
+        return Speed(strips.at, lambda a, b: {*whole_frames(a, b), *strips.cuts()}) if strips.known else None
     curve = curve_of(obj, PATH)
     return None if curve is None else _Curve(curve) if _plain(curve) else Speed(curve.evaluate, lambda a, b: _cuts(curve, a, b))
+
+
+def trouble(obj) -> str:
+    """Why the animation of an object's speed is not integrated; empty where it is, or where there is none."""
+    if speed_of(obj) is not None:
+        return ""
+    if driver_of(obj, PATH) is not None:
+        return ("Speed has a driver that is not known on other frames: the clip runs as if it had always been so fast as now. Key the "
+                "speed, or key the capture frame.")
+    if Strips(obj, PATH, USUAL):
+        return ("Speed is animated by NLA strips that are not known on other frames, such as transitions: the clip runs as if it had "
+                "always been so fast as now. Key the speed in the object's action.")
+    return ""
 
 
 def end_of(speed: Speed, start: float, frames: float) -> float | None:

@@ -7,7 +7,7 @@ from itertools import groupby
 import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
-from ..scene import objects, startup
+from ..scene import objects, speeds, startup
 from . import facts
 
 
@@ -87,6 +87,8 @@ def draw_time(layout, context):
     col.active = not settings.use_capture_frame
     col.prop(settings, "start_frame")
     col.prop(settings, "speed")
+    if text := speeds.trouble(context.object):
+        draw_trouble(layout.column(align=True), context, text)
     col = layout.column()
     col.prop(settings, "before")
     col.prop(settings, "after")

@@ -21,14 +21,18 @@ def pose(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     return np.array(location), np.array(rotation)
 
 
-def curves(obj: bpy.types.ID):
-    """The F-curves of an animated datablock, where this Blender keeps them; they may be none."""
-    action = obj.animation_data.action
+def curves(owner: bpy.types.ID):
+    """The F-curves of an animated datablock; they may be none."""
+    return _curves(owner.animation_data.action, getattr(owner.animation_data, "action_slot", None))
+
+
+def _curves(action: bpy.types.Action, slot):
+    """The F-curves of an action and its slot, where this Blender keeps them."""
     if bpy.app.version < (4, 4, 0):
         return action.fcurves
     from bpy_extras import anim_utils
 
-    bag = anim_utils.action_get_channelbag_for_slot(action, obj.animation_data.action_slot)
+    bag = anim_utils.action_get_channelbag_for_slot(action, slot)
     return () if bag is None else bag.fcurves
 
 
@@ -37,7 +41,13 @@ def curve_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
     animation = owner.animation_data
     if animation is None or animation.action is None:
         return None
-    return next((curve for curve in curves(owner) if _animates(curve, path) and len(curve.keyframe_points) + len(curve.modifiers)), None)
+    return curve_in(animation.action, getattr(animation, "action_slot", None), path)
+
+
+def curve_in(action: bpy.types.Action, slot, path: str) -> bpy.types.FCurve | None:
+    """The same of an action."""
+    found = _curves(action, slot)
+    return next((curve for curve in found if _animates(curve, path) and len(curve.keyframe_points) + len(curve.modifiers)), None)
 
 
 def driver_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:

@@ -62,27 +62,29 @@ def _most_of(splats) -> tuple[Vector, float]:
 
 def _in_box(mesh) -> np.ndarray:
     """Which vertices of a proxy lie in the box around its subject, which four of them are corners of: [V] bool."""
-    place, which = mesh.attributes.get(model_space.PLACE), mesh.attributes.get(GAUSSIAN)
-    if place is None or which is None:
-        return np.ones(len(mesh.vertices), bool)
-    points, index = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.int32)
-    place.data.foreach_get("vector", points)
-    which.data.foreach_get("value", index)
-    points = points.reshape(-1, 3)
-    corners = points[index < 0]
-    return ((points >= corners.min(0)) & (points <= corners.max(0))).all(1) if len(corners) else np.ones(len(points), bool)
+    points, index = _values(mesh, model_space.PLACE, "vector", np.float32, 3), _values(mesh, GAUSSIAN, "value", np.int32)
+    corners = points[index < 0] if points is not None and index is not None else ()
+    return ((points >= corners.min(0)) & (points <= corners.max(0))).all(1) if len(corners) else np.ones(len(mesh.vertices), bool)
 
 
 def size_of(obj) -> Vector:
     """Width, depth and height of a splat object's subject, along the object's axes and scaled as in the world; zeros where unknown."""
-    which = obj.data.attributes.get(GAUSSIAN) if obj.type == 'MESH' else None
-    if which is None or not len(obj.data.vertices):
+    index = _values(obj.data, GAUSSIAN, "value", np.int32) if obj.type == 'MESH' else None
+    if index is None or not (index < 0).any():
         return Vector()
-    points, index = np.empty(3 * len(obj.data.vertices), np.float32), np.empty(len(obj.data.vertices), np.int32)
+    points = np.empty(3 * len(index), np.float32)
     obj.data.vertices.foreach_get("co", points)
-    which.data.foreach_get("value", index)
-    corners = points.reshape(-1, 3)[index < 0]
-    return Vector(np.ptp(corners, 0) * np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0)) if len(corners) else Vector()
+    return Vector(np.ptp(points.reshape(-1, 3)[index < 0], 0) * np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0))
+
+
+def _values(mesh, name: str, key: str, dtype, width: int = 0) -> np.ndarray | None:
+    """An attribute of a mesh's vertices, [V] or [V, width]; None where it has none, and in Edit Mode, which keeps them elsewhere."""
+    attribute, count = mesh.attributes.get(name), len(mesh.vertices)
+    if attribute is None or len(attribute.data) != count:
+        return None
+    values = np.empty(count * max(width, 1), dtype)
+    attribute.data.foreach_get(key, values)
+    return values.reshape(count, width) if width else values
 
 
 def far_enough(scene, size: float) -> float:

@@ -116,6 +116,26 @@ def test_the_size_stands_beside_the_scale(panels, module, scene, fg, model_file)
     assert tuple(size(bpy.data.objects.new("Empty", None))) == (0, 0, 0)
 
 
+def test_panels_draw_in_edit_mode(panels, module, obj):
+    """Blender keeps the points' attributes elsewhere then."""
+    bpy.ops.object.mode_set(mode='EDIT')
+    layout = Layout()
+    module("ui.object_panels").draw_size(SimpleNamespace(layout=layout), bpy.context)
+    assert not texts(layout.record)
+    for cls in panels.values():
+        drawn(cls)
+    assert module("scene.cameras.subjects").middle_and_radius([obj])[1] > 0
+
+
+def test_a_speed_of_the_moment_is_called_so(panels, obj):
+    """A driver that needs Python is not integrated; one of the frame is."""
+    driver = obj.driver_add("fastgs.speed").driver
+    driver.expression = "frame / 10"
+    assert not any("driver" in text for text in texts(drawn(panels["FASTGS_PT_object_time"])))
+    driver.expression = "__import__('os').getpid()"
+    assert any("driver" in text for text in texts(drawn(panels["FASTGS_PT_object_time"])))
+
+
 def test_entries_of_menus_are_short_and_where_an_artist_looks(module):
     menus, found = module("ui.menus"), {}
     for menu, draw in menus.MENUS:
