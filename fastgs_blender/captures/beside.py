@@ -16,7 +16,7 @@ from ..cameras.opencv import Calibrated, metric, upright_axes
 from ..util.errors import FastGSError
 from .capture import Capture, Options
 from .pixels.probe import picture_size
-from .pixels.sequences import film_of, frame_range, numbered_pictures, video_frames, videos_in
+from .pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
 from .rigs import Entry, RigCamera, from_entries, from_rig, lone_sentence
 from .sources import VIDEOS, Source
 from .timestamps import Times
@@ -32,7 +32,7 @@ def is_film(place: Path) -> bool:
     if place.name.startswith("."):
         return False
     if place.is_dir():
-        return bool(numbered_pictures(place) or videos_in(place))
+        return bool(numbered_pictures(place) or films_in(place))
     return place.suffix.lower() in VIDEOS and place.is_file()
 
 
@@ -88,7 +88,7 @@ def films_of(names: Sequence[str], file: Path, path: Path) -> tuple[dict[str, Pa
             best = found
         if len(films) == len(names) > 1 and not counted:
             counted = sorted(films, key=lambda film: [str(word).zfill(18) for word in words(film.stem)])
-    if not best and counted and all(len(videos_in(film)) < 2 for film in counted if film.is_dir()):
+    if not best and counted and all(len(films_in(film)) < 2 for film in counted if film.is_dir()):
         order = ", ".join(f"{film.name} is {name}" for name, film in zip(names, counted))
         return dict(zip(names, counted)), [f"no film in {counted[0].parent.name} is called like a camera; taken in order, {order}"]
     lost = [name for name in names if name not in best]

@@ -2,7 +2,8 @@
 """COLMAP workspaces, text or binary.
 
     sparse/0/{cameras,images,points3D}.{bin,txt}   or in sparse/, manual/ or the folder itself
-    images/cam00/0001.png ...                      a rig: a folder, or a video, per camera; the model needs one picture of each camera
+    images/cam00/0001.png ...                      a rig: a folder, a video, or a folder with a video in it, per camera; the model needs one
+                                                   picture of each camera
     images/a.png, images/b.png ...                 a moment: each picture is a view
     colmap_0/, colmap_1/ ...                       or a workspace for each frame (as Spacetime Gaussians prepares them)
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ import numpy as np
 from ...cameras.colmap_files import ColmapImage, read_images, read_points
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
-from ..pixels.sequences import frame_range, numbered_pictures, video_frames
+from ..pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
 from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig
 from ..sources import PICTURES, VIDEOS, Source
 from .prepared import frame_workspaces, model_place, timed
@@ -89,19 +91,20 @@ def _workspace(path, options) -> Capture:
     streams = [_stream(top, image) or _stream(path, image) for image in images]
     if not any(streams):
         return _moment(path, images, top, points, options)
+    names = _names([stream for stream in streams if stream is not None])
     views: dict[str, tuple[Path, list[ColmapImage]]] = {}
     for image, stream in zip(images, streams):
         if stream is not None:
-            views.setdefault(stream.stem if stream.is_file() else stream.name, (stream, []))[1].append(image)
+            views.setdefault(names[stream], (film_of(stream), []))[1].append(image)
     faults: list[str] = []
-    numbered = {view: numbered_pictures(stream) for view, (stream, _) in views.items() if stream.is_dir()}
+    numbered = {view: numbered_pictures(film) for view, (film, _) in views.items() if film.is_dir()}
     start, count = frame_range(numbered.values(), top)
     cameras, notes, fps = [], [], None
-    for view, (stream, registered) in views.items():
+    for view, (film, registered) in views.items():
         if view in numbered:
             pictures = [_source(numbered[view][n], registered[0]) if n in numbered[view] else None for n in range(start, start + count)]
         else:
-            pictures, rate = video_frames(stream, faults, lens=registered[0].camera.lens, intrinsics=registered[0].camera.intrinsics)
+            pictures, rate = video_frames(film, faults, lens=registered[0].camera.lens, intrinsics=registered[0].camera.intrinsics)
             fps = fps or rate
         if _stands_still(registered):
             cameras.append(RigCamera(view, pictures, registered[0].world_to_camera))
@@ -119,25 +122,38 @@ def _workspace(path, options) -> Capture:
 
 
 def _stream(top: Path, image: ColmapImage) -> Path | None:
-    """The folder of several pictures, or the video, that a registered picture stands for: cam/0001.png, or cam.png beside cam/."""
+    """What a registered picture stands for, a video or a folder of several pictures or with a video: cam/0001.png stands for its folder,
+    cam.png for the folder or the video beside it."""
     own = Path(image.name)
-    if len(own.parts) > 1:
-        folder = top / own.parent
-        return folder if _is_sequence(folder, own) else None
-    stem = own.stem
-    for candidate in (stem, re.sub(r"[_-]?\d+$", "", stem) if re.search(r"\D[_-]\d+$", stem) else stem):
-        if (top / candidate).is_dir() and _is_sequence(top / candidate, own):
-            return top / candidate
-        video = next((top / (candidate + suffix) for suffix in VIDEOS if (top / (candidate + suffix)).is_file()), None)
+    beside, inside = (top / own).parent, len(own.parts) > 1
+    if inside and _is_sequence(beside, own):
+        return beside
+    for candidate in (own.stem, re.sub(r"[_-]?\d+$", "", own.stem) if re.search(r"\D[_-]\d+$", own.stem) else own.stem):
+        folder = beside / candidate
+        if folder.is_dir() and (_is_sequence(folder, own) or films_in(folder)):
+            return folder
+        video = next((p for suffix in VIDEOS for p in (Path(f"{folder}{suffix}"), Path(f"{folder}{suffix.upper()}")) if p.is_file()), None)
         if video is not None:
-            return video
-    return None
+            return beside if inside and films_in(beside) == [video] else video
+    return beside if inside and beside.is_dir() and films_in(beside) else None
+
+
+def _names(streams: Sequence[Path]) -> dict[Path, str]:
+    """A view's name for each folder or video: its own or, where several are called alike, with the folders that tell them apart."""
+    own = {stream: stream.with_suffix("") if stream.is_file() else stream for stream in streams}
+    names = {}
+    for stream, place in own.items():
+        depth = next((n for n in range(1, len(place.parts)) if sum(other.parts[-n:] == place.parts[-n:] for other in own.values()) == 1), 1)
+        names[stream] = "/".join(place.parts[-depth:])
+    return names
 
 
 def _is_sequence(folder: Path, own: Path) -> bool:
-    """Whether a folder holds numbered pictures."""
-    return folder.is_dir() and bool(re.search(r"\d", own.stem)) and any(
-        p.suffix.lower() in PICTURES and re.search(r"\d", p.stem) for p in folder.iterdir())
+    """Whether a folder holds numbered pictures, and not one beside a video that it was taken from."""
+    if not folder.is_dir() or not re.search(r"\d", own.stem):
+        return False
+    pictures = list(islice((p for p in folder.iterdir() if p.suffix.lower() in PICTURES and re.search(r"\d", p.stem)), 2))
+    return len(pictures) > 1 or (len(pictures) == 1 and not films_in(folder))
 
 
 def _stands_still(images: Sequence[ColmapImage]) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 from ...util.errors import FastGSError
 from ..beside import LATER, films
 from ..capture import Capture, Options
-from ..pixels.sequences import numbered_pictures, videos_in
+from ..pixels.sequences import films_in, numbered_pictures, videos_in
 from ..rigs import RigCamera, from_rig
 from ..sources import PICTURES, Source
 
@@ -44,7 +44,8 @@ def _masks(path, view, start, count) -> list[Source | None]:
 
 def _places(path: Path) -> dict[str, Path]:
     """The place of each camera's film by its name: folders, or the videos beside them where no two folders hold pictures."""
-    videos, folders = videos_in(path), sorted(p for p in path.iterdir() if _is_camera(p))
+    videos = films_in(path) if videos_in(path) else []
+    folders = sorted(p for p in path.iterdir() if _is_camera(p))
     if len(videos) > 1 and sum(map(_holds_pictures, folders)) < 2:
         return {video.stem: video for video in videos}
     return {folder.name: folder for folder in folders}
@@ -53,7 +54,7 @@ def _places(path: Path) -> dict[str, Path]:
 def _is_camera(place: Path) -> bool:
     name = place.name.lower()
     return place.is_dir() and not name.startswith(".") and name not in NOT_CAMERAS and (
-        _holds_pictures(place) or (bool(videos_in(place)) and not any(word in name for word in LATER)))
+        _holds_pictures(place) or (bool(films_in(place)) and not any(word in name for word in LATER)))
 
 
 def _holds_pictures(folder: Path) -> bool:

@@ -10,6 +10,10 @@ from ...util.errors import FastGSError
 from ..sources import PICTURES, VIDEOS, Source
 from .video import index
 
+CHAPTER = re.compile(r"(?:GOPR|(G[A-Z])(\d\d))(\d{4})")
+"""Names of a GoPro's files: chapter and number of a film, GX020010; its older ones begin with GOPR0010 and go on with GP010010."""
+CARDS = ("DCIM", "PRIVATE", "M4ROOT")
+"""Folders in which cameras keep their films on a memory card."""
 MOST_DIGITS = 18
 """Of a picture's number: more would not fit 64 bits."""
 
@@ -36,14 +40,29 @@ def videos_in(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in VIDEOS and p.is_file() and not p.name.startswith("."))
 
 
+def films_in(folder: Path) -> list[Path]:
+    """The videos in a camera's folder or, where it is a copied memory card (DCIM/100GOPRO), in that; first chapters only."""
+    videos = videos_in(folder) or [p for card in CARDS for place in sorted((folder / card).glob("**/")) for p in videos_in(place)]
+    return [video for video in videos if _chapters(video)[0][1] == video]
+
+
+def _chapters(video: Path) -> list[tuple[int, Path]]:
+    """The files of a film by the chapters' numbers, in order; a film that no GoPro wrote is one file."""
+    own = CHAPTER.fullmatch(video.stem.upper())
+    if own is None:
+        return [(0, video)]
+    each = ((CHAPTER.fullmatch(p.stem.upper()), p) for p in videos_in(video.parent))
+    return sorted((int(name[2] or 0), p) for name, p in each if name and (name[1] or "GP", name[3]) == (own[1] or "GP", own[3]))
+
+
 def film_of(place: Path) -> Path:
-    """The film at a place: the video in a folder (one picture beside it is its thumbnail), else the place itself.
+    """The film at a place: the video in a folder (one picture beside it is its thumbnail), or its first chapter, else the place itself.
 
     Raises FastGSError where the folder holds several videos and no sequence of pictures.
     """
     if place.is_file() or len(numbered_pictures(place)) > 1:
         return place
-    videos = videos_in(place)
+    videos = films_in(place)
     if len(videos) > 1:
         raise FastGSError(f"{place}: it holds {len(videos)} videos, {videos[0].name} and {videos[1].name} among them; join the parts of a "
                           "film, or leave one video in a camera's folder.")
@@ -76,13 +95,18 @@ def numbered_sources(numbered: dict[int, Path], where: Path, **settings) -> list
 
 
 def video_frames(path: Path, faults: list[str], **settings) -> tuple[Sequence[Source], float | None]:
-    """One Source per frame of a video, and its frames per second; settings are the Source's others.
+    """One Source per frame of a video and its further chapters, and its frames per second; settings are the Source's others.
 
     For a video that cannot be read: no sources and None, and a sentence is added to faults.
     """
     try:
-        found = index(path)
+        chapters = _chapters(path)
+        missing = [n for n in range(min(1, chapters[0][0]), chapters[-1][0]) if n not in dict(chapters)]
+        if missing:
+            raise FastGSError(f"{chapters[-1][1]}: the chapter {missing[0]} of this film is not there; copy it beside this one, or remove "
+                              "the chapters behind the gap.")
+        found = [(chapter, index(chapter)) for _, chapter in chapters]
     except FastGSError as error:
         faults.append(str(error))
         return (), None
-    return [Source(path, i, **settings) for i in range(found.count)], found.fps
+    return [Source(chapter, i, **settings) for chapter, known in found for i in range(known.count)], found[0][1].fps

@@ -84,9 +84,30 @@ def test_a_folder_for_each_camera_with_its_film_in_it(tmp_path, tmp_path_factory
     capture = open_capture(tmp_path)
     assert capture.layout == "folders without poses" and capture.views == NAMES and not capture.posed and not problems(capture)
     assert capture.clip.frame_count == RIG.frames and capture.clip.fps == 50
-    (tmp_path / "cam02" / "GX020011.MP4").write_bytes((tmp_path / "cam02" / "GX010011.MP4").read_bytes())
-    with pytest.raises(FastGSError, match=r"cam02: it holds 2 videos, GX010011\.MP4 and GX020011\.MP4"):
+    (tmp_path / "cam02" / "take.mp4").write_bytes((tmp_path / "cam02" / "GX010011.MP4").read_bytes())
+    with pytest.raises(FastGSError, match=r"cam02: it holds 2 videos, GX010011\.MP4 and take\.mp4"):
         open_capture(tmp_path)
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_chapters_of_one_film_are_joined(tmp_path, beside):
+    """A GoPro begins a new file every few minutes.  Copied cards have their films in DCIM/100GOPRO."""
+    names = ["GX{}0010", "GOPR0011", "GX{}0012"]
+    folders = [tmp_path] * 3 if beside else [tmp_path / name / "DCIM" / "100GOPRO" for name in NAMES]
+    for folder, name in zip(folders, names):
+        folder.mkdir(parents=True, exist_ok=True)
+        films(folder, [name.format("01")])
+        for chapter in (("01", "02") if "GOPR" in name else ("02", "03")):
+            later = folder / f"{name.replace('GOPR', 'GP{}').format(chapter)}.MP4"
+            later.write_bytes((folder / f"{name.format('01')}.mp4").read_bytes())
+    capture = open_capture(tmp_path)
+    assert capture.views == (sorted(name.format("01") for name in names) if beside else NAMES) and not problems(capture)
+    assert capture.clip.frame_count == 3 * RIG.frames and capture.clip.fps == 50
+    view = [shot.image for shot in capture.shots if shot.view == ("GOPR0011" if beside else "cam02")]
+    assert [(image.path.stem, image.frame) for image in view] == [
+        (name, frame) for name in ("GOPR0011", "GP010011", "GP020011") for frame in range(RIG.frames)]
+    (folders[0] / "GX020010.MP4").unlink()
+    assert any("GX030010.MP4: the chapter 2 of this film is not there" in text for text in problems(open_capture(tmp_path)))
 
 
 @pytest.mark.parametrize("make", [tiny_captures.aniposelib, tiny_captures.opencv_files, tiny_captures.immersive, tiny_captures.qualisys])

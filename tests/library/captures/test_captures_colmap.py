@@ -91,6 +91,23 @@ def test_or_for_its_video(tmp_path, tmp_path_factory):
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
 
 
+def test_films_in_folders(tmp_path, tmp_path_factory):
+    """As cameras' cards are copied; the registered picture lies beside the folder, beside the film, or is called otherwise."""
+    pytest.importorskip("av")
+    places = ["set/left/one/GX010010.MP4", "set/right/one/GX010010.MP4", "set/two/GX010011.MP4"]
+    names = ["set/left/one.png", "set/right/one/GX010010.png", "set/two/first.png"]
+    for i, (place, name) in enumerate(zip(places, names)):
+        folder = (tmp_path / "images" / place).parent
+        folder.mkdir(parents=True)
+        RIG.write_video(folder / "film.mp4", i, fps=60)
+        (folder / "film.mp4").rename(tmp_path / "images" / place)
+        RIG.write_picture(tmp_path / "images" / name, i, 0)
+    write_model(tmp_path / "sparse/0", names)
+    capture = open_capture(tmp_path)
+    assert capture.clip == fg.Clip(3, 60, 0)
+    RIG.check(capture, tmp_path_factory.mktemp("cache"), ["left/one", "right/one", "two"])
+
+
 def test_a_workspace_for_each_frame(tmp_path, tmp_path_factory):
     for frame in range(3):
         folder = tmp_path / f"colmap_{frame}"
