@@ -98,7 +98,7 @@ def holds_models(folder: Path, below: bool = True) -> bool:
     from ..formats.sequences import numbered_files, settled
 
     try:
-        return settled(folder) != folder or bool(numbered_files(folder, below))
+        return settled(folder, below) != folder or bool(numbered_files(folder, below))
     except FastGSError:
         return False
 

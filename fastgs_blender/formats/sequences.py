@@ -9,7 +9,8 @@ A path stands for a sequence where it is
 Frames have the places that their numbers give them, divided by the step that all numbers share; where one is missing, its
 neighbours are shown.  Capitals make no difference.  Of what a trainer saved after several iterations, the last counts.
 A folder that SOG was written into, meta.json and pictures, stands for that one model; with a lod-meta.json (streamed_sog.py), for the
-finest of its levels.  A zip file with a single model in it, of any of ALONE, is that model.
+finest of its levels; a trainer's folder, for the last model that was saved in it.  A zip file without a sequence in it is its model, of
+any of ALONE, else a checkpoint; a remark tells of others.
 """
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ from ..model.gaussians import GaussianModel
 from ..model.sequence import FreeClip, Sequence
 from ..model.slicing import freeze
 from ..model.temporal import Always
-from ..util.errors import FastGSError, LossWarning
+from ..util.errors import FastGSError, LossWarning, shown_as
 from ..util.identity import status_of
 from ..util.reading import open_file, reading
 from ..util.zip_files import opened_zip
@@ -46,8 +47,11 @@ EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".
 """Of files that are taken for frames."""
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
-ALONE = (*EXTENSIONS, ".safetensors", ".splatv", ".4dgs", ".splat4d")
-"""Of files that are read where a zip file holds only one of them."""
+ALONE = (".safetensors", ".4dgs", ".splat4d", ".splatv", *EXTENSIONS)
+"""Of models in a zip file without a sequence; the first of them is read."""
+CHECKPOINTS = (".pt", ".pth", ".ckpt")
+"""Of models in a zip file that holds none of ALONE, beside which these are decoders, or the same model before it was exported."""
+HIDDEN = re.compile(r"(^|/)(\.(?!\.?/)|__MACOSX/)")
 COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
 """What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
 POINTS = ("input.ply", "points3d.ply", "sparse_pc.ply")
@@ -56,8 +60,8 @@ META, LEVELS = sog.META, streamed_sog.META
 """Of SOG in a folder, and of its levels of detail in folders beside each other."""
 DEPTH = 4
 """Folders below the one that was chosen in which frames are looked for: frame_0001/point_cloud/iteration_7000/point_cloud.ply."""
-SAVED = re.compile(r"(?<![^/])iteration_(\d{1,18})/")
-"""The folder of one of several states of a training."""
+SAVED = re.compile(r"(?<![^/])(?:(?:coarse_)?iteration_(\d{1,18})/|ckpt_(\d{1,18})_rank\d+\.pt$|step-(\d{1,18})\.ckpt$)")
+"""One of several states of a training: INRIA's folder, gsplat's and nerfstudio's checkpoints.  gsplat's ranks are read together."""
 MOST_FRAMES = 1_000_000
 MOST_FOLDERS = 10_000
 """After so many folders below the one that was chosen, none in them is looked into."""
@@ -96,36 +100,40 @@ class NumberedFiles(SequenceFormat):
 
 
 class ZippedFiles(SequenceFormat):
-    """Numbered files in a zip file; one that holds a single model is that model."""
+    """Numbered files in a zip file; one without is its model."""
 
     name = "zip file of numbered files"
     reads = (".zip",)
 
     def sniff(self, head, path):
-        found = members(head, path)
-        return any(map(_is_packed_frame, found)) or len(_alone(found)) == 1
+        return bool(_models(members(head, path)))
 
     def single(self, path, load):
-        infos, beside = _models(path)
-        return _unpacked(path, next(iter(infos.values())), load, beside) if len(infos) == 1 else None
+        infos, taken, beside = _contents(path)
+        return _unpacked(path, infos[taken[0][1]], load, beside) if len(taken) == 1 else None
 
     def open(self, path, load):
         if (model := self.single(path, load)) is not None:
             return model
-        infos, _ = _models(path)
-        found = _one_sequence(infos, "the zip file")
+        infos, found, _ = _contents(path, tell=False)
         return _sequence([n for n, _ in found], lambda i: _still(_unpacked(path, infos[found[i][1]], load), f"{path}: {found[i][1]}"),
                          lambda i: status_of(str(path)), str(path))
 
 
-def settled(path: Path) -> Path:
-    """The file that a path stands for: in a folder of SOG its meta.json or lod-meta.json, else the path itself."""
+def settled(path: Path, below: bool = True) -> Path:
+    """The file that a path stands for: in a folder of SOG its meta.json or lod-meta.json, in a trainer's its last model; else the path.
+
+    below  whether trainers' models in folders below count
+    """
     for known, name in ((streamed_sog.StreamedSog(), LEVELS), (sog.Sog(), META)):
         meta = path / name
         if os.path.isfile(meta):
             with reading(meta), open_file(meta) as stream:
                 return meta if known.sniff(stream.read(512), meta) else path
-    return path
+    if not below or not path.is_dir() or any(map(_is_packed_frame, _names(path))):
+        return path
+    found = _models(_names_below(path))
+    return path / found[0] if len(found) == 1 and SAVED.search(found[0]) else path
 
 
 def stands_for_many(path: str | os.PathLike) -> bool:
@@ -220,7 +228,7 @@ def _names_below(folder: Path) -> list[str]:
         with contextlib.suppress(FastGSError):
             names = [name for name in _names(folder / above) if not name.startswith(".")]
         if above:
-            found += [above + name for name in names if _is_frame(name) or name == META]
+            found += [above + name for name in names if _is_frame(name) or name == META or name.endswith(CHECKPOINTS)]
         for name in names if above.count("/") < DEPTH and len(places) < MOST_FOLDERS else ():
             real = os.path.realpath(folder / above / name)  # a link may lead back
             if real not in seen and os.path.isdir(real):
@@ -239,18 +247,34 @@ def _is_packed_frame(name: str) -> bool:
     return _is_frame(name) and os.path.basename(name).lower() not in (META, *POINTS)
 
 
-def _alone(names: Iterable[str]) -> list[str]:
-    """Members of a zip file that are models, of which one is read; hidden ones are passed over."""
-    hidden = re.compile(r"(^|/)(\.|__MACOSX/)")
-    return _latest(name for name in names if name.lower().endswith(ALONE) and not hidden.search(name))
+def _models(names: Iterable[str]) -> list[str]:
+    """Those of a folder's or a zip file's names that are models, the one to read before others first.  Hidden ones are passed over."""
+    names = [name for name in names if not HIDDEN.search(name) and os.path.basename(name).lower() not in (META, *POINTS)]
+    order = {extension: i for i, extension in enumerate(ALONE)}
+    found = [name for name in names if name.lower().endswith(ALONE)] or [name for name in names if name.lower().endswith(CHECKPOINTS)]
+    return sorted(_latest(found), key=lambda name: (order.get(os.path.splitext(name.lower())[1], len(order)), name))
 
 
-def _models(path: Path) -> tuple[dict[str, zipfile.ZipInfo], list[zipfile.ZipInfo]]:
-    """The members of a zip file that are frames, or the only one that is a model, and what may be looked for beside a single one."""
+def _contents(path: Path, tell: bool = True) -> tuple[dict[str, zipfile.ZipInfo], list[tuple[int, str]], list[zipfile.ZipInfo]]:
+    """The members of a zip file; numbers and names of the frames, or only the model's; and what may be looked for beside a model.
+
+    A LossWarning tells of other models in it.
+    """
     with reading(path), opened_zip(path) as archive:
         infos = {info.filename: info for info in archive.infolist() if not info.is_dir()}
-    names = _latest(filter(_is_packed_frame, infos)) or _alone(infos)
-    return {name: infos[name] for name in names}, [info for name, info in infos.items() if f"/{name}".endswith(COMPANIONS)]
+    models = _models(infos)
+    frames = [name for name in models if _is_packed_frame(name)]
+    several = len(frames) > 1 and (_sequences(frames) or _sequences(frames, loose=True))
+    taken = _one_sequence(frames, "the zip file") if several else [(0, models[0])]
+    others = sorted(set(models) - {name for _, name in taken})
+    if others and tell:
+        what = taken[0][1] if len(taken) == 1 else f"the sequence {taken[0][1]} to {taken[-1][1]}"
+        more = f" and {len(others) - 3} others" if len(others) > 3 else ""
+        warnings.warn(LossWarning(f"{path}: of the models in it, {what} is opened; {', '.join(others[:3])}{more} can be opened if the zip "
+                                  "file is unpacked."), stacklevel=4)
+    state = _state(taken[0][1])
+    beside = [info for name, info in infos.items() if f"/{name}".endswith(COMPANIONS) and _state(name) in (-1, state)]
+    return infos, taken, beside
 
 
 def _pattern(before: str, after: str) -> re.Pattern:
@@ -293,13 +317,18 @@ def _sequences(names: Iterable[str], loose: bool = False) -> dict[tuple[str, str
     return found
 
 
+def _state(name: str) -> int:
+    """The number of the state of a training that a name is of; -1 where it is of none."""
+    saved = SAVED.search(name)
+    return int(saved[saved.lastindex]) if saved else -1
+
+
 def _latest(names: Iterable[str]) -> list[str]:
     """The names without those of earlier iterations of a training."""
     last: dict[str, tuple[int, str]] = {}
     for name in names:
-        saved = SAVED.search(name)
         key = SAVED.sub("/", name)
-        last[key] = max(last.get(key, (-1, "")), (int(saved[1]) if saved else 0, name))
+        last[key] = max(last.get(key, (-1, "")), (_state(name), name))
     return [name for _, name in last.values()]
 
 
@@ -311,7 +340,8 @@ def _one_sequence(names: Iterable[str], where: str) -> list[tuple[int, str]]:
         raise FastGSError(f"{where} holds no numbered model files ({', '.join(EXTENSIONS)}); choose a file, or {ADVICE}.")
     if len(found) > 1:
         patterns = sorted(f"{before}####{after}" for before, after in found)
-        raise FastGSError(f"{where} holds {len(found)} sequences ({', '.join(patterns[:4])}); choose one of them by its name.")
+        unpack = "" if where == "the folder" else "unpack it and "
+        raise FastGSError(f"{where} holds {len(found)} sequences ({', '.join(patterns[:4])}); {unpack}choose one of them by its name.")
     return _once([(row.number, row.name) for rows in found.values() for row in rows])
 
 
@@ -351,7 +381,6 @@ def _still(model: GaussianModel, name) -> GaussianModel:
 
 def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader, beside: Iterable[zipfile.ZipInfo] = ()) -> GaussianModel:
     """The model in a member of a zip file, unpacked into a temporary folder as far as its claims go, with the members `beside`."""
-    name = info.filename
     with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
         with reading(path), opened_zip(path) as archive:
             for member in (info, *beside):
@@ -365,8 +394,5 @@ def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader, beside: Iterable[
                 file.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(member) as source, open(file, "wb") as out:
                     shutil.copyfileobj(source, out)
-        target = Path(folder, *PurePosixPath(name.lstrip("/")).parts)
-        try:
-            return load(target)
-        except FastGSError as error:
-            raise FastGSError(str(error).replace(str(target), f"{path}: {name}")) from error.__cause__
+        with shown_as(f"{folder}{os.sep}", f"{path}: "):
+            return load(Path(folder, *PurePosixPath(info.filename.lstrip("/")).parts))

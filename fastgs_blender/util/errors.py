@@ -2,6 +2,22 @@
 """FastGSError, the one error that users see; LossWarning, the one warning; printable(), which both go through."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_shown: dict[str, str] = {}
+"""What messages say instead of a text."""
+
+
+@contextmanager
+def shown_as(text: str, name: str) -> Iterator[None]:
+    """Messages of every thread say `name` for `text`, such as a temporary folder that only this program knows."""
+    _shown[text] = name
+    try:
+        yield
+    finally:
+        del _shown[text]
+
 
 def printable(text: object) -> str:
     """The text as one line: line ends, other control characters and lone surrogates are written as escapes.
@@ -9,7 +25,10 @@ def printable(text: object) -> str:
     It is safe for a terminal, a log and Blender's reports.  Names of files and fields come from outside: an escape sequence must not
     reach the terminal, a line end must not begin a sentence of its own, and UTF-8 has no surrogates.
     """
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
+    text = str(text)
+    for hidden, name in tuple(_shown.items()):
+        text = text.replace(hidden, name)
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def printable_lines(text: str) -> str:

@@ -8,6 +8,9 @@ features_dc and features_rest, and sigmoid(features_dc) where sh_degree is 0.  B
 """
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import mutations
 import numpy as np
 import pytest
@@ -85,6 +88,25 @@ def test_gsplat(rng, tmp_path, degree, renamed):
     model = fg.load(path)
     assert_model(model, arrays)
     assert (model.raster, model.axes) == (fg.Raster(alpha_max=0.999, near=0.01), "RDF")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_trainer_s_folder_and_its_zip(rng, tmp_path, packed):
+    """The last step of both trainers, with what the settings beside it say; gsplat's ranks together."""
+    arrays, early = raw(rng), raw(rng, count=3)
+    for step, table in (("6999", early), ("29999", arrays)):
+        for rank in range(2):
+            gsplat(tmp_path / "gsplat" / "ckpts" / f"ckpt_{step}_rank{rank}.pt", table)
+        nerfstudio(tmp_path / "splatfacto" / "nerfstudio_models" / f"step-{step:>09}.ckpt", table)
+    (tmp_path / "gsplat" / "cfg.yml").write_text("antialiased: true\n")
+    (tmp_path / "splatfacto" / "config.yml").write_text("    rasterize_mode: antialiased\n")
+    for name, count in (("gsplat", 2 * N), ("splatfacto", N)):
+        path = tmp_path / name
+        if packed:
+            path = Path(shutil.make_archive(str(path), "zip", path))
+        for model in (fg.load(path), fg.open_source(path)):
+            assert len(model) == count and model.raster.antialiased
+            np.testing.assert_array_equal(model.position[:N], arrays["means"])
 
 
 def test_gsplat_of_several_gpus(rng, tmp_path):
