@@ -129,5 +129,6 @@ def _losses_as_remarks() -> Iterator[None]:
 def _tell(sentence: str, code: int, debug: bool) -> int:
     if debug:
         sys.stderr.write(printable_lines(traceback.format_exc()))
-    complain(sentence)
+    with contextlib.suppress(OSError):  # the terminal was closed
+        complain(sentence)
     return code

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stops the command line as Ctrl-C does, from its first moment on: SIGTERM, which render farms and `kill` send, is Ctrl-C too."""
+"""Stops the command line as Ctrl-C does, from its first moment on.
+
+SIGTERM, which render farms and `kill` send, is Ctrl-C too, and so is SIGHUP: a terminal was closed.  Where `nohup` has SIGHUP ignored, it
+stays ignored.
+"""
 from __future__ import annotations
 
 import os
@@ -13,7 +17,7 @@ from types import FrameType
 
 STOPPED = 130
 """Exit code of what was stopped."""
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 PACKAGE = __name__.partition(".")[0]
 
 

@@ -23,6 +23,7 @@ from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
+from ...util.stopping import SIGNALS
 from ..core.settings import Settings
 from ..core.state import is_duration
 from . import checkpoint, written
@@ -270,8 +271,8 @@ def peak_memory() -> int | None:
 
 
 class StopFlag:
-    """Handles Ctrl-C and SIGTERM.  While `patient`, they only set the flag, and the step that is being taken is finished; a second Ctrl-C
-    does not wait.  Otherwise there is nothing to save, and they end the run at once.
+    """Handles Ctrl-C and the other signals to stop (util/stopping.py).  While `patient`, they only set the flag, and the step that is being
+    taken is finished; a second one does not wait.  Otherwise there is nothing to save, and they end the run at once.
     """
 
     def __init__(self):
@@ -283,7 +284,7 @@ class StopFlag:
     def __enter__(self):
         self._before = {}
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+            self._before = {number: signal.signal(number, self._handle) for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN}
         return self
 
     def __exit__(self, *error):

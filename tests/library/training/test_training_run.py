@@ -198,13 +198,14 @@ def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp
     assert not list(out.glob(".fastgs-*"))
 
 
-def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier, number):
     out = tmp_path / "stopped"
     barrier.hold_at("step 7")
     process = begun(*arguments(files, out, "--quiet"))
     barrier.wait(lambda: process.poll() is None)
     assert json.loads((out / "status.json").read_text())["state"] == "training"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     barrier.release()
     _, said = process.communicate()
     assert process.returncode == 130 and "--resume" in said

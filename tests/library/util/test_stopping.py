@@ -35,7 +35,7 @@ def ended(command, number, place, tmp_path):
     return done.returncode, done.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", stopping.SIGNALS)
 @pytest.mark.parametrize("place", ["numpy", "fastgs_blender.training.run.launch", "fastgs_blender.cli", "numba"])
 def test_a_signal_while_modules_are_imported(number, place, tmp_path):
     """render imports numba when it has begun."""
@@ -55,11 +55,12 @@ def test_programs_that_use_the_library_keep_their_signals():
                "import fastgs_blender.cli\nassert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before\n")
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
     before = [signal.getsignal(number) for number in stopping.SIGNALS]
+    assert {"SIGINT", "SIGTERM", "SIGHUP"} == {number.name for number in stopping.SIGNALS}
     assert cli.main([]) == 0
     assert [signal.getsignal(number) for number in stopping.SIGNALS] == before
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    old = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with stopping.as_interrupts():
-            assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN, "nohup"
     finally:
-        signal.signal(signal.SIGTERM, before[1])
+        signal.signal(signal.SIGHUP, old)
