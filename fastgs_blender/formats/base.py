@@ -108,11 +108,16 @@ def usable(model: GaussianModel, path: Path) -> GaussianModel:
     drop = np.logical_or.reduce(list(bad.values()))
     names = ", ".join(bad)
     if drop.all():
-        raise FastGSError(f"none of its {len(model)} Gaussians can be used, their {names} are not finite numbers; "
+        raise FastGSError(f"none of its {len(model)} Gaussians can be used: numbers in their {names} are not finite; "
                           "the training has probably diverged, so use an earlier checkpoint.")
-    warnings.warn(LossWarning(f"{path}: {drop.sum()} of {len(model)} Gaussians are left out, because their {names} "
-                              "are not finite numbers."), stacklevel=3)
+    tell_left_out(path, drop, names)
     return model.take(~drop)
+
+
+def tell_left_out(path: Path, drop: np.ndarray, names: str) -> None:
+    """LossWarning for the Gaussians [N] that are left out because of numbers in the columns of these names."""
+    warnings.warn(LossWarning(f"{path}: {drop.sum()} of {len(drop)} Gaussians {'is' if drop.sum() == 1 else 'are'} left out, because "
+                              f"numbers in their {names} are not finite."), stacklevel=4)
 
 
 def require_sound(arrays: Mapping[str, np.ndarray], path: Path) -> None:

@@ -16,6 +16,7 @@ from ..model.gaussians import Raster
 from ..util.arguments import finite
 from ..util.errors import FastGSError, LossWarning
 from . import cfg_args
+from .base import tell_left_out
 
 COLUMN = "filter_3D"
 KERNEL_SIZE = 0.1
@@ -26,6 +27,13 @@ LARGEST_KERNEL = 100.0
 def fused(columns: dict[str, np.ndarray], path: Path) -> Raster:
     """Fuse the column into `scale` [N, 3] and `opacity` [N] of `columns`, and give the rasteriser's constants; a LossWarning says so."""
     smooth = np.square(columns.pop(COLUMN).astype(np.float64))
+    bad = ~np.isfinite(smooth[:, 0])
+    if bad.any():
+        if bad.all():
+            raise FastGSError(f"no number in its column {COLUMN} is finite, so its Gaussians have no size; export the PLY again.")
+        tell_left_out(path, bad, COLUMN)
+        smooth = smooth[~bad]
+        columns.update({name: array[~bad] for name, array in columns.items()})
     before, logit = columns["scale"].astype(np.float64), columns["opacity"].astype(np.float64)
     with np.errstate(all="ignore"):  # what is no number is found by usable()
         after = 0.5 * np.log(np.exp(2 * before) + smooth)

@@ -108,12 +108,21 @@ def test_the_3d_filter_of_mip_splatting(rng, tmp_path, settings, blur):
     assert model.raster == fg.Raster(blur=blur, antialiased=True)
 
 
-def test_a_3d_filter_that_is_no_number_leaves_its_gaussian_out(rng, load_bytes):
+def test_a_3d_filter_that_is_no_number_is_blamed_by_its_name(rng, load_bytes):
+    """It leaves out its Gaussian; a negative one is squared as their renderer does it."""
     table = ply_files.columns(rng, [*INRIA, "filter_3D"])
-    table["filter_3D"][1] = np.nan
+    table["filter_3D"][:3] = 0.1, np.nan, -0.1
     with pytest.warns(fg.LossWarning) as told:
-        assert len(load_bytes(ply_files.ply(table))) == 5
-    assert any("1 of 6 Gaussians are left out" in str(each.message) for each in told)
+        model = load_bytes(ply_files.ply(table))
+    said = [str(each.message) for each in told if "left out" in str(each.message)]
+    assert len(model) == 5 and len(said) == 1 and "1 of 6 Gaussians is left out, because numbers in their filter_3D are" in said[0]
+    for row, source in enumerate((0, 2)):
+        scale = np.array([table[f"scale_{i}"][source] for i in range(3)], np.float64)
+        np.testing.assert_allclose(np.exp(2 * model.scale[row].astype(np.float64)), np.exp(2 * scale) + 0.01, rtol=1e-5)
+    table["filter_3D"][:] = np.inf
+    with pytest.raises(fg.FastGSError, match="filter_3D") as error:
+        load_bytes(ply_files.ply(table))
+    assert "diverged" not in str(error.value)
 
 
 def test_round_gaussians_have_one_scale(rng, load_bytes):
