@@ -9,8 +9,8 @@ trained on).  Without --move its cameras are written, each under its name; of a 
   dolly  from one camera straight on; --zoom keeps the subject's size
   path   smoothly through the cameras, in the order of --views
 
-The file is a cameras.json as 3DGS trainers write it; --format writes those of other programs.  nerfstudio's camera path is what its viewer
-plays; its transforms.json has the cameras of a capture, each with the picture called like it.
+The file is a cameras.json as 3DGS trainers write it; --format writes those of other programs.  The camera path of nerfstudio is what its
+viewer plays; its transforms.json has the cameras of a capture, each with the picture called like it.
 """
 from __future__ import annotations
 

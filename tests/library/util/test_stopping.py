@@ -2,6 +2,7 @@
 """The command line ends in one sentence and with 130 when it is stopped, whenever that is; other programs keep their own signals."""
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -64,3 +65,12 @@ def test_programs_that_use_the_library_keep_their_signals():
             assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN, "nohup"
     finally:
         signal.signal(signal.SIGHUP, old)
+
+
+def test_a_terminal_that_was_closed_changes_no_exit_code(monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(sys, "stderr", Closed())
+    assert cli.main(["info", "missing.ply"]) == 2
