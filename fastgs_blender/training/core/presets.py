@@ -44,7 +44,8 @@ _TECHNICOLOR = published(25_000, scale_rate=5e-3, growths=12, start_life=math.ex
 SCENES: dict[str, dict[str, dict[str, Any]]] = {
     "n3v": {"coffee_martini": published(10_000, scale_rate=3e-3), "flame_salmon": published(12_000, scale_rate=3e-3)},
     "technicolor": dict.fromkeys(("Birthday", "Fabien", "Painter", "Theater", "Train"), _TECHNICOLOR),
-    "immersive": {"02_Flames": published(20_000, 12_000, scale_rate=1e-3, motion_rate=0.5 * 0.5 * 1.6e-4, activation="none")},
+    "immersive": {"02_Flames": published(20_000, 12_000, scale_rate=1e-3, motion_rate=0.5 * 0.5 * 1.6e-4, activation="none",
+                                         copied_time="keep")},
 }
 """What STG's configurations of single scenes change (configs/n3d_full, techni_full, im_distort_full), by data set."""
 

@@ -135,6 +135,7 @@ def test_immersive_has_a_row_for_each_view_of_the_paper(tmp_path, capsys):
     assert all("psnr" in row["measured"] for row in rows)
     plan = json.loads((tmp_path / "out" / "02_Flames" / "run.json").read_text())
     assert plan["settings"]["activation"] == "none" and plan["settings"]["decode"] == "premultiplied", "STG's configuration of the scene"
+    assert plan["settings"]["copied_time"] == "keep", "densify 6 of train_imdist.py, which clones with densify_and_cloneim()"
     first, second = table(rows).splitlines()[2:6:3]
     assert first.split()[-3:] == ["146", "363", "40.6"] and second.split()[-3:] == ["-", "-", "-"], "the paper's second table"
     assert table(rows).splitlines()[3].split()[-3:] == ["154", "248", "34.2"]
