@@ -34,20 +34,24 @@ COLUMNS = {"inner": "inner camera", "inner between": "the same, between frames",
 
 @dataclass(frozen=True)
 class Scene:
-    """What is trained on and what is measured: views by their role (inner, outer, test); every `step`-th frame; training options."""
+    """What is trained on and what is measured: views by their role (inner, outer, test); every `step`-th frame; training options.
+
+    kind  where its pictures are from
+    """
 
     views: dict[str, str]
     step: int = 2
     scale: float | None = None
     options: dict = field(default_factory=dict)
+    kind: str = "synthetic"
 
 
 SCENES = {
+    "people": Scene({"test": "cam04"}, step=4, scale=0.25, kind="real"),
     "robot": Scene({"test": "cam00", "inner": "cam06", "outer": "cam01"}),
     "procedural": Scene({"test": "cam00", "inner": "cam06", "outer": "cam01"}, step=1),
     "room": Scene({"test": "cam00", "inner": "cam11", "outer": "cam01"}, options={"masks": "off"}),
-    "kitchen": Scene({"test": "cam00", "inner": "cam09", "outer": "cam01"}),
-    "people": Scene({"test": "cam04"}, step=4, scale=0.25)}
+    "kitchen": Scene({"test": "cam00", "inner": "cam09", "outer": "cam01"}, kind="refilmed, pictures by this renderer")}
 
 
 def main():
@@ -164,12 +168,14 @@ def show(results: dict, test: bool) -> None:
     columns = {name: title for name, title in COLUMNS.items() if test or name != "test"}
     print(f"\n| scene, run | {' | '.join(columns.values())} | Gaussians | MB | processor minutes | seeds |")
     print("|---" * (len(columns) + 5) + "|")
-    for group in dict.fromkeys(key.rpartition(" | ")[0] for key in results):
+    groups = dict.fromkeys(key.rpartition(" | ")[0] for key in results)
+    for group in sorted(groups, key=lambda group: list(SCENES).index(group.partition(" | ")[0])):
         runs = [run for key, run in results.items() if key.rpartition(" | ")[0] == group]
         cells = [" / ".join(spread([run[name][k] for run in runs]) for k in range(3)) if name in runs[0] else "" for name in columns]
         facts = [f"{np.mean([run['gaussians'] for run in runs]):.0f}", *(f"{np.mean([run[n] for run in runs]):.1f}"
                                                                         for n in ("megabytes", "minutes"))]
-        print(f"| {group.replace(' | ', ', ')} | {' | '.join([*cells, *facts, str(len(runs))])} |")
+        scene, _, run = group.partition(" | ")
+        print(f"| {scene}: {SCENES[scene].kind}, {run.replace(' | ', ', ')} | {' | '.join([*cells, *facts, str(len(runs))])} |")
 
 
 def spread(values) -> str:

@@ -74,7 +74,7 @@ def _devices(args):
             ("largest", f"{human_bytes(each['largest_bytes'])} in one array"), ("self-test", each["self_test"] or "passed"),
             *([("pace", verdict.pace)] if verdict and verdict.pace else []))], True, 0))
         say("")
-    say(f"--device auto means {found['auto'] or 'cpu'}.  {found['reason']}")
+    say(f"--device auto means {found['auto'] or 'cpu'}: {found['reason']}")
     return 0
 
 

@@ -50,6 +50,12 @@ def test_the_table_has_means_and_deviations_and_hides_the_test_camera(quality, c
     results = {f"room | defaults | seed {seed}": {**run, "inner": [30.0 + seed, 20.0, 40.0]} for seed in range(2)}
     quality.show(results, test=False)
     shown = capsys.readouterr().out
-    assert "| room, defaults | 30.50 ± 0.71 / 20.00 ± 0.00 / 40.00 ± 0.00 |" in shown and "12.00" not in shown
+    assert "| room: synthetic, defaults | 30.50 ± 0.71 / 20.00 ± 0.00 / 40.00 ± 0.00 |" in shown and "12.00" not in shown
     quality.show(results, test=True)
     assert "11.00 ± 0.00 / 12.00" in capsys.readouterr().out
+
+
+def test_the_real_film_comes_first_and_what_is_refilmed_says_so(quality, capsys):
+    quality.show({f"{scene} | x | seed 0": {"gaussians": 1, "megabytes": 1, "minutes": 1} for scene in ("kitchen", "people")}, test=True)
+    first, second = capsys.readouterr().out.splitlines()[-2:]
+    assert first.startswith("| people: real, x") and second.startswith("| kitchen: refilmed, pictures by this renderer, x")
