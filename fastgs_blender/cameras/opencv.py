@@ -6,7 +6,7 @@ k4 k5 k6, of which the later ones may be missing; the fisheye model has k1 k2 k3
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from .lens import Intrinsics, Lens
 LARGEST_RIG = 50.0
 """Distance of two cameras beyond which a calibration without a unit is taken to count in millimetres: a rig of 50 m, or of 5 cm."""
 MILLIMETRES = 1e-3
+CLOSE = 2e-4
+"""Focal lengths by which a fitted lens may be off: a fifth of a pixel where the focal length is 1000."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,7 @@ class Calibrated:
     lens    its distortion, and skew
     pose    world-to-camera [4, 4], in the file's unit
     size    width and height of the calibrated pictures; None: the file does not say
+    relative  the matrix counts in longer sides of a picture, from its middle
     """
 
     name: str
@@ -37,16 +40,19 @@ class Calibrated:
     lens: Lens
     pose: np.ndarray
     size: tuple[int, int] | None = None
+    relative: bool = False
 
     def intrinsics(self, size: tuple[int, int], where: str) -> Intrinsics:
         """Intrinsics of pictures of that size, which may be smaller or larger than the calibrated ones; raises FastGSError where they
         have another shape."""
-        given = self.size or size
+        m, given = self.matrix, self.size or size
+        if self.relative:
+            (fx, _, u), (_, fy, v) = m[:2] * max(size)
+            return poses.intrinsics(where, fx, fy, size[0] / 2 + u, size[1] / 2 + v, *size)
         sx, sy = size[0] / given[0], size[1] / given[1]
         if abs(sx - sy) > 0.01 * sx:
             raise FastGSError(f"{where}: it has {size[0]} x {size[1]} pixels, but camera {self.name} was calibrated for {given[0]} x "
                               f"{given[1]}; give pictures that are neither cropped nor turned.")
-        m = self.matrix
         return poses.intrinsics(where, m[0, 0] * sx, m[1, 1] * sy, (m[0, 2] + 0.5) * sx, (m[1, 2] + 0.5) * sy, *size)
 
 
@@ -84,6 +90,27 @@ def lens_of(distortion, fisheye: bool, skew: float, where: str) -> Lens:
     if fisheye:
         return Lens("fisheye", tuple(k[:4]), skew=skew)
     return Lens("opencv", (k[0], k[1], *k[4:]), (k[2], k[3]), skew)
+
+
+def brown(k: Sequence[float], p: tuple[float, float], skew: float, reach: float, where: str) -> Lens:
+    """The lens of Brown's k1 to k4 and OpenCV's p1, p2; one with k4 is fitted up to the radius `reach`, as OpenCV has no r^8."""
+    if k[3]:
+        lens = fitted(lambda r: r * (1 + r**2 * (k[0] + r**2 * (k[1] + r**2 * (k[2] + r**2 * k[3])))), reach, where)
+        return Lens("opencv", lens.k, p, skew)
+    return Lens("opencv", tuple(k[:3]), p, skew)
+
+
+def fitted(distorted: Callable[[np.ndarray], np.ndarray], reach: float, where: str) -> Lens:
+    """The lens whose radii are those of a function of the pinhole's radius, up to `reach`; raises FastGSError where none comes close."""
+    r = np.linspace(0, 1, 200) * reach
+    to = distorted(r)
+    s = (r / reach)**2
+    rows = np.stack([r * s, r * s**2, r * s**3, -to * s], 1)  # k1 to k4: more make lenses that fold just outside
+    k = np.linalg.lstsq(rows, to - r, rcond=1e-12)[0] / reach**np.array([2.0, 4, 6, 2])
+    lens = Lens("opencv", tuple(k)) if np.isfinite(k).all() else Lens()
+    if not np.abs(lens.distort(np.stack([r, 0 * r], 1))[:, 0] - to).max() < CLOSE:
+        raise FastGSError(f"{where}: its distortion is too strong to be expressed here; undistort the pictures, then export again.")
+    return lens
 
 
 def from_rodrigues(vector, where: str) -> np.ndarray:

@@ -19,7 +19,8 @@ from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
 from .clocks.files import read_clocks
 
-LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "qualisys", "toml", "colmap", "opencv", "folders")
+LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "metashape", "qualisys", "toml", "colmap", "opencv",
+           "realityscan", "folders")
 """Modules of layouts/, asked in this order."""
 __all__ = ["LAYOUTS", "Capture", "Options", "Points", "Shot", "identify", "layout_modules", "open_capture", "recognised"]
 

@@ -18,7 +18,7 @@ from .capture import Capture, Options
 from .pixels.probe import picture_size
 from .pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
 from .rigs import Entry, RigCamera, from_entries, from_rig, lone_sentence
-from .sources import VIDEOS, Source
+from .sources import PICTURES, VIDEOS, Source
 from .timestamps import Times
 
 NOT_A_NAME = ("int", "ext", "img")
@@ -39,6 +39,8 @@ def is_film(place: Path) -> bool:
 def first_source(place: Path) -> Source:
     """The first picture of a film."""
     place = film_of(place)
+    if place.suffix.lower() in PICTURES:
+        return Source(place)
     return Source(place, 0) if place.is_file() else Source(next(iter(numbered_pictures(place).values())))
 
 
@@ -47,14 +49,19 @@ def words(text: str) -> list:
     return [int(part[-18:]) if part.isdigit() else part for part in re.findall(r"[a-z]+|[0-9]+", text.lower())]
 
 
-def matched(names: Sequence[str], films: Sequence[Path]) -> dict[str, Path]:
-    """The film of each camera that has one; raises FastGSError where two fit equally well."""
+def matched(names: Sequence[str], films: Sequence[Path], exact: bool = False) -> dict[str, Path]:
+    """The film of each camera that has one; raises FastGSError where two fit equally well.
+
+    exact  the names are those of pictures: IMG_0001 is no film called cam01
+    """
     spelt = {film: words(film.stem if film.is_file() else film.name) for film in films}
     found: dict[str, Path] = {}
     for name in names:
         own = [word for word in words(name) if word not in NOT_A_NAME] or words(name)
         rules = (lambda film, name=name: film.stem == name, lambda film, own=own: spelt[film] == own,
                  lambda film, own=own: spelt[film][-len(own):] == own, lambda film, own=own: _holds(spelt[film], own))
+        if exact:
+            rules = rules[0], lambda film, name=name: spelt[film] == words(name)
         fits = next((fits for rule in rules if own and (fits := [film for film in films if rule(film)])), [])
         if len(fits) > 1:
             raise FastGSError(f"{fits[0].parent}: {fits[0].name} and {fits[1].name} are both called like camera {name}; leave one of them.")
@@ -71,7 +78,7 @@ def _holds(whole: list, part: list) -> bool:
     return any(whole[k:k + len(part)] == part for k in range(len(whole) - len(part) + 1))
 
 
-def films_of(names: Sequence[str], file: Path, path: Path) -> tuple[dict[str, Path], list[str]]:
+def films_of(names: Sequence[str], file: Path, path: Path, exact: bool = False) -> tuple[dict[str, Path], list[str]]:
     """The cameras' films in the folder that has most of them, and notes.
 
     Looked at are the calibration's folder, the capture's, the folders in them, and those beside the calibration's own folder.
@@ -83,16 +90,25 @@ def films_of(names: Sequence[str], file: Path, path: Path) -> tuple[dict[str, Pa
     counted: list[Path] = []
     for place in sorted(places, key=_later):
         films = sorted(p for p in place.iterdir() if is_film(p))
-        found = matched(names, films)
+        found = matched(names, films, exact)
         if len(found) > len(best):
             best = found
-        if len(films) == len(names) > 1 and not counted:
+        if len(films) == len(names) > 1 and not counted and not exact:
             counted = sorted(films, key=lambda film: [str(word).zfill(18) for word in words(film.stem)])
     if not best and counted and all(len(films_in(film)) < 2 for film in counted if film.is_dir()):
         order = ", ".join(f"{film.name} is {name}" for name, film in zip(names, counted))
         return dict(zip(names, counted)), [f"no film in {counted[0].parent.name} is called like a camera; taken in order, {order}"]
     lost = [name for name in names if name not in best]
-    return best, [f"left out for want of a film: {', '.join(lost)}"] if lost and best else []
+    some = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
+    return best, [f"left out for want of a film: {some}"] if lost and best else []
+
+
+def _photographs(names: Sequence[str], file: Path, path: Path) -> dict[str, Path]:
+    """The pictures that are called like the cameras, in the calibration's folder, the capture's, and those in them."""
+    places = dict.fromkeys([file.parent, path if path.is_dir() else file.parent])
+    inside = [p for place in places for p in sorted(place.iterdir()) if p.is_dir() and not p.name.startswith(".")]
+    found = {p.stem: p for place in [*places, *inside] for p in sorted(place.iterdir()) if p.suffix.lower() in PICTURES and p.is_file()}
+    return {name: found[name] for name in names if name in found}
 
 
 def _later(place: Path) -> bool:
@@ -100,11 +116,12 @@ def _later(place: Path) -> bool:
 
 
 def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated], options: Options, *, unit: float | None = None,
-               times: Times | None = None) -> Capture:
+               times: Times | None = None, photographed: bool = False) -> Capture:
     """The capture of a calibration's cameras and the films beside it.
 
     file   the calibration; path: what the user gave, that file or a folder
     unit   of its lengths in metres, as it says; None: it does not
+    photographed  the cameras are photographs' and pictures' of films: named exactly, and without films the photographs are the capture
     times  when each frame was taken, or None: all cameras film frame after frame together
     Raises FastGSError where there are no films, or two cameras are called alike.
     """
@@ -112,7 +129,10 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     twice = poses.repeated(names)
     if twice is not None:
         raise FastGSError(f"{file}: camera {twice} is there twice.")
-    places, notes = films_of(names, file, path)
+    places, notes = films_of(names, file, path, photographed)
+    if not places and photographed:
+        places = _photographs(names, file, path)
+        notes = ["there are no films beside it: its photographs show one moment"]
     if not places:
         raise FastGSError(f"{file}: there is no film of its cameras ({', '.join(names[:8])}) beside it; call each video or folder of "
                           "pictures like its camera.")
@@ -158,7 +178,9 @@ def films(places: dict[str, Path], faults: list[str], path: Path):
                               for name, numbered in folders.items()}
     rates = []
     for name, place in places.items():
-        if name not in found:
+        if place.suffix.lower() in PICTURES:
+            found[name] = [(place, None)]
+        elif name not in found:
             sources, fps = video_frames(place, faults)
             found[name] = [(source.path, source.frame) for source in sources]
             rates += [fps] if fps else []

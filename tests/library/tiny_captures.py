@@ -268,8 +268,40 @@ def opencv_pair(folder: Path) -> None:
                                        "</opencv_storage>\n")
 
 
+def metashape(folder: Path) -> None:
+    pictures(folder)
+    places = [" ".join(map(repr, np.linalg.inv(pose(i)).ravel().tolist())) for i in range(2)]
+    cameras = "".join(f'<camera id="{i}" sensor_id="{i}" component_id="0" label="{view}"><transform>{places[i]}</transform></camera>'
+                      for i, view in enumerate(VIEWS))
+    sensors = "".join(f'<sensor id="{i}" type="{kind}"><resolution width="{WIDTH}" height="{HEIGHT}"/><calibration type="{kind}" '
+                      f'class="adjusted"><f>{FOCAL}</f><cx>0.5</cx><k1>0.05</k1><k4>0.001</k4>{more}</calibration></sensor>'
+                      for i, (kind, more) in enumerate([("frame", "<p1>0.001</p1><b1>0.2</b1>"), ("fisheye", "<b2>0.1</b2>")]))
+    (folder / "cameras.xml").write_text(
+        f'<?xml version="1.0"?>\n<document version="2.0.0"><chunk label="a"><sensors>{sensors}</sensors><components><component id="0">'
+        '<transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>0 0 0</translation><scale>1</scale></transform></component>'
+        f'</components><cameras>{cameras}</cameras></chunk></document>\n')
+
+
+def scan_table(folder: Path) -> None:
+    pictures(folder)
+    rows = [f"{view}.png,{i},2,3,{10 * i},80,5,30,0.01,-0.02,0.05,0.01,0,0.001,0.001,0" for i, view in enumerate(VIEWS)]
+    (folder / "cameras.csv").write_text("\n".join(["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2", *rows]) + "\n")
+
+
+def scan_metadata(folder: Path) -> None:
+    pictures(folder)
+    for i, view in enumerate(VIEWS):
+        (folder / f"{view}.xmp").write_text(
+            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+            'xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="3" xcr:DistortionModel="division" '
+            f'xcr:FocalLength35mm="30" xcr:Skew="0" xcr:AspectRatio="1" xcr:PrincipalPointU="0.01" xcr:PrincipalPointV="0">'
+            f'<xcr:Rotation>{" ".join(map(repr, pose(i)[:3, :3].ravel().tolist()))}</xcr:Rotation><xcr:Position>{i} 0.5 3</xcr:Position>'
+            '<xcr:DistortionCoeficients>-0.1 0 0 0 0 0</xcr:DistortionCoeficients></rdf:Description></rdf:RDF></x:xmpmeta>\n')
+
+
 LAYOUTS = {"fastgs": [fastgs], "panoptic": [panoptic], "transforms": [transforms, splits], "immersive": [immersive], "n3v": [n3v],
            "technicolor": [technicolor], "qualisys": [qualisys], "colmap": [colmap_text, colmap_binary, colmap_frames],
+           "metashape": [metashape], "realityscan": [scan_table, scan_metadata],
            "toml": [aniposelib, caliscope], "opencv": [opencv_files, opencv_names, opencv_pair]}
 """What makes captures of each layout that has a description."""
 
