@@ -37,41 +37,11 @@ from .example import FASTGS_OT_import_example
 from .import_model import FASTGS_FH_import, FASTGS_OT_import
 from .reload import FASTGS_OT_reload
 
-CLASSES = (
-    FASTGS_OT_import,
-    FASTGS_FH_import,
-    FASTGS_OT_import_example,
-    FASTGS_OT_reload,
-    *fit_scene.CLASSES,
-    FASTGS_OT_bake,
-    *camera_moves.CLASSES,
-    *camera_life.CLASSES,
-    *capture_cameras.CLASSES,
-    *capture_view.CLASSES,
-    *check_capture.CLASSES,
-    *camera_path_files.CLASSES,
-    *align_world.CLASSES,
-    *clip.CLASSES,
-    *crop.CLASSES,
-    *brush.CLASSES,
-    *effects.CLASSES,
-    *export_splats.CLASSES,
-    *export_native.CLASSES,
-    *filters.CLASSES,
-    *gpus.CLASSES,
-    *composite.CLASSES,
-    *look.CLASSES,
-    *maintenance.CLASSES,
-    *native_copy.CLASSES,
-    *select_splats.CLASSES,
-    *training_python.CLASSES,
-    *capture_scene.CLASSES,
-    *sync_cameras.CLASSES,
-    *train.CLASSES,
-    *training_runs.CLASSES,
-    *upright.CLASSES,
-    *view_camera.CLASSES,
-)
+CLASSES = (FASTGS_OT_import, FASTGS_FH_import, FASTGS_OT_import_example, FASTGS_OT_reload, FASTGS_OT_bake, *(cls for module in (
+    fit_scene, camera_moves, camera_life, capture_cameras, capture_view, check_capture, camera_path_files, align_world, clip, crop,
+    brush, effects, export_splats, export_native, filters, gpus, composite, look, maintenance, native_copy, select_splats,
+    training_python, capture_scene, sync_cameras, train, training_runs, upright, view_camera,
+) for cls in module.CLASSES))
 
 
 def register():

@@ -18,16 +18,9 @@ from . import (
     viewport_panel,
 )
 
-CLASSES = (
-    *object_panels.CLASSES,
-    *render_panels.CLASSES,
-    *splats_panel.CLASSES,
-    *viewport_panel.CLASSES,
-    *camera_panel.CLASSES,
-    *capture_panel.CLASSES,
-    *training_panel.CLASSES,
-    *preferences.CLASSES,
-)
+CLASSES = tuple(cls for module in (
+    object_panels, render_panels, splats_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences,
+) for cls in module.CLASSES)
 
 
 def register():

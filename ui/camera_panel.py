@@ -2,12 +2,11 @@
 """The panel of cameras and their moves in the sidebar of the 3D view."""
 import bpy
 
+from .object_panels import Sidebar
 
-class FASTGS_PT_camera(bpy.types.Panel):
+
+class FASTGS_PT_camera(Sidebar, bpy.types.Panel):
     bl_label = "Camera"
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):

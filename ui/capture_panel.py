@@ -5,14 +5,11 @@ import bpy
 from ..scene.cameras import clips
 from ..scene.cameras.worlds import is_world
 from . import facts
-from .object_panels import draw_rows, draw_trouble, is_ours
+from .object_panels import Sidebar, draw_rows, draw_trouble, is_ours
 
 
-class FASTGS_PT_capture(bpy.types.Panel):
+class FASTGS_PT_capture(Sidebar, bpy.types.Panel):
     bl_label = "Capture"
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
@@ -22,12 +19,12 @@ class FASTGS_PT_capture(bpy.types.Panel):
         difference = "" if clip is None else clips.difference(context.scene, clip)
         if difference:
             box = layout.box()
-            draw_trouble(box.column(align=True), context, difference, 'INFO')
+            draw_trouble(box, context, difference, 'INFO')
             box.operator("fastgs.set_scene", icon='PREVIEW_RANGE')
         if not any(is_world(obj) for obj in context.scene.objects):
-            draw_trouble(layout.column(align=True), context, "Ground and scale are those of a capture: import one first.", 'INFO')
+            draw_trouble(layout, context, "Ground and scale are those of a capture: import one first.", 'INFO')
         elif not (context.object is not None and context.object.type == 'CAMERA' and context.object.data.fastgs.width):
-            draw_trouble(layout.column(align=True), context, "Render as Filmed needs a capture's camera: select one.", 'INFO')
+            draw_trouble(layout, context, "Render as Filmed needs a capture's camera: select one.", 'INFO')
         layout.operator("fastgs.render_as_filmed", icon='CAMERA_DATA')
         col = layout.column(align=True)
         row = col.row(align=True)

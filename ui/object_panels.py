@@ -27,8 +27,9 @@ def draw_rows(layout, rows):
         split.label(text=value)
 
 
-def draw_trouble(col, context, text, icon='ERROR'):
+def draw_trouble(layout, context, text, icon='ERROR'):
     """Draw the error message, on several lines if it is long."""
+    col = layout.column(align=True)
     for i, line in enumerate(facts.lines(text, context.region.width, context.preferences.system.ui_scale or 1.0)):
         col.label(text=line, icon='BLANK1' if i else icon)
 
@@ -38,7 +39,7 @@ def draw_error(layout, context):
     error = objects.error_of(context.object)
     if error:
         box = layout.box()
-        col = box.column(align=True)
+        col = box.column()
         col.alert = True
         draw_trouble(col, context, error)
         box.operator("fastgs.reload", icon='FILE_REFRESH')
@@ -49,81 +50,6 @@ def draw_other_engine(layout, context):
     if context.engine != 'FASTGS':
         props = layout.operator("wm.context_set_enum", text="Render with FAST-GS", icon='SCENE')
         props.data_path, props.value = "scene.render.engine", 'FASTGS'
-
-
-def draw_model(layout, context):
-    """Draw the file, its error if there is one, and its contents."""
-    obj = context.object
-    row = layout.row(align=True)
-    sub = row.row(align=True)
-    sub.alert = objects.error_of(obj) is not None
-    sub.use_property_split = True
-    sub.prop(obj.fastgs, "filepath")
-    row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
-    draw_error(layout, context)
-    if not obj.fastgs.filepath:
-        layout.label(text="No file is chosen", icon='INFO')
-    elif facts.known(obj):
-        draw_rows(layout, facts.object_facts(obj) + facts.extent(obj, context.scene))
-    elif objects.error_of(obj) is None:
-        layout.label(text="Not read yet", icon='INFO')
-    if obj.fastgs.has_backdrop:
-        col = layout.column()
-        col.use_property_split = True
-        col.prop(obj.fastgs, "backdrop")
-    row = layout.row(align=True)
-    row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
-    row.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
-    if startup.dulls_colours(context.scene):
-        layout.operator("fastgs.use_standard", icon='COLOR')
-    draw_other_engine(layout, context)
-
-
-def draw_time(layout, context):
-    """Draw when the clip plays, how fast, and what shows before and after it."""
-    settings = context.object.fastgs
-    layout.use_property_split = True
-    col = layout.column()
-    col.active = not settings.use_capture_frame
-    col.prop(settings, "start_frame")
-    col.prop(settings, "speed")
-    if text := speeds.trouble(context.object):
-        draw_trouble(layout.column(align=True), context, text)
-    col = layout.column()
-    col.prop(settings, "before")
-    col.prop(settings, "after")
-    if facts.known(context.object):
-        draw_rows(layout, [("Shown Now", facts.shown_now(context.object, context.scene))])
-        layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
-
-
-def draw_trim(layout, context):
-    """Draw what is cut off the clip, how far it is shifted, and what lies between its frames and at its seam."""
-    obj, settings = context.object, context.object.fastgs
-    layout.use_property_split = True
-    col = layout.column(align=True)
-    col.prop(settings, "trim_start")
-    col.prop(settings, "trim_end", text="End")
-    col = layout.column()
-    sub = col.column()
-    sub.active = not settings.use_capture_frame
-    sub.prop(settings, "offset")
-    sub = col.column()
-    sub.active = 'LOOP' in (settings.before, settings.after)
-    sub.prop(settings, "fade")
-    if objects.is_sequence(obj):
-        col.prop(settings, "subframes")
-
-
-def draw_echoes(layout, context):
-    """Draw the earlier moments that are shown besides."""
-    settings = context.object.fastgs
-    layout.use_property_split = True
-    layout.prop(settings, "echoes")
-    col = layout.column(align=True)
-    col.active = settings.echoes > 0
-    col.prop(settings, "echo_spacing", text="Spacing")
-    col.prop(settings, "echo_fade", text="Fade")
 
 
 def draw_look(layout, context):
@@ -137,55 +63,6 @@ def draw_look(layout, context):
             col.prop(settings, name)
     if is_ours(context.object):
         layout.operator("fastgs.reset_look", icon='LOOP_BACK')
-
-
-def draw_points(layout, context):
-    """Draw the effects that change the Gaussians, and what modifiers do."""
-    settings = context.object.fastgs
-    layout.use_property_split = True
-    layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
-    layout.prop(settings, "points")
-    col = layout.column()
-    col.active = settings.points == 'ALL'
-    col.prop(settings, "follow_points")
-    col.prop(settings, "still_frame")
-
-
-def draw_crop(layout, context):
-    """Draw the shapes that crop the model."""
-    layout.use_property_decorate = False
-    boxes = context.object.fastgs.crops
-    for index, item in enumerate(boxes):
-        row = layout.row(align=True)
-        row.prop(item, "use", text="")
-        row.prop(item, "object", text="")
-        row.prop(item, "shape", text="", icon_only=True)  # with their words, names of objects are cut
-        row.prop(item, "mode", text="", icon_only=True)
-        row.prop(item, "soft", text="Soft")
-        row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
-    layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
-    if boxes:
-        layout.operator("fastgs.apply_crop", icon='FILE_TICK')
-
-
-def draw_filters(layout, context):
-    """Draw the filters that hide Gaussians for what they are."""
-    layout.use_property_decorate = False
-    for index, item in enumerate(context.object.fastgs.filters):
-        col = layout.column(align=True)
-        row = col.row(align=True)
-        row.prop(item, "use", text="")
-        row.prop(item, "mode", text="")
-        row.prop(item, "kind", text="")
-        row.operator("fastgs.separate", text="", icon='MOD_EXPLODE').index = index
-        row.operator("fastgs.remove_filter", text="", icon='X').index = index
-        row = col.row(align=True)
-        if item.kind == 'COLOUR':
-            row.prop(item, "colour", text="")
-        row.prop(item, "low")
-        row.prop(item, "high")
-    layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
-    draw_erased(layout, context)
 
 
 def draw_erased(layout, context):
@@ -202,6 +79,14 @@ def draw_size(self, context):
         draw_rows(self.layout, list(zip(("Size X", "Y", "Z"), facts.sides(context.object, context.scene), strict=False)))
 
 
+class Sidebar:
+    """A panel in the sidebar of the 3D view."""
+
+    bl_space_type = 'VIEW_3D'
+    bl_region_type = 'UI'
+    bl_category = "FAST-GS"
+
+
 class _Splat:
     bl_space_type = 'PROPERTIES'
     bl_region_type = 'WINDOW'
@@ -212,40 +97,94 @@ class _Splat:
         return is_ours(context.object)
 
 
-class _Moving(_Splat):
+class _Part(_Splat):
+    bl_parent_id = "FASTGS_PT_object"
+    bl_options = {'DEFAULT_CLOSED'}
+
+
+class _Moving(_Part):
     @classmethod
     def poll(cls, context):
         return is_ours(context.object) and context.object.fastgs.frame_count != 1
+
+
+class _OfTime(_Moving):
+    bl_parent_id = "FASTGS_PT_object_time"
 
 
 class FASTGS_PT_object(_Splat, bpy.types.Panel):
     bl_label = "4D Gaussians"
 
     def draw(self, context):
-        draw_model(self.layout, context)
+        layout, obj = self.layout, context.object
+        row = layout.row(align=True)
+        sub = row.row(align=True)
+        sub.alert = objects.error_of(obj) is not None
+        sub.use_property_split = True
+        sub.prop(obj.fastgs, "filepath")
+        row.operator("fastgs.reload", text="", icon='FILE_REFRESH')
+        draw_error(layout, context)
+        if not obj.fastgs.filepath:
+            layout.label(text="No file is chosen", icon='INFO')
+        elif facts.known(obj):
+            draw_rows(layout, facts.object_facts(obj) + facts.extent(obj, context.scene))
+        elif objects.error_of(obj) is None:
+            layout.label(text="Not read yet", icon='INFO')
+        if obj.fastgs.has_backdrop:
+            col = layout.column()
+            col.use_property_split = True
+            col.prop(obj.fastgs, "backdrop")
+        row = layout.row(align=True)
+        row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
+        row.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
+        if startup.dulls_colours(context.scene):
+            layout.operator("fastgs.use_standard", icon='COLOR')
+        draw_other_engine(layout, context)
 
 
 class FASTGS_PT_object_time(_Moving, bpy.types.Panel):
     bl_label = "Time"
-    bl_parent_id = "FASTGS_PT_object"
+    bl_options = set()
 
     def draw(self, context):
-        draw_time(self.layout, context)
+        layout, settings = self.layout, context.object.fastgs
+        layout.use_property_split = True
+        col = layout.column()
+        col.active = not settings.use_capture_frame
+        col.prop(settings, "start_frame")
+        col.prop(settings, "speed")
+        if text := speeds.trouble(context.object):
+            draw_trouble(layout, context, text)
+        col = layout.column()
+        col.prop(settings, "before")
+        col.prop(settings, "after")
+        if facts.known(context.object):
+            draw_rows(layout, [("Shown Now", facts.shown_now(context.object, context.scene))])
+            layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
 
 
-class FASTGS_PT_object_trim(_Moving, bpy.types.Panel):
+class FASTGS_PT_object_trim(_OfTime, bpy.types.Panel):
     bl_label = "Trim, Shift and Fade"
-    bl_parent_id = "FASTGS_PT_object_time"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_trim(self.layout, context)
+        layout, settings = self.layout, context.object.fastgs
+        layout.use_property_split = True
+        col = layout.column(align=True)
+        col.prop(settings, "trim_start")
+        col.prop(settings, "trim_end", text="End")
+        col = layout.column()
+        sub = col.column()
+        sub.active = not settings.use_capture_frame
+        sub.prop(settings, "offset")
+        sub = col.column()
+        sub.active = 'LOOP' in (settings.before, settings.after)
+        sub.prop(settings, "fade")
+        if objects.is_sequence(context.object):
+            col.prop(settings, "subframes")
 
 
-class FASTGS_PT_object_capture_frame(_Moving, bpy.types.Panel):
+class FASTGS_PT_object_capture_frame(_OfTime, bpy.types.Panel):
     bl_label = "Key the Capture Frame"
-    bl_parent_id = "FASTGS_PT_object_time"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw_header(self, context):
         self.layout.prop(context.object.fastgs, "use_capture_frame", text="")
@@ -257,19 +196,21 @@ class FASTGS_PT_object_capture_frame(_Moving, bpy.types.Panel):
         layout.prop(settings, "capture_frame")
 
 
-class FASTGS_PT_object_echoes(_Moving, bpy.types.Panel):
+class FASTGS_PT_object_echoes(_OfTime, bpy.types.Panel):
     bl_label = "Echoes"
-    bl_parent_id = "FASTGS_PT_object_time"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_echoes(self.layout, context)
+        layout, settings = self.layout, context.object.fastgs
+        layout.use_property_split = True
+        layout.prop(settings, "echoes")
+        col = layout.column(align=True)
+        col.active = settings.echoes > 0
+        col.prop(settings, "echo_spacing", text="Spacing")
+        col.prop(settings, "echo_fade", text="Fade")
 
 
-class FASTGS_PT_object_cut(_Moving, bpy.types.Panel):
+class FASTGS_PT_object_cut(_OfTime, bpy.types.Panel):
     bl_label = "Split and Markers"
-    bl_parent_id = "FASTGS_PT_object_time"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         row = self.layout.row(align=True)
@@ -279,17 +220,13 @@ class FASTGS_PT_object_cut(_Moving, bpy.types.Panel):
 
 class FASTGS_PT_object_sound(_Moving, bpy.types.Panel):
     bl_label = "Sound"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         self.layout.operator("fastgs.add_sound", icon='SOUND')
 
 
-class FASTGS_PT_object_look(_Splat, bpy.types.Panel):
+class FASTGS_PT_object_look(_Part, bpy.types.Panel):
     bl_label = "Look"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         draw_look(self.layout, context)
@@ -307,37 +244,65 @@ class FASTGS_PT_instances(_Splat, bpy.types.Panel):
         draw_look(self.layout, context)
 
 
-class FASTGS_PT_object_points(_Splat, bpy.types.Panel):
+class FASTGS_PT_object_points(_Part, bpy.types.Panel):
     bl_label = "Effects and Modifiers"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_points(self.layout, context)
+        layout, settings = self.layout, context.object.fastgs
+        layout.use_property_split = True
+        layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
+        layout.prop(settings, "points")
+        col = layout.column()
+        col.active = settings.points == 'ALL'
+        col.prop(settings, "follow_points")
+        col.prop(settings, "still_frame")
 
 
-class FASTGS_PT_object_crop(_Splat, bpy.types.Panel):
+class FASTGS_PT_object_crop(_Part, bpy.types.Panel):
     bl_label = "Crop"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_crop(self.layout, context)
+        layout = self.layout
+        layout.use_property_decorate = False
+        boxes = context.object.fastgs.crops
+        for index, item in enumerate(boxes):
+            row = layout.row(align=True)
+            row.prop(item, "use", text="")
+            row.prop(item, "object", text="")
+            row.prop(item, "shape", text="", icon_only=True)  # with their words, names of objects are cut
+            row.prop(item, "mode", text="", icon_only=True)
+            row.prop(item, "soft", text="Soft")
+            row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
+        layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
+        if boxes:
+            layout.operator("fastgs.apply_crop", icon='FILE_TICK')
 
 
-class FASTGS_PT_object_filters(_Splat, bpy.types.Panel):
+class FASTGS_PT_object_filters(_Part, bpy.types.Panel):
     bl_label = "Filters"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        draw_filters(self.layout, context)
+        layout = self.layout
+        layout.use_property_decorate = False
+        for index, item in enumerate(context.object.fastgs.filters):
+            col = layout.column(align=True)
+            row = col.row(align=True)
+            row.prop(item, "use", text="")
+            row.prop(item, "mode", text="")
+            row.prop(item, "kind", text="")
+            row.operator("fastgs.separate", text="", icon='MOD_EXPLODE').index = index
+            row.operator("fastgs.remove_filter", text="", icon='X').index = index
+            row = col.row(align=True)
+            if item.kind == 'COLOUR':
+                row.prop(item, "colour", text="")
+            row.prop(item, "low")
+            row.prop(item, "high")
+        layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
+        draw_erased(layout, context)
 
 
-class FASTGS_PT_object_engines(_Splat, bpy.types.Panel):
+class FASTGS_PT_object_engines(_Part, bpy.types.Panel):
     bl_label = "Other Render Engines"
-    bl_parent_id = "FASTGS_PT_object"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         self.layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')

@@ -31,7 +31,7 @@ def draw_unshown(layout, context):
         draw_trouble(col, context, meshes)
         col.operator_menu_enum("fastgs.set_up_composite", "engine", icon='NODE_COMPOSITING')
     for text in unshown.settings(scene, layer):
-        draw_trouble(layout.column(align=True), context, text, 'INFO')
+        draw_trouble(layout, context, text, 'INFO')
 
 
 def draw_device(layout, context):
@@ -46,7 +46,7 @@ def draw_device(layout, context):
     if name != "auto":
         draw_rows(layout, [("GPU", describe_backend(name))])
     if remark:
-        draw_trouble(layout.column(align=True), context, remark, 'INFO')
+        draw_trouble(layout, context, remark, 'INFO')
 
 
 def draw_threads(layout, render):
@@ -126,7 +126,7 @@ class FASTGS_PT_depth_of_field(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(context.scene.fastgs, "lens_samples")
-        draw_trouble(layout.column(align=True), context, "The camera's own settings say what is sharp", 'INFO')
+        draw_trouble(layout, context, "The camera's own settings say what is sharp", 'INFO')
 
 
 class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
@@ -143,7 +143,7 @@ class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
         col.prop(settings, "shadow_samples")
         col.prop(settings, "shadow_bias")
         if settings.shadow_light is not None and not context.view_layer.fastgs.use_pass_shadow:
-            draw_trouble(layout.column(align=True), context, "Set Up Composite, or switch on the pass Splat Shadow", 'INFO')
+            draw_trouble(layout, context, "Set Up Composite, or switch on the pass Splat Shadow", 'INFO')
 
 
 class FASTGS_PT_passes(_Engine, bpy.types.Panel):
@@ -193,7 +193,7 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
     def draw(self, context):
         layout = self.layout
         text = "This engine shows a few solid points in place of splats; FAST-GS renders the splats, and a native copy holds them all."
-        draw_trouble(layout.column(align=True), context, text)
+        draw_trouble(layout, context, text)
         draw_other_engine(layout, context)
         layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from .object_panels import draw_erased, draw_error, draw_other_engine, is_ours
+from .object_panels import Sidebar, draw_erased, draw_error, draw_other_engine, is_ours
 from .tools import TOOLS
 
 
-class FASTGS_PT_splats(bpy.types.Panel):
+class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
     bl_label = "Splats"
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
 
     def draw(self, context):
         layout = self.layout

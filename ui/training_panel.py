@@ -12,7 +12,7 @@ from ..scene.filming import progress
 from ..scene.settings import EXTENSION
 from ..scene.training import folders, installation, plates, readiness, results, watch
 from . import facts
-from .object_panels import draw_rows, draw_trouble
+from .object_panels import Sidebar, draw_rows, draw_trouble
 
 ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 'ERROR', 'FINISHED': 'CHECKMARK'}
 
@@ -46,7 +46,7 @@ def draw_place(layout, context, settings) -> Place:
     if place.asks:
         layout.prop(settings, "existing")
     if not place.trouble:
-        draw_sentence(layout, context, place.text, 'INFO')
+        draw_trouble(layout, context, place.text, 'INFO')
     return place
 
 
@@ -55,7 +55,7 @@ def draw_start(layout, context, settings, place):
     unable, source = installation.trouble(), readiness.source_trouble(context)
     reason = unable or place.trouble.replace(place.out, Path(place.out).name) or ("" if place.capture else source)
     if reason:
-        draw_sentence(layout, context, reason)
+        draw_trouble(layout, context, reason)
     if unable:
         row = layout.row(align=True)
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
@@ -83,10 +83,10 @@ def draw_capture(layout, context, settings):
         size = f"{found.width} x {found.height}"
         draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])
         for problem in found.problems[:3]:
-            draw_trouble(layout.column(align=True), context, problem)
+            draw_trouble(layout, context, problem)
     draw_verdict(layout, context, capture)
     if lacking := installation.lacking():
-        draw_sentence(layout, context, lacking, 'INFO')
+        draw_trouble(layout, context, lacking, 'INFO')
 
 
 def draw_verdict(layout, context, capture):
@@ -95,23 +95,12 @@ def draw_verdict(layout, context, capture):
     if values is None or values["asked"] != capture:
         return
     bad = [finding for finding in values["findings"] if finding["severity"] == "wrong"]
-    draw_sentence(layout, context, values["verdict"], 'ERROR' if bad else 'INFO')
+    draw_trouble(layout, context, values["verdict"], 'ERROR' if bad else 'INFO')
     for finding in bad[:2]:
-        draw_trouble(layout.column(align=True), context, finding["sentence"])
+        draw_trouble(layout, context, finding["sentence"])
 
 
-def draw_sentence(layout, context, text, icon='ERROR'):
-    """Draw a sentence on as many lines as it needs."""
-    draw_trouble(layout.column(align=True), context, text, icon)
-
-
-class _Sidebar:
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
-
-
-class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
+class FASTGS_PT_training(Sidebar, bpy.types.Panel):
     bl_label = "Train"
     bl_options = {'DEFAULT_CLOSED'}
 
@@ -145,7 +134,7 @@ class FASTGS_PT_training(_Sidebar, bpy.types.Panel):
         draw_start(layout, context, settings, place)
 
 
-class FASTGS_PT_training_filming(_Sidebar, bpy.types.Panel):
+class FASTGS_PT_training_filming(Sidebar, bpy.types.Panel):
     bl_label = "Filming"
     bl_parent_id = "FASTGS_PT_training"
     bl_options = {'DEFAULT_CLOSED'}
@@ -172,7 +161,7 @@ class FASTGS_PT_training_filming(_Sidebar, bpy.types.Panel):
         col.prop(settings, "hold_out")
 
 
-class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
+class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
     bl_label = "Options"
     bl_parent_id = "FASTGS_PT_training"
     bl_options = {'DEFAULT_CLOSED'}
@@ -190,7 +179,7 @@ class FASTGS_PT_training_options(_Sidebar, bpy.types.Panel):
         col.prop(settings, "motion_weight", text="Smoothing")
 
 
-class FASTGS_PT_training_runs(_Sidebar, bpy.types.Panel):
+class FASTGS_PT_training_runs(Sidebar, bpy.types.Panel):
     bl_label = "Runs"
     bl_parent_id = "FASTGS_PT_training"
 
@@ -212,7 +201,7 @@ def draw_filming(box, context, filming):
     left = f", {results.duration(filming.seconds_left)} left" if filming.seconds_left else ""
     box.progress(factor=filming.share, text=f"{filming.doing} {100 * filming.share:.0f} %{left}")
     draw_rows(box, [("Pictures", f"{filming.done:,} of {filming.whole:,}")])
-    draw_sentence(box, context, "Meanwhile only the view can be turned, between two pictures; Esc interrupts.", 'INFO')
+    draw_trouble(box, context, "Meanwhile only the view can be turned, between two pictures; Esc interrupts.", 'INFO')
 
 
 def draw_job(box, context, job, state):

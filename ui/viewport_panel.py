@@ -7,15 +7,12 @@ import bpy
 from ..engine.viewport import spaces
 from ..scene import objects, unshown
 from . import facts
-from .object_panels import draw_rows, draw_trouble
+from .object_panels import Sidebar, draw_rows, draw_trouble
 from .render_panels import draw_unshown
 
 
-class FASTGS_PT_viewport(bpy.types.Panel):
+class FASTGS_PT_viewport(Sidebar, bpy.types.Panel):
     bl_label = "Splats in Viewports"
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
     bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod
@@ -36,10 +33,10 @@ class FASTGS_PT_viewport(bpy.types.Panel):
             draw_unshown(layout, context)
             text = unshown.in_viewports(context.scene)
             if text:
-                draw_trouble(layout.column(align=True), context, text, 'INFO')
+                draw_trouble(layout, context, text, 'INFO')
         trouble = spaces.trouble()
         if trouble:
-            draw_trouble(layout.column(align=True), context, trouble)
+            draw_trouble(layout, context, trouble)
 
 
 class FASTGS_PT_viewport_pass(bpy.types.Panel):
@@ -58,11 +55,8 @@ class FASTGS_PT_viewport_pass(bpy.types.Panel):
         self.layout.prop(context.space_data.shading.fastgs, "render_pass", text="")
 
 
-class FASTGS_PT_pictures(bpy.types.Panel):
+class FASTGS_PT_pictures(Sidebar, bpy.types.Panel):
     bl_label = "Pictures on Cameras"
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
     bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -310,6 +311,6 @@ def test_points_survive_saving_undo_and_copies(module, model, points, scene, tmp
 
 def test_panel_shows_points_and_effects(module, points):
     layout = panel_recorder.Layout()
-    module("ui.object_panels").draw_points(layout, bpy.context)
+    module("ui").object_panels.FASTGS_PT_object_points.draw(SimpleNamespace(layout=layout), bpy.context)
     kinds = [row[1] for row in layout.record]
     assert {"points", "follow_points", "still_frame", "fastgs.add_effect"} <= set(kinds)
