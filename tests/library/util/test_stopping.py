@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.util import stopping
 
@@ -49,6 +50,19 @@ def test_a_signal_while_modules_are_imported(number, place, tmp_path):
 def test_a_signal_while_a_job_of_blender_begins(place, tmp_path):
     command = [sys.executable, str(CHILD), str(ROOT), "", "", "sync", str(tmp_path)]
     assert ended(command, signal.SIGTERM, place, tmp_path) == (130, "fastgs: stopped.\n")
+
+
+@pytest.mark.parametrize("begin", [["-m", "fastgs_blender"], [str(CHILD), str(ROOT), "", ""]], ids=["command", "job"])
+def test_what_is_stopped_while_it_writes_clears_up(begin, tmp_path, rng, make_model):
+    hook, out = tmp_path / "hook", tmp_path / "out"
+    hook.mkdir()
+    out.mkdir()
+    (hook / "sitecustomize.py").write_text("import os, signal\nos.fsync = lambda handle: os.kill(os.getpid(), signal.SIGTERM)\n")
+    fg.save(make_model(rng, 5), tmp_path / "m.safetensors")
+    done = subprocess.run([sys.executable, *begin, "convert", str(tmp_path / "m.safetensors"), str(out / "a.safetensors")], cwd=ROOT,
+                          capture_output=True, text=True, check=False,
+                          env={**os.environ, "PYTHONPATH": os.pathsep.join([str(hook), str(ROOT)])})
+    assert (done.returncode, done.stderr) == (130, "fastgs: stopped.\n") and not list(out.iterdir())
 
 
 def test_programs_that_use_the_library_keep_their_signals():
