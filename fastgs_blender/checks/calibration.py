@@ -7,8 +7,11 @@ from itertools import combinations
 import numpy as np
 
 from ..captures.pixels import undistortion
+from ..captures.pixels.store import FrameStore
 from ..training.core.targets import small_camera, smaller
 from ..training.initial import features
+from ..training.initial.calibrate import calibrated
+from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
 from .report import Section, listed
@@ -33,7 +36,8 @@ def run(looked: Looked) -> Section:
                                      "under 1 is "
                       "good. They were found without the calibration.")
     if not looked.capture.posed:
-        section.summary = "The capture does not say where its cameras are; training finds them from its pictures first."
+        section.summary = "The capture does not say where its cameras are; training finds them from its pictures first, as was tried here."
+        _unknown_places(section, looked)
         return section
     _lenses(section, looked)
     _same_places(section, looked)
@@ -71,6 +75,24 @@ def run(looked: Looked) -> Section:
     section.measures |= {"reprojection_pixels": {view: _number(value) for view, value in shown.items()}, "median_pixels": _number(usual),
                          "pairs": len(matches.pairs), "pairs_tried": matches.tried, "points": len(xyz), "wrong_cameras": bad}
     return section
+
+
+def _unknown_places(section: Section, looked: Looked) -> None:
+    """Find the cameras as training does before its first step, and tell whether it would."""
+    features.pycolmap_module()
+    ways = "Photograph the place from between the cameras for COLMAP, or film a calibration board: docs/captures.md, three ways to poses."
+    try:
+        cameras, _, frame = calibrated(looked.capture, FrameStore(looked.capture))
+    except FastGSError as error:
+        section.add("wrong", f"It does not say where its cameras are, and training would stop without a model: {error}", ways)
+        return
+    lost = [view for view in looked.capture.views if view not in cameras]
+    if lost:
+        section.add("poor", f"Only {len(cameras)} of {len(looked.capture.views)} cameras can be found from the pictures of frame {frame}; "
+                            f"training would leave out {listed(lost)}.", ways, lost)
+    else:
+        section.add("note", f"All {len(cameras)} cameras can be found from the pictures of frame {frame}.",
+                    "Nothing is to be done; their unit of length is arbitrary.")
 
 
 def turned_by(matches: Matches, view: str, bad) -> tuple[float, float] | None:

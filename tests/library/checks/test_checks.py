@@ -182,6 +182,19 @@ def test_captures_without_poses_and_with_missing_files(folder, tmp_path):
         check(made)
 
 
+def test_cameras_that_training_cannot_find_are_wrong(tmp_path, rng):
+    """Pictures that have nothing in common: training would stop, so the check says why, and what to do."""
+    pytest.importorskip("pycolmap")
+    for view in ("cam00", "cam01"):
+        (tmp_path / view).mkdir()
+        for frame in (1, 2):
+            Image.fromarray(rng.integers(0, 256, (48, 64, 3), np.uint8)).save(tmp_path / view / f"{frame:04}.png")
+    report = check(tmp_path)
+    (finding,) = [finding for name, finding in report.findings if name == "calibration"]
+    assert report.bad and finding.severity == "wrong" and "trained on" not in report.verdict
+    assert "where its cameras are" in finding.sentence and "docs/captures.md" in finding.advice
+
+
 def test_the_command(tmp_path, capsys):
     """The exit code tells, --json is the page's values, --status says how far the check is."""
     pytest.importorskip("pycolmap")
