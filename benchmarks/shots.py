@@ -66,7 +66,7 @@ def composite(scene, obj):
     corners = sheet().reshape(-1, 3)[:, [0, 2, 1]] * (0.42, 1, 0.42) - (0, 7, 0)  # in Blender's axes
     mesh.from_pydata(corners, [], np.arange(len(corners)).reshape(-1, 3))
     scene.collection.objects.link(bpy.data.objects.new("Sheet", mesh))
-    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    scene.fastgs.render_meshes, scene.fastgs.use_meshes = 'CYCLES', True
     scene.render.use_compositing = False
 
 

@@ -98,7 +98,7 @@ def _backend(engine, device: str, status) -> str:
 
 def _background(engine, scene, layer, status):
     """A function of the camera that gives what lies behind the splats, for colour.film()."""
-    plain, more = world.background(scene, layer)
+    plain, more = (None, None) if holdout.with_meshes(scene) else world.background(scene, layer)
     if more is None:
         return lambda eye: plain
     status("Rendering the world")

@@ -3,14 +3,15 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import model_space, notices, objects, paths, point_edits, proxies
+from ..scene import composite, model_space, notices, objects, paths, point_edits, proxies, updates
 from ..scene.splats import bodies, feeding, guard, moving, native, proxy_nodes
 from . import compiling
 
 
 @persistent
-def _begin_job(*_):
+def _begin_job(scene, *_):
     notices.begin_job()
+    composite.follow(scene)
 
 
 @persistent
@@ -65,6 +66,7 @@ HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, feeding.after),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
+    (bpy.app.handlers.depsgraph_update_post, composite.changed),
     (bpy.app.handlers.frame_change_post, native.follow),
     (bpy.app.handlers.depsgraph_update_post, native.follow),
     (bpy.app.handlers.depsgraph_update_post, native.tidy),
@@ -81,9 +83,11 @@ if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
 def register():
     for handlers, function in HANDLERS:
         handlers.append(function)
+    updates.mesh_listeners.append(composite.chosen)
 
 
 def unregister():
     for handlers, function in HANDLERS:
         handlers.remove(function)
+    updates.mesh_listeners.remove(composite.chosen)
     objects.clear()

@@ -15,7 +15,7 @@ from ..fastgs_blender.rendering import cryptomatte
 from ..fastgs_blender.rendering.exposure import Exposure
 from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, Pass, PassSettings
 from ..fastgs_blender.rendering.quantities import Mist
-from ..scene import colour
+from ..scene import colour, composite
 from . import scene_linear
 
 COMBINED = "Combined"
@@ -33,7 +33,8 @@ def switched_on(scene, layer) -> list[Pass]:
     names = {p.blender: p.name for p in reversed(PASSES.values()) if p.blender}
     names |= {blender: choose(scene) for blender, choose in CHOICES.items()}
     levels = -(-layer.pass_cryptomatte_depth // cryptomatte.PAIRS)
-    return [p for p in PASSES.values() if names.get(p.blender) == p.name and attrgetter(p.switch)(layer) and p.level < levels]
+    return [p for p in PASSES.values() if names.get(p.blender) == p.name and p.level < levels and (
+        attrgetter(p.switch)(layer) or composite.needs(scene, p.name))]
 
 
 def in_viewport(shading, scene) -> str | None:
@@ -53,7 +54,7 @@ def register(engine, scene, layer):
 def add(engine, layer, wanted: list[Pass]):
     """Announce a layer's passes that Blender does not add by itself; to be called before begin_result."""
     for p in wanted:
-        if not p.standard:
+        if not p.standard or not attrgetter(p.switch)(layer):
             engine.add_pass(p.blender, len(p.letters), p.letters, layer=layer.name)
 
 

@@ -13,7 +13,6 @@ from . import (
     capture_view,
     check_capture,
     clip,
-    composite,
     crop,
     effects,
     export_native,
@@ -39,7 +38,7 @@ from .reload import FASTGS_OT_reload
 
 CLASSES = (FASTGS_OT_import, FASTGS_FH_import, FASTGS_OT_import_example, FASTGS_OT_reload, FASTGS_OT_bake, *(cls for module in (
     fit_scene, camera_moves, camera_life, capture_cameras, capture_view, check_capture, camera_path_files, align_world, clip, crop,
-    brush, effects, export_splats, export_native, filters, gpus, composite, look, maintenance, native_copy, select_splats,
+    brush, effects, export_splats, export_native, filters, gpus, look, maintenance, native_copy, select_splats,
     training_python, capture_scene, sync_cameras, train, training_runs, upright, view_camera,
 ) for cls in module.CLASSES))
 

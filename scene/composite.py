@@ -1,58 +1,94 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sets up the composite of splats and meshes: a second scene renders the meshes with another engine, the compositor joins both.
+"""Renders a scene's meshes and splats as one picture: *Render With Meshes*.
 
-Both are rendered without the world behind them, so that edges are soft, and the splats without what the meshes hide.  One node, a group
-(composite_nodes.py), joins them.  It and the node for the meshes have names of their own: setting up again uses them again, and the
-user's nodes stay.
+Another engine renders the meshes in a scene of their own (mesh_scene.py).  In the compositor, behind each Render Layers node of the
+scene, one node joins both pictures (composite_nodes.py).  No setting of the scene is changed for it: while it is on, the engine adds the
+passes that the join needs and leaves the world to it.  Nothing has to be pressed again: everything is brought into step after
+each change, and at the beginning of each render.
 """
 from __future__ import annotations
 
 import bpy
+from bpy.app.handlers import persistent
 
-from . import composite_nodes, holdout, objects
+from . import composite_nodes, mesh_scene
+from .holdout import with_meshes
 
-PREFIX = "FAST-GS "
-MESHES, JOIN = PREFIX + "Meshes", PREFIX + "Join"
-KEPT = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "fps", "fps_base", "frame_map_old",
-        "frame_map_new", "use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y",
-        "use_motion_blur", "threads_mode", "threads")
-"""Render settings that the scene of the meshes takes over."""
-
-
-def is_set_up(scene) -> bool:
-    """Whether a scene's compositor joins what another engine has rendered in another scene."""
-    tree = _tree(scene)
-    return tree is not None and scene.render.use_compositing and any(
-        node.bl_idname == 'CompositorNodeRLayers' and not node.mute and node.scene not in (None, scene)
-        and node.scene.render.engine != 'FASTGS' for node in tree.nodes)
+MESHES, JOIN = "FAST-GS Meshes", "FAST-GS Join"
+MADE = "fastgs_made"
+"""Custom property of a compositor that was made here."""
+NEEDED = ("depth", "holdout")
+"""Passes, by their names in the library's table, that the join reads; with a lamp the shadow's too."""
 
 
-def engines() -> list[tuple[str, str, str]]:
-    """Engines that can render the meshes, as items of a menu: the first one is Cycles where this Blender has it."""
-    known = {getattr(cls, "bl_idname", "") for cls in bpy.types.RenderEngine.__subclasses__()}
-    eevee = 'BLENDER_EEVEE_NEXT' if (4, 2, 0) <= bpy.app.version < (5, 0, 0) else 'BLENDER_EEVEE'
-    cycles = [('CYCLES', "Cycles", "Path tracing: light, shadows and reflections of the meshes")] if 'CYCLES' in known else []
-    return [*cycles, (eevee, "EEVEE", "Fast, needs a GPU")]
+def needs(scene, name: str) -> bool:
+    """Whether the join needs a pass of the library's table."""
+    return with_meshes(scene) and (name in NEEDED or (name == "shadow" and scene.fastgs.shadow_light is not None))
 
 
-def set_up(scene, view_layer, engine: str) -> bpy.types.Scene:
-    """Let another engine render the meshes of a view layer, and the compositor join them with the splats; returns their scene."""
-    tree = _tree(scene) or _new_tree(scene)
-    splats = _splats_node(tree, scene, view_layer)
-    meshes = tree.nodes.get(MESHES) or tree.nodes.new('CompositorNodeRLayers')
-    other = meshes.scene if meshes.name == MESHES and meshes.scene not in (None, scene) else bpy.data.scenes.new(f"{scene.name} Meshes")
-    _follow(other, scene, view_layer, engine)
-    world = not scene.render.film_transparent
-    scene.render.film_transparent = scene.render.use_compositing = view_layer.use_pass_z = scene.fastgs.use_meshes = True
-    view_layer.fastgs.use_pass_holdout = True
-    view_layer.fastgs.use_pass_shadow |= scene.fastgs.shadow_light is not None
-    meshes.name = meshes.label = MESHES
-    meshes.scene, meshes.layer = other, other.view_layers[0].name
-    _join(tree, splats, meshes, world)
-    return other
+@persistent
+def changed(scene, depsgraph) -> None:
+    """Handler, after each evaluation: bring into step what has changed, once Blender is idle.
+
+    Not at once: Blender 5.2 crashes if objects are linked here while the compositor shows another scene.  A render does not wait for it.
+    """
+    if depsgraph.mode == 'VIEWPORT' and not bpy.app.background and not bpy.app.timers.is_registered(_follow_all) and any(
+            each.fastgs.render_meshes != 'OFF' for each in bpy.data.scenes):
+        bpy.app.timers.register(_follow_all, first_interval=0.0)
 
 
-def _tree(scene):
+def _follow_all():
+    for scene in bpy.data.scenes:
+        follow(scene)
+
+
+def follow(scene) -> None:
+    """Bring the scene of the meshes and the compositor into step, if *Render With Meshes* is chosen."""
+    if scene.fastgs.render_meshes != 'OFF' and scene.is_editable and not mesh_scene.is_one(scene):
+        _join_all(scene, mesh_scene.follow(scene, _engine(scene.fastgs.render_meshes)))
+
+
+def chosen(scene) -> None:
+    """Set up what the scene's *Render With Meshes* asks for, or take away all of it."""
+    if scene.fastgs.render_meshes == 'OFF':
+        _part(scene)
+        mesh_scene.remove(scene)
+    follow(scene)
+    for layer in scene.view_layers:
+        layer.update_render_passes()
+
+
+def _engine(chosen: str) -> str:
+    if chosen == 'CYCLES':
+        return 'CYCLES'
+    return 'BLENDER_EEVEE_NEXT' if (4, 2, 0) <= bpy.app.version < (5, 0, 0) else 'BLENDER_EEVEE'
+
+
+def _join_all(scene, other):
+    tree = _own_tree(scene, other)
+    for node in [node for node in tree.nodes if node.bl_idname == 'CompositorNodeRLayers' and node.scene in (None, scene)]:
+        layer = node.layer or scene.view_layers[0].name
+        if layer in other.view_layers:
+            _join(tree, node, scene, other, layer)
+
+
+def _own_tree(scene, other):
+    """The scene's compositor; one that shows the scene where there is none.  A copied scene's becomes its own."""
+    tree = tree_of(scene) or _new_tree(scene)
+    for join in _joins(tree):
+        splats, meshes = _source(join, "Splats"), _source(join, "Meshes")
+        if splats is None or splats.scene in (None, scene):
+            continue
+        if bpy.app.version >= (5, 0, 0) and tree.users > 1:
+            scene.compositing_node_group = tree.copy()
+            return _own_tree(scene, other)
+        splats.scene = scene
+        if meshes is not None:
+            meshes.scene = other
+    return tree
+
+
+def tree_of(scene):
     """The scene's compositor, None where it has none."""
     if bpy.app.version >= (5, 0, 0):
         return scene.compositing_node_group
@@ -60,7 +96,6 @@ def _tree(scene):
 
 
 def _new_tree(scene):
-    """A compositor that shows the scene."""
     if bpy.app.version >= (5, 0, 0):
         tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositing", 'CompositorNodeTree')
         tree.interface.new_socket(name="Image", in_out='OUTPUT', socket_type='NodeSocketColor')
@@ -70,6 +105,7 @@ def _new_tree(scene):
         tree = scene.node_tree
         output = next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeComposite'), None)
         output = output or tree.nodes.new('CompositorNodeComposite')
+    tree[MADE] = True
     output.location = 1200, 0
     if not output.inputs[0].is_linked:
         layers = next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeRLayers'), None)
@@ -77,71 +113,77 @@ def _new_tree(scene):
     return tree
 
 
-def _splats_node(tree, scene, view_layer):
-    """The user's node for the view layer of the splats; a new one where there is none."""
-    for node in tree.nodes:
-        if node.bl_idname == 'CompositorNodeRLayers' and node.name != MESHES and node.scene in (None, scene) and node.layer in (
-                "", view_layer.name):
-            break
-    else:
-        node = tree.nodes.new('CompositorNodeRLayers')
-    node.scene, node.layer = scene, view_layer.name
-    return node
+def _joins(tree) -> list:
+    return [node for node in tree.nodes if node.bl_idname == 'CompositorNodeGroup' and node.node_tree and JOIN in node.node_tree]
 
 
-def _follow(other, scene, view_layer, engine):
-    """Let the scene of the meshes hold and show what the scene does, but for the splats."""
-    for name in KEPT:
-        setattr(other.render, name, getattr(scene.render, name))
-    for name in ("frame_start", "frame_end", "frame_step", "camera", "world"):
-        setattr(other, name, getattr(scene, name))
-    other.render.engine = engine
-    other.render.film_transparent = True
-    for name in ("view_transform", "look", "exposure", "gamma"):
-        setattr(other.view_settings, name, getattr(scene.view_settings, name))
-    layer = other.view_layers[0]
-    layer.use_pass_z = layer.use_pass_environment = True
-    helpers = holdout.helpers(scene)  # a native copy that the camera does not see is there for its shadows and reflections
-    wanted = {obj.name: obj for obj in _rendered(view_layer.layer_collection) if not objects.is_splat(obj) and (
-        obj.name not in helpers or (obj.fastgs.copy_of is not None and not obj.visible_camera))}
-    for obj in [obj for obj in other.collection.objects if obj.name not in wanted]:
-        other.collection.objects.unlink(obj)
-    for name, obj in wanted.items():
-        if name not in other.collection.objects:
-            other.collection.objects.link(obj)
+def _source(join, name: str):
+    """The node that a socket of the join is fed from."""
+    links = join.inputs[name].links
+    return links[0].from_node if links else None
 
 
-def _rendered(layer):
-    """The objects of a layer collection that final renders may show."""
-    if layer.exclude or layer.collection.hide_render:
-        return
-    yield from layer.collection.objects
-    for child in layer.children:
-        yield from _rendered(child)
-
-
-def _join(tree, splats, meshes, world: bool):
-    """Link both pictures to the node that joins them, and let all that used the splats' image use its."""
-    meshes.location = splats.location.x, splats.location.y - 420
-    join = tree.nodes.get(JOIN)
+def _join(tree, splats, scene, other, layer: str):
+    """Let all that uses the image of a Render Layers node use what it and the meshes make together."""
+    join = next((join for join in _joins(tree) if _source(join, "Splats") == splats), None)
     if join is None:
-        used = [link.to_socket for link in splats.outputs["Image"].links]
-        group = bpy.data.node_groups.new(JOIN, 'CompositorNodeTree')
-        composite_nodes.build(group)  # before a node shows it, which takes over the sockets' values
-        join = tree.nodes.new('CompositorNodeGroup')
-        join.node_tree = group
-        join.name = join.label = JOIN
-        join.location = splats.location.x + 400, splats.location.y
-    else:
-        composite_nodes.build(join.node_tree)
-        used, world = [], join.inputs["World"].is_linked
-    environment = next((s for s in meshes.outputs if s.identifier == "Env" or s.name in ("Environment", "Env")), None)
+        join = _new_join(tree, splats)
+    meshes = _source(join, "Meshes") or tree.nodes.new('CompositorNodeRLayers')
+    if (meshes.scene, meshes.layer) != (other, layer):
+        meshes.scene, meshes.layer = other, layer
+        meshes.name = meshes.label = MESHES
+        meshes.location = splats.location.x, splats.location.y - 420
+    image = meshes.outputs["Image"]
+    environment = next((s for s in meshes.outputs if s.enabled and "Env" in (s.identifier[:3], s.name[:3])), None)
+    lamp = next((s for s in meshes.outputs if s.enabled and s.name.endswith(mesh_scene.LAMP)), image)
     for name, socket in (
             ("Splats", splats.outputs["Image"]), ("Splat Alpha", splats.outputs["Alpha"]), ("Splat Depth", splats.outputs["Depth"]),
-            ("Splat Holdout", splats.outputs["Splat Holdout"]), ("Splat Shadow", splats.outputs.get("Splat Shadow")),
-            ("Meshes", meshes.outputs["Image"]), ("Mesh Alpha", meshes.outputs["Alpha"]), ("Mesh Depth", meshes.outputs["Depth"]),
-            ("World", environment if world else None)):
-        if socket is not None and socket.enabled:
+            ("Splat Holdout", splats.outputs.get("Splat Holdout")), ("Splat Shadow", splats.outputs.get("Splat Shadow")),
+            ("Meshes", image), ("Mesh Alpha", meshes.outputs["Alpha"]), ("Mesh Depth", meshes.outputs["Depth"]),
+            ("Lamp", lamp), ("World", environment)):
+        links = join.inputs[name].links
+        if socket is None or not socket.enabled:
+            for link in links:
+                tree.links.remove(link)
+        elif not links or links[0].from_socket != socket:
             tree.links.new(socket, join.inputs[name])
+    transparent = float(scene.render.film_transparent)
+    if join.inputs["Transparent"].default_value != transparent:
+        join.inputs["Transparent"].default_value = transparent
+
+
+def _new_join(tree, splats):
+    group = next((group for group in bpy.data.node_groups if JOIN in group and group.library is None), None)
+    if group is None:
+        group = bpy.data.node_groups.new(JOIN, 'CompositorNodeTree')
+        group[JOIN] = True
+        composite_nodes.build(group)  # before a node shows it, which takes over the sockets' values
+    used = [link.to_socket for link in splats.outputs["Image"].links]
+    join = tree.nodes.new('CompositorNodeGroup')
+    join.node_tree = group
+    join.name = join.label = JOIN
+    join.location = splats.location.x + 400, splats.location.y
     for socket in used:
         tree.links.new(join.outputs[0], socket)
+    return join
+
+
+def _part(scene):
+    """Take the joins out of the compositor, and the compositor itself if it was made here and holds nothing else."""
+    tree = tree_of(scene)
+    for join in _joins(tree) if tree else ():
+        splats, meshes, group = _source(join, "Splats"), _source(join, "Meshes"), join.node_tree
+        for socket in [link.to_socket for link in join.outputs[0].links] if splats else ():
+            tree.links.new(splats.outputs["Image"], socket)
+        for node in (join, meshes):
+            if node is not None:
+                tree.nodes.remove(node)
+        if not group.users:
+            bpy.data.node_groups.remove(group)
+    if tree is None or MADE not in tree or len(tree.nodes) > 2:
+        return
+    if bpy.app.version >= (5, 0, 0):
+        bpy.data.node_groups.remove(tree)
+    else:
+        tree.nodes.clear()
+        scene.use_nodes = False

@@ -2,12 +2,21 @@
 """Reads the meshes of an evaluated scene that hide splats, or catch their shadows, as triangles in the world."""
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from . import objects
 
 SURFACES = ('MESH', 'CURVE', 'SURFACE', 'FONT', 'META')
 """Types of objects that have triangles."""
+THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction'}
+"""Shaders that show what lies behind a surface."""
+
+
+def with_meshes(scene) -> bool:
+    """Whether final renders of a scene, evaluated or not, are joined with its meshes (composite.py)."""
+    return scene.fastgs.render_meshes != 'OFF' and scene.render.use_compositing
 
 
 def helpers(scene) -> set[str]:
@@ -27,8 +36,20 @@ def hidden_by(depsgraph, visible=lambda obj: True) -> np.ndarray | None:
     They are those of objects with Blender's Holdout, and of all others that the camera sees if the scene says so.
     visible(obj) may leave out more.
     """
-    layer, everything = depsgraph.view_layer, depsgraph.scene.fastgs.use_meshes
-    return triangles(depsgraph, lambda obj: (is_held_out(obj, layer) or (everything and obj.fastgs.hides_splats)) and visible(obj))
+    layer, everything = depsgraph.view_layer, depsgraph.scene.fastgs.use_meshes or with_meshes(depsgraph.scene)
+    clear = functools.cache(lets_light_through)
+    return triangles(depsgraph, lambda obj: (
+        is_held_out(obj, layer) or (everything and obj.fastgs.hides_splats and not clear(obj.original))) and visible(obj))
+
+
+def lets_light_through(obj) -> bool:
+    """Whether a material of an object may show what lies behind it.  Such an object hides no splats: it lies over them."""
+    nodes = [node for slot in obj.material_slots if slot.material and slot.material.node_tree for node in slot.material.node_tree.nodes]
+    if any(node.bl_idname in THROUGH for node in nodes):
+        return True
+    return any(socket.is_linked or socket.default_value != opaque
+               for node in nodes if node.bl_idname == 'ShaderNodeBsdfPrincipled'
+               for name, opaque in (("Alpha", 1.0), ("Transmission Weight", 0.0)) for socket in [node.inputs[name]])
 
 
 def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
@@ -43,6 +64,8 @@ def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
         if obj.type not in SURFACES or not instance.show_self or objects.is_splat(obj) or obj.name in aside:
             continue
         if obj.hide_render or maker.hide_render:  # what a viewport shows and no render
+            continue
+        if maker.original.indirect_only_get(view_layer=depsgraph.view_layer):
             continue
         if not (obj.visible_camera and maker.visible_camera and (wanted(maker) or (maker is not obj and wanted(obj)))):
             continue

@@ -184,8 +184,8 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
     copy_of: PointerProperty(
         name="Copy Of", description="The splat object whose current frame this object holds, for other engines", type=bpy.types.Object)
     hides_splats: BoolProperty(
-        name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on; switch it "
-        "off for glass, smoke and hair", default=True, override=_OWN, update=updates.viewports)
+        name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on. "
+        "What lets light through, such as glass, never hides them", default=True, override=_OWN, update=updates.viewports)
     mask: StringProperty(
         name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
     viewport_density: FloatProperty(
@@ -225,6 +225,15 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('PIXEL', "By Pixel", "In each pixel the one that is nearer there: nothing pops, and it takes the processor much longer", 1),
         ),
         default='CENTRE')
+    render_meshes: EnumProperty(
+        name="Render With Meshes", description="Render the scene's meshes too, by another engine, and join both pictures",
+        items=(
+            ('OFF', "Off", "Splats alone are rendered", 0),
+            ('CYCLES', "Cycles", "Path tracing: light, shadows and reflections of the meshes", 1),
+            ('EEVEE', "EEVEE", "Fast, needs a GPU", 2),
+        ), default='OFF', update=updates.meshes)
+    splats_scene: PointerProperty(
+        name="Splats", description="The scene whose meshes this one renders", type=bpy.types.Scene, options={'HIDDEN'})
     use_meshes: BoolProperty(
         name="Meshes Hide Splats", description="Leave out of final renders what of the splats lies behind the scene's meshes, which "
         "another engine renders. Objects and collections with Holdout hide splats in any case", default=False, update=updates.viewports)

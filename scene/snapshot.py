@@ -119,7 +119,8 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
         maker = instance.parent if instance.is_instance else obj
         if not (instance.show_self and objects.is_splat(obj) and visible(maker)):
             continue
-        if rendered and not (obj.visible_camera and maker.visible_camera):
+        if rendered and (not (obj.visible_camera and maker.visible_camera)
+                         or maker.original.indirect_only_get(view_layer=depsgraph.view_layer)):
             continue
         placement = model_space.placement(obj, instance.matrix_world)
         # an object whose geometry nodes make several kinds of geometry comes once for each kind, at the same place

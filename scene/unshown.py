@@ -2,7 +2,7 @@
 """Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
 from __future__ import annotations
 
-from . import composite, holdout, objects
+from . import holdout, objects
 
 SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
 """Types of objects that are surfaces."""
@@ -20,14 +20,14 @@ def objects_left_out(scene, view_layer) -> list:
 
 def meshes(scene, view_layer) -> str | None:
     """A sentence that names the meshes which are not rendered; None where there are none, or another scene renders them."""
-    if composite.is_set_up(scene):
+    if holdout.with_meshes(scene):
         return None
     left = [obj.name for obj in objects_left_out(scene, view_layer)]
     if not left:
         return None
     more = len(left) - NAMED
     names = ", ".join(left[:NAMED]) + (f" and {more} more" if more > 0 else "")
-    return f"FAST-GS does not render meshes: {names}. Set Up Composite lets another engine render them."
+    return f"FAST-GS does not render meshes: {names}. Render With Meshes lets another engine render them."
 
 
 def settings(scene, view_layer) -> list[str]:

@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 listeners: list[Callable[[], None]] = []
 """Called when viewports must be drawn again; the viewports add themselves."""
+mesh_listeners: list[Callable[[object], None]] = []
+"""Called with the scene when its *Render With Meshes* was chosen."""
 
 
 def viewports(group, context):
@@ -21,6 +23,13 @@ def viewports(group, context):
 def shown(group, context):
     """Update callback of properties on Object.fastgs: evaluate again what shows the object, also where a script has set the property."""
     group.id_data.update_tag()
+    viewports(group, context)
+
+
+def meshes(group, context):
+    """Update callback of *Render With Meshes*: set up what joins splats and meshes, or take it away."""
+    for listener in mesh_listeners:
+        listener(group.id_data)
     viewports(group, context)
 
 

@@ -42,13 +42,13 @@ def main():
     assert addon_utils.enable(ADDON, default_set=True) is not None
     scene = build()
     pictures = {"splats": render(scene)}
-    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    scene.fastgs.render_meshes = 'CYCLES'
     meshes = bpy.data.scenes[f"{scene.name} Meshes"]
     meshes.cycles.samples, meshes.cycles.use_denoising = 48, False
-    scene.render.use_compositing = False
+    shadow = image_files.read_exr(file(scene, "EXR"))["ViewLayer.Splat Shadow"][..., 0]
+    scene.render.use_compositing, scene.fastgs.use_meshes = False, True
     pictures["splats that the meshes hide"] = render(scene)
     pictures["meshes, by Cycles"] = render(meshes)
-    shadow = image_files.read_exr(file(scene, "EXR"))["ViewLayer.Splat Shadow"][..., 0]
     pictures["pass Splat Shadow"] = np.repeat(shadow[..., None], 3, -1)
     scene.render.use_compositing = True
     tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree

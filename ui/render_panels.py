@@ -7,7 +7,7 @@ import bpy
 from ..fastgs_blender.rendering.passes import PASSES
 from ..fastgs_blender.util.backends import describe_backend
 from ..fastgs_blender.util.threads import available
-from ..scene import devices, holdout, objects, settings, unshown
+from ..scene import devices, holdout, mesh_scene, objects, settings, unshown
 from . import facts
 from .object_panels import draw_other_engine, draw_rows, draw_trouble
 
@@ -29,7 +29,7 @@ def draw_unshown(layout, context):
     if meshes:
         col = layout.box().column(align=True)
         draw_trouble(col, context, meshes)
-        col.operator_menu_enum("fastgs.set_up_composite", "engine", icon='NODE_COMPOSITING')
+        col.prop_menu_enum(scene.fastgs, "render_meshes", icon='NODE_COMPOSITING')
     for text in unshown.settings(scene, layer):
         draw_trouble(layout, context, text, 'INFO')
 
@@ -47,6 +47,21 @@ def draw_device(layout, context):
         draw_rows(layout, [("GPU", describe_backend(name))])
     if remark:
         draw_trouble(layout, context, remark, 'INFO')
+
+
+def draw_meshes(layout, scene):
+    """Draw what renders the meshes, with the settings of that engine that matter most."""
+    col = layout.column(align=True)
+    col.use_property_split = False
+    col.label(text="Render With Meshes")
+    col.row(align=True).prop(scene.fastgs, "render_meshes", expand=True)
+    other = mesh_scene.of(scene)
+    if other is not None and other.render.engine == 'CYCLES':
+        col = layout.column(align=True)
+        col.prop(other.cycles, "samples", text="Mesh Samples")
+        col.prop(other.cycles, "use_denoising", text="Denoise Meshes")
+    elif other is not None:
+        layout.prop(other.eevee, "taa_render_samples", text="Mesh Samples")
 
 
 def draw_threads(layout, render):
@@ -74,6 +89,7 @@ class FASTGS_PT_render(_Engine, bpy.types.Panel):
         layout.prop(context.scene.fastgs, "sorting")
         draw_threads(layout, context.scene.render)
         draw_rows(layout, facts.scene_facts(context.scene))
+        draw_meshes(layout, context.scene)
         draw_unshown(layout, context)
 
 
@@ -85,7 +101,9 @@ class FASTGS_PT_film(_Engine, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
-        layout.prop(context.scene.fastgs, "use_meshes")
+        row = layout.row()
+        row.active = not holdout.with_meshes(context.scene)
+        row.prop(context.scene.fastgs, "use_meshes")
 
 
 class FASTGS_PT_motion_blur(_Engine, bpy.types.Panel):
@@ -142,8 +160,8 @@ class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
         col.active = settings.shadow_light is not None
         col.prop(settings, "shadow_samples")
         col.prop(settings, "shadow_bias")
-        if settings.shadow_light is not None and not context.view_layer.fastgs.use_pass_shadow:
-            draw_trouble(layout, context, "Set Up Composite, or switch on the pass Splat Shadow", 'INFO')
+        if not (settings.shadow_light is None or context.view_layer.fastgs.use_pass_shadow or holdout.with_meshes(context.scene)):
+            draw_trouble(layout, context, "Choose Render With Meshes, or switch on the pass Splat Shadow", 'INFO')
 
 
 class FASTGS_PT_passes(_Engine, bpy.types.Panel):
@@ -174,7 +192,7 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
         layout.prop(context.object, "visible_camera", text="Camera")
         if context.object.type in holdout.SURFACES and not objects.is_splat(context.object):
             row = layout.row()
-            row.active = context.scene.fastgs.use_meshes
+            row.active = context.scene.fastgs.use_meshes or holdout.with_meshes(context.scene)
             row.prop(context.object.fastgs, "hides_splats")
 
 

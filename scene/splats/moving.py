@@ -14,7 +14,7 @@ from ...fastgs_blender.rendering.crops import kept_by
 from ...fastgs_blender.rendering.filters import hidden
 from ...fastgs_blender.rendering.looks import look_numbers
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, objects, point_edits, snapshot
+from .. import mesh_scene, model_space, objects, point_edits, snapshot
 from ..colour import rec709_to_working
 from ..time import shown_frames
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, NONE, OFFSET, RADIUS
@@ -55,6 +55,9 @@ def follow(scene, depsgraph=None) -> None:
     there = {obj.data.session_uid for obj in splats if obj.data is not None}
     for key in [key for key in _chosen if key[0] not in there]:
         _chosen.pop(key, None)  # a render runs in a thread of its own
+    if depsgraph is not None and mesh_scene.is_one(depsgraph.scene):
+        mesh_scene.hide(depsgraph)
+        return
     for obj in splats if depsgraph is not None else ():
         evaluated = obj.evaluated_get(depsgraph)
         if obj.rigid_body and depsgraph.mode == 'VIEWPORT':  # its mesh stays from frame to frame (bodies.py)

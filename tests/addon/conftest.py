@@ -281,3 +281,24 @@ def told(module, monkeypatch):
     found = []
     monkeypatch.setattr(module("scene.notices"), "tell", found.append)
     return found
+
+
+@pytest.fixture
+def screen(fg, model_file, splat_object):
+    """A screen of opaque red Gaussians at y = 0, which a camera at y = -5 sees everywhere; its object."""
+    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-3, 3, 70), np.linspace(-3, 3, 70)))
+    n = len(x)
+    model = fg.GaussianModel(position=np.stack([x, np.zeros(n), z], 1), rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+                             scale=np.full((n, 3), -2.4), opacity=np.full(n, 6.0), features=np.tile((0.9, 0.1, 0.1), (n, 1)))
+    return splat_object(model_file(model))
+
+
+@pytest.fixture
+def warned(caplog):
+    """warned(): the sentences that the last render has told."""
+    def texts():
+        found = [record.message for record in caplog.records if record.levelname == "WARNING"]
+        caplog.clear()
+        return found
+
+    return texts

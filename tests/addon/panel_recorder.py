@@ -78,14 +78,15 @@ class Layout:
     def label(self, text="", icon='NONE', translate=True):
         self._note("label", text, icon, text_width(text) + (PADDING / 2 if text else 0))
 
-    def prop(self, data, name, text=None, icon='NONE', icon_only=False):
+    def prop(self, data, name, text=None, icon='NONE', icon_only=False, expand=False):
         assert name in data.bl_rna.properties, name
         known = data.bl_rna.properties[name]
         label = known.name if text is None else text
         beside = self.use_property_split and bool(label)
         if known.type == 'ENUM':
             words = [text_width(item.name) for item in known.enum_items] or [NAME]
-            field = 2 * UNIT if icon_only else max(words) + UNIT + PADDING
+            field = len(words) * (max(words) + PADDING) if expand else 2 * UNIT if icon_only else max(words) + UNIT + PADDING
+            label = "" if expand else label
         else:
             field = {'BOOLEAN': UNIT, 'INT': NUMBER, 'FLOAT': NUMBER}.get(known.type, NAME)
         if beside and known.type == 'BOOLEAN':
@@ -114,6 +115,11 @@ class Layout:
         label = getattr(getattr(bpy.ops, module), function).get_rna_type().name if text is None else text
         self._note("operator", name, icon, text_width(label) + PADDING if label else 0, label)
         return SimpleNamespace()
+
+    def prop_menu_enum(self, data, name, text=None, icon='NONE'):
+        assert name in data.bl_rna.properties, name
+        label = data.bl_rna.properties[name].name if text is None else text
+        self._note("prop_menu_enum", name, icon, text_width(label) + PADDING + UNIT, label)
 
     def operator_menu_enum(self, name, prop, text=None, icon='NONE'):
         module, function = name.split(".")

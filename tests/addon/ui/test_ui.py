@@ -232,12 +232,12 @@ def test_button_for_the_engine_only_where_another_is_used(panels, obj, scene):
 
 @pytest.mark.parametrize("panel", ["FASTGS_PT_render", "FASTGS_PT_viewport"])
 def test_meshes_that_are_not_rendered_are_told_beside_the_button(panels, obj, scene, panel):
-    assert "fastgs.set_up_composite" not in texts(drawn(panels[panel]), "operator")
+    assert "render_meshes" not in texts(drawn(panels[panel]), "prop_menu_enum")
     bpy.ops.mesh.primitive_cube_add()
     bpy.context.object.name = "Chair"
     record = drawn(panels[panel])
-    assert "Chair" in " ".join(texts(record)) and "fastgs.set_up_composite" in texts(record, "operator")
-    bpy.ops.fastgs.set_up_composite(engine='CYCLES')
+    assert "Chair" in " ".join(texts(record)) and "render_meshes" in texts(record, "prop_menu_enum")
+    scene.fastgs.render_meshes = 'CYCLES'
     assert "Chair" not in " ".join(texts(drawn(panels[panel])))
 
 

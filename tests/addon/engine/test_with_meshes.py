@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""*Render With Meshes*: another engine renders the meshes, the compositor joins both, and nothing has to be pressed again."""
+from __future__ import annotations
+
+import bpy
+import image_files
+import numpy as np
+import pytest
+
+MIDDLE = slice(21, 27)
+"""The middle rows of a picture."""
+
+
+@pytest.fixture
+def shine(scene):
+    """shine(obj, colour, alpha=1): the object's surface sends out light of this colour, whatever the lamps, and lets the rest through."""
+    def make(obj, colour, alpha=1.0):
+        material = bpy.data.materials.new("Shine")
+        if bpy.app.version < (5, 0, 0):
+            material.use_nodes = True
+        tree = material.node_tree
+        emission, mix = tree.nodes.new('ShaderNodeEmission'), tree.nodes.new('ShaderNodeMixShader')
+        emission.inputs["Color"].default_value, mix.inputs["Fac"].default_value = (*colour, 1), alpha
+        surface = emission.outputs[0]
+        if alpha < 1:
+            tree.links.new(tree.nodes.new('ShaderNodeBsdfTransparent').outputs[0], mix.inputs[1])
+            tree.links.new(surface, mix.inputs[2])
+            surface = mix.outputs[0]
+        tree.links.new(surface, tree.get_output_node('ALL').inputs["Surface"])
+        obj.data.materials.append(material)
+        return obj
+
+    return make
+
+
+@pytest.fixture
+def wall(add, shine):
+    """wall(x, y, colour, size=1.6, **options): a shining square across the view, before the screen of splats where y is negative."""
+    return lambda x, y, colour, size=1.6, **options: shine(
+        add("plane", size=size, location=(x, y, 0), rotation=(np.pi / 2, 0, 0)), colour, **options)
+
+
+@pytest.fixture
+def sky(scene):
+    """A world of one colour."""
+    world = scene.world = bpy.data.worlds.new("World")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.2, 0.3, 0.4, 1)
+
+
+@pytest.fixture
+def choose(scene, module):
+    """choose(engine='CYCLES', of=scene): what the panel's menu does; returns the scene of the meshes, with few samples."""
+    def run(engine='CYCLES', of=scene):
+        of.fastgs.render_meshes = engine
+        other = module("scene.mesh_scene").of(of)
+        other.cycles.samples, other.cycles.use_denoising = 4, False
+        return other
+
+    scene.view_settings.view_transform = 'Raw'
+    return run
+
+
+def tree_of(scene):
+    if bpy.app.version >= (5, 0, 0):
+        return scene.compositing_node_group
+    return scene.node_tree if scene.use_nodes else None
+
+
+def column(x, y=0.0, lens=30.0):
+    """The column of a 64 pixels wide picture in which a place is seen from a camera at y = -5."""
+    return int(32 + x / (5 + y) * lens / 36 * 64)
+
+
+def test_meshes_are_joined_by_depth(scene, screen, wall, sky, add_camera, choose, render, warned):
+    """A green plane before the splats on the left, a blue one behind them on the right, a white one that is added later."""
+    add_camera(lens=30.0)
+    scene.view_settings.view_transform = 'Raw'
+    wall(-1.5, -1.0, (0, 1, 0)).name = "Before"
+    wall(1.5, 1.0, (0, 0, 1)).name = "Behind"
+    screen.scale = (1, 1, 0.25)  # leaves the world above and below
+    alone = render("PNG16")
+    assert "meshes: Before, Behind" in warned()[0]
+    choose()
+    picture = render("PNG16")
+    assert not any("meshes" in text for text in warned())
+    np.testing.assert_allclose(picture[MIDDLE, column(-1.5, -1)][:, :3], np.tile((0, 1, 0), (6, 1)), atol=0.02)
+    np.testing.assert_allclose(picture[MIDDLE, column(1.5, 1)][:, :3], alone[MIDDLE, column(0.25)][:, :3], atol=0.03)
+    np.testing.assert_allclose(picture[2, 2, :3], (0.2, 0.3, 0.4), atol=0.02)
+    np.testing.assert_allclose(picture[2, 2, :3], alone[2, 2, :3], atol=0.02)
+    left = alone[MIDDLE].mean(0)[:32], picture[MIDDLE].mean(0)[:32]
+    assert np.abs(np.diff(left[1][:, :3], axis=0)).max() > 0.2, "there is something to see"
+    share = left[1][:, 0] / left[0][:, 0]
+    green = left[1][:, 1] - share * left[0][:, 1]
+    np.testing.assert_allclose(share + green, 1, atol=0.1, err_msg="no fringe along the edges, dark or light")
+    wall(0, -1, (1, 1, 1), size=0.5)
+    np.testing.assert_allclose(render("PNG16")[24, 32, :3], 1, atol=0.02)
+    scene.render.film_transparent = True
+    clear = render("PNG16")
+    assert clear[2, 2, 3] == 0 and clear[24, 32, 3] > 0.99
+
+
+def test_off_takes_everything_away(scene, screen, add, add_camera, choose, render):
+    add_camera()
+    add("cube")
+    layer = bpy.context.view_layer
+    before = {kind: len(getattr(bpy.data, kind)) for kind in ("scenes", "node_groups", "objects", "collections", "worlds")}
+    plain = render("PNG16")
+    settings = [scene.render.film_transparent, scene.render.use_compositing, layer.use_pass_z, layer.fastgs.use_pass_holdout,
+                scene.fastgs.use_meshes]
+    choose()
+    assert len(bpy.data.scenes) == 2
+    scene.fastgs.render_meshes = 'OFF'
+    assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before and tree_of(scene) is None
+    assert settings == [scene.render.film_transparent, scene.render.use_compositing, layer.use_pass_z, layer.fastgs.use_pass_holdout,
+                        scene.fastgs.use_meshes]
+    np.testing.assert_array_equal(render("PNG16"), plain)
+
+
+def test_it_is_one_step_of_undo(scene, screen, add, add_camera):
+    add_camera()
+    add("cube")
+    bpy.ops.ed.undo_push(message="before")
+    scene.fastgs.render_meshes = 'CYCLES'
+    bpy.ops.ed.undo_push(message="Render With Meshes")
+    assert len(bpy.data.scenes) == 2
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert scene.fastgs.render_meshes == 'OFF' and len(bpy.data.scenes) == 1 and not tree_of(scene)
+
+
+def test_the_meshes_scene_is_in_step(scene, screen, add, add_camera, choose):
+    """Whatever is changed after *Render With Meshes* was chosen, at the latest when a render begins, as in `blender -b`."""
+    camera = add_camera()
+    other = choose()
+    left = bpy.data.objects.new("Left", bpy.data.cameras.new("Left"))
+    scene.collection.objects.link(left)
+    scene.timeline_markers.new("cut", frame=1).camera = left
+    scene.render.resolution_x, scene.render.use_motion_blur, scene.render.motion_blur_shutter = 48, True, 1.25
+    scene.render.motion_blur_position = 'START'
+    scene.render.motion_blur_shutter_curve.curves[0].points[1].location = (0.3, 0.4)
+    scene.render.use_multiview, scene.render.views_format = True, 'MULTIVIEW'
+    scene.render.views.new("third").camera_suffix = "_T"
+    scene.view_layers[0].name = "Renamed"
+    scene.view_layers.new("Second").use = False
+    bpy.ops.render.render()
+    for name in ("resolution_x", "use_motion_blur", "motion_blur_shutter", "motion_blur_position", "use_multiview", "views_format"):
+        assert getattr(other.render, name) == getattr(scene.render, name), name
+    assert [tuple(p.location) for p in other.render.motion_blur_shutter_curve.curves[0].points] == [
+        tuple(p.location) for p in scene.render.motion_blur_shutter_curve.curves[0].points]
+    assert [(marker.frame, marker.camera) for marker in other.timeline_markers] == [(1, left)] and other.camera in (camera, left)
+    assert other.render.views["third"].camera_suffix == "_T"
+    assert {(layer.name, layer.use) for layer in other.view_layers} == {("Renamed", True), ("Second", False)}
+    assert other.render.film_transparent and not scene.render.film_transparent
+
+
+def test_flags_of_collections_count_for_meshes(scene, screen, wall, add_camera, choose, render):
+    """A wall in a collection that only reflects is not seen; one in a holdout hides splats and is a hole."""
+    add_camera(lens=30.0)
+    scene.render.film_transparent = True
+    for name, x in (("Reflected", -1.5), ("Held", 1.5)):
+        inside = bpy.data.collections.new(name)
+        scene.collection.children.link(inside)
+        obj = wall(x, -1.0, (0, 1, 0))
+        inside.objects.link(obj)
+        scene.collection.objects.unlink(obj)
+    choose()
+    layers = bpy.context.view_layer.layer_collection.children
+    layers["Reflected"].indirect_only = layers["Held"].holdout = True
+    picture = render("PNG16")
+    assert picture[24, column(-1.5, -1), 0] > 0.7 and picture[24, column(-1.5, -1), 1] < 0.2
+    assert picture[24, column(1.5, -1), 3] < 0.02
+
+
+def test_splats_are_no_points_in_the_meshes_picture(scene, screen, add, add_camera, choose, tmp_path):
+    """Neither the object's own nor those of a collection that is instanced, nor a native copy; a copy for shadows alone stays."""
+    add_camera()
+    inside = bpy.data.collections.new("Inside")
+    inside.objects.link(screen)
+    scene.collection.objects.unlink(screen)
+    maker = bpy.data.objects.new("Maker", None)
+    maker.instance_type, maker.instance_collection = 'COLLECTION', inside
+    scene.collection.objects.link(maker)
+    other = choose()
+    scene.render.use_compositing = False
+    image_files.set_output(other, "PNG")
+    other.render.filepath = str(tmp_path / "meshes.png")
+    bpy.ops.render.render(write_still=True, scene=other.name)
+    assert not image_files.read_png(other.render.filepath)[..., 3].any()
+    assert screen.visible_camera and screen.visible_shadow, "nothing of the open file is changed"
+
+
+def test_each_view_layer_has_its_meshes(scene, screen, wall, add_camera, choose, render, compositor):
+    add_camera(lens=30.0)
+    scene.render.film_transparent = True
+    near = bpy.data.collections.new("Near")
+    scene.collection.children.link(near)
+    obj = wall(-1.5, -1.0, (0, 1, 0))
+    near.objects.link(obj)
+    scene.collection.objects.unlink(obj)
+    wall(1.5, -1.0, (0, 0, 1))
+    second = scene.view_layers.new("Second")
+    second.layer_collection.children["Near"].exclude = True
+    tree = tree_of(scene)
+    also = tree.nodes.new('CompositorNodeRLayers')
+    also.scene, also.layer = scene, "Second"
+    blur = tree.nodes.new('CompositorNodeBlur')
+    tree.links.new(also.outputs["Image"], blur.inputs["Image"])
+    compositor.show("Image")
+    choose()
+    output = next(node for node in tree.nodes if node.inputs and not node.outputs)
+    first = render("PNG16")
+    assert first[24, column(-1.5, -1), 1] > 0.9 and first[24, column(1.5, -1), 2] > 0.9
+    tree.links.new(blur.inputs["Image"].links[0].from_socket, output.inputs[0])
+    picture = render("PNG16")
+    assert picture[24, column(-1.5, -1), 1] < 0.2 and picture[24, column(1.5, -1), 2] > 0.9
+
+
+def test_a_copied_scene_gets_meshes_of_its_own(scene, screen, wall, add_camera, choose, module):
+    add_camera()
+    wall(0, -1.0, (0, 1, 0))
+    other = choose()
+    copy = scene.copy()
+    module("scene.composite").follow(copy)
+    mine = module("scene.mesh_scene").of(copy)
+    assert mine not in (None, other) and len(bpy.data.scenes) == 4
+    for owner, meshes in ((scene, other), (copy, mine)):
+        shown = {node.scene for node in tree_of(owner).nodes if node.bl_idname == 'CompositorNodeRLayers'}
+        assert shown == {owner, meshes}
+
+
+@pytest.mark.parametrize("y", [-1.0, 1.0])
+def test_what_lets_light_through_lies_over_the_splats(scene, screen, wall, add_camera, choose, render, y):
+    """A green wall of alpha 0.4 before the splats, and one behind them, which these hide."""
+    add_camera()
+    alone = render("PNG16")[24, 32, :3]
+    wall(0, y, (0, 1, 0), alpha=0.4)
+    choose().cycles.samples = 64
+    expected = 0.6 * alone + 0.4 * np.array((0, 1, 0)) if y < 0 else alone
+    np.testing.assert_allclose(render("PNG16")[20:28, 28:36, :3].mean((0, 1)), expected, atol=0.03)
+
+
+def test_both_eyes_have_meshes(scene, screen, wall, add_camera, choose, render):
+    add_camera(lens=30.0)
+    wall(0, -3.0, (0, 1, 0), size=0.5)
+    scene.render.use_multiview = True
+    choose()
+    scene.render.image_settings.views_format = 'STEREO_3D'
+    scene.render.image_settings.stereo_3d_format.display_mode = 'SIDEBYSIDE'
+    picture = render("PNG16")
+    half = picture.shape[1] // 2
+    for eye in (picture[:, :half], picture[:, half:]):
+        assert (eye[24, :, 1] > 0.9).any()
+
+
+def test_a_shadow_takes_the_light_of_its_lamp_alone(scene, fg, model_file, splat_object, add, paint, sky, add_camera, choose, render):
+    """A white plane under a sun and a world: where the ball's shadow falls it is as bright as without the sun."""
+    ball = fg.GaussianModel(position=[[1, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[9.0],
+                            features=[[0.9, 0.1, 0.1]])
+    splat_object(model_file(ball))
+    add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
+    paint(add("plane", size=40))
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    lamp.rotation_euler.y, lamp.data.energy = np.pi / 4, 1.0  # from the side of x
+    scene.collection.objects.link(lamp)
+    scene.fastgs.shadow_light = lamp
+    choose().cycles.samples = 32
+    x, y = int(32 - 1 * 6.4), 24
+    lit, through = render("PNG16"), render()["ViewLayer.Splat Shadow"][y, x, 0]
+    lamp.data.energy = 0
+    dark = render("PNG16")
+    sun = lit[y, 60, :3] - dark[y, 60, :3]
+    assert dark[y, x].min() > 0.1 and sun.min() > 0.1 and through < 0.5
+    np.testing.assert_allclose(lit[y, x, :3], dark[y, x, :3] + through * sun, atol=0.04)
+    lamp.data.energy = 1.0
+    tree_of(scene).nodes["FAST-GS Join"].inputs["Shadow Strength"].default_value = 0.0
+    np.testing.assert_allclose(render("PNG16")[y, x, :3], lit[y, 60, :3], atol=0.05)
+
+
+def test_the_users_nodes_stay(scene, screen, add, add_camera, compositor, choose):
+    add_camera()
+    add("cube")
+    compositor.show("Image")
+    tree = tree_of(scene)
+    blur = tree.nodes.new('CompositorNodeBlur')
+    output = next(node for node in tree.nodes if node.inputs and not node.outputs)
+    tree.links.new(compositor.layers.outputs["Image"], blur.inputs["Image"])
+    tree.links.new(blur.outputs["Image"], output.inputs[0])
+    before = {node.name for node in tree.nodes}
+    choose()
+    assert before <= {node.name for node in tree.nodes}
+    assert output.inputs[0].links[0].from_node == blur
+    assert blur.inputs["Image"].links[0].from_node.name.startswith("FAST-GS ")
+    scene.fastgs.render_meshes = 'OFF'
+    assert {node.name for node in tree.nodes} == before and blur.inputs["Image"].links[0].from_node == compositor.layers
