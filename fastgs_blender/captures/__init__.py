@@ -10,6 +10,7 @@ import contextlib
 import importlib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -18,6 +19,7 @@ from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
 from .clocks.files import read_clocks
+from .clocks.timecode import timecode_offsets
 
 LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "metashape", "qualisys", "toml", "colmap", "opencv",
            "realityscan", "folders")
@@ -64,19 +66,28 @@ def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames:
     """The capture in a folder (or in a file of a layout that has one).
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
-    offsets  of the cameras' clocks, in frames (see Options); None: those in sync.json beside the capture, where there is one
+    offsets  of the cameras' clocks, in frames (see Options); None: those in sync.json beside the capture or, where there is none, those
+             of the films' timecode
     Raises FastGSError where the folder is no capture, or its description cannot be read; pixels.checks.check() looks at its pictures.
 
     Example:
         capture = fg.open_capture("my-capture", scale=0.5, frames=slice(0, 2))
     """
     path = _existing(path)
-    if offsets is None:
-        clocks = read_clocks(path)
-        offsets = {} if clocks is None else clocks.offsets
-    options = Options(scale, frames, held_out, offsets)
+    clocks = read_clocks(path) if offsets is None else None
+    options = Options(scale, frames, held_out, (clocks.offsets if clocks else {}) if offsets is None else offsets)
     with reading(path, "its description is damaged, so copy or export it again"):
-        return identify(path, layout).load(path, options)
+        module = identify(path, layout)
+        capture = module.load(path, options)
+        if offsets is None and clocks is None and (first := timecode_offsets(capture)):
+            capture = module.load(path, replace(options, offsets=first))
+            capture.notes.append("these clocks are those of the films' timecode, right to about a frame; fastgs sync refines them")
+        return capture
+
+
+def first_clocks(path: str | os.PathLike, layout: str | None = None) -> Mapping[str, float]:
+    """The offsets that the films' timecode gives, whatever sync.json says; none where they have none."""
+    return timecode_offsets(open_capture(path, layout=layout, offsets={}))
 
 
 def _existing(path: str | os.PathLike) -> Path:

@@ -231,7 +231,7 @@ def _by_the_clocks(entries: Sequence[Entry], offsets: Mapping[str, float]) -> tu
         elif frame in moments:
             moved.append(replace(entry, frame=frame, t=moments[frame]))
     listed = ", ".join(f"{name} {offset:+.3g}" for name, offset in beside.items())
-    return moved, [f"clocks differ, by sync.json, in frames: {listed}"]
+    return moved, [f"clocks differ, in frames: {listed}"]
 
 
 def check_count(path, frames: int, cameras: int = 1) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from ..captures import open_capture
 from ..util.arguments import file_path, listener
@@ -42,7 +41,7 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
         low, high = WEIGHTS[stage]
         report(stage, low + (high - low) * min(share, 1.0))
 
-    looked = Looked(capture, Path(path), layout, scale, frames, at)
+    looked = Looked(capture, at)
     look(looked)
     sections = {}
     for name in CHECKS:

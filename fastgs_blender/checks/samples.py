@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -49,15 +48,11 @@ class Sample:
 class Looked:
     """A capture and its sampled pictures; checks ask it for pictures and matches.
 
-    path, layout, scale, frames  to open the capture again; progress(stage, share) is called while something takes long, share in 0..1
+    progress(stage, share) is called while something takes long, share in 0..1
     samples       by view, ordered by time
     """
 
     capture: Capture
-    path: Path
-    layout: str | None = None
-    scale: float | None = None
-    frames: slice | None = None
     progress: Callable[[str, float], None] = lambda stage, share: None
     samples: dict[str, list[Sample]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)

@@ -2,11 +2,7 @@
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
 from __future__ import annotations
 
-import numpy as np
-
-from ..captures import Capture, open_capture
 from ..captures.clocks.curves import activity, moving
-from ..captures.clocks.files import read_clocks
 from ..captures.clocks.find import LEAST, SURE, find_offsets, stated_offsets
 from ..util.errors import FastGSError
 from . import drawing
@@ -29,14 +25,16 @@ def run(looked: Looked) -> Section:
         section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
         return section
     try:
-        found = find_offsets(_as_filmed(looked), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
+        found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
     except FastGSError as error:
         reason = str(error).partition(": ")[2] or str(error)
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs "
                                                                                     "sync on that "
                     "part of it; else look at two cameras side by side.")
         return section
-    _judge(section, found, _known(looked))
+    stated = stated_offsets(capture.shots, count)
+    off = {view: value - stated[view] for view, value in found.measured.items()}
+    _judge(section, found, off)
     if found.curves is not None:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
         if lines:
@@ -45,7 +43,7 @@ def run(looked: Looked) -> Section:
                                                            "run together rise and fall "
                                                            "together.", lines, "frames", "motion", found.curves.first))
     spread = found.clocks.uncertainty
-    offsets = {view: found.measured[view] for view in capture.views if view in spread and view not in found.lost}
+    offsets = {view: off[view] for view in capture.views if view in spread and view not in found.lost}
     section.columns = {"Clock": {view: f"{offsets[view]:+.2f} ± {spread[view]:.2f} frames" if view in offsets else "unsure"
                                  for view in capture.views}}
     section.measures = {"offsets_frames": {view: round(value, 4) for view, value in offsets.items()}, "found_by": found.clocks.found_by,
@@ -54,25 +52,9 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def _as_filmed(looked: Looked) -> Capture:
-    """The middle of the capture, with no offsets applied."""
-    part = None if looked.frames is None else slice(looked.frames.start, looked.frames.stop)
-    return open_capture(looked.path, scale=looked.scale, frames=part, layout=looked.layout, offsets={}).middle(FRAMES)
-
-
-def _known(looked: Looked) -> dict[str, float]:
-    """The offsets that training will use anyway, by view, with the median 0: of sync.json, or of times that the layout states."""
-    clocks, capture = read_clocks(looked.path), looked.capture
-    if clocks is None:
-        return stated_offsets(capture.shots, capture.clip.frame_count)
-    offsets = {view: clocks.offsets.get(view, 0.0) for view in capture.views}
-    middle = float(np.median(list(offsets.values())))
-    return {view: value - middle for view, value in offsets.items()}
-
-
-def _judge(section: Section, found, known) -> None:
+def _judge(section: Section, found, off: dict[str, float]) -> None:
     for view, deviation in found.clocks.uncertainty.items():
-        value = found.measured[view] - known.get(view, 0.0)
+        value = off[view]
         if view in found.lost or abs(value) <= max(LEAST, SURE * deviation):
             continue
         way = "ahead of" if value > 0 else "behind"

@@ -11,6 +11,8 @@ them.  The picture sync.png shows how much changes from picture to picture in ea
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ..util.errors import FastGSError
 from ..util.progress import progress
 from ..util.screen import screen
@@ -28,7 +30,7 @@ def add_arguments(parser):
 
 
 def run(args):
-    from ..captures import open_capture
+    from ..captures import first_clocks, open_capture
     from ..captures.clocks import files
     from ..captures.clocks.curves import curves
     from ..captures.clocks.find import find_offsets
@@ -40,19 +42,21 @@ def run(args):
     part = frames_slice(args.frames)
     if part is not None and part.step != 1:
         raise FastGSError(f"--frames {args.frames} skips frames, and clocks are compared from frame to frame; give A:B without a step.")
-    capture = open_capture(args.capture, layout=args.layout, offsets={}, frames=part)
+    first = first_clocks(args.capture, args.layout)
+    capture = open_capture(args.capture, layout=args.layout, offsets=first, frames=part)
     check(capture)
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
     with progress(len(capture), "picture", "comparing", quiet=args.quiet) as bar:
         try:
             found = find_offsets(capture, args.by, bar.to)
-            clocks, shown, lost = found.clocks, found.curves, found.lost
+            offsets = {view: first.get(view, 0.0) + offset for view, offset in found.clocks.offsets.items()}
+            clocks, shown, lost = replace(found.clocks, offsets=offsets), found.curves, found.lost
         except FastGSError as error:
             if not refine or args.by != "auto" or "nothing moves" in str(error) or "one camera" in str(error):
                 raise
             note(f"{error} The training begins with equal clocks.")
-            clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0), {}, "training"), None
+            clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0) | dict(first), {}, "training"), None
     if refine:
         from ..training.run.clocks import STEPS, refined
 
@@ -72,7 +76,7 @@ def run(args):
                               "compared. Nothing was written. Film something that moves fast before all of them, or clap or flash a lamp.")
     path = files.write_clocks(capture.path, clocks)
     picture = path.with_suffix(".png")
-    write_plot(picture, curves(capture) if shown is None else shown, clocks.offsets)
+    write_plot(picture, curves(capture) if shown is None else shown, {view: o - first.get(view, 0.0) for view, o in clocks.offsets.items()})
     if args.json:
         print_json({"file": str(path), "picture": str(picture), "found_by": clocks.found_by, "offsets": dict(clocks.offsets),
                     "uncertainty": dict(clocks.uncertainty), "lost": list(lost)})

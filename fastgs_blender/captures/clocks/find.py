@@ -28,7 +28,7 @@ best of several shifts: in 15 frames almost only equal curves are."""
 SURE, LEAST = 3.0, 0.1
 """An offset counts where it is so many standard deviations from 0, and so many frames."""
 VAGUE = 0.15
-"""Standard deviation, in frames, beyond which epipolar planes leave a clock unsure whose offset does not count."""
+"""Standard deviation, in frames, beyond which motion leaves a clock unsure whose offset does not count."""
 FLASH_ERROR, CURVES_ERROR = 0.3, 1.0
 """Standard deviations in frames of what a flash gives, and of what curves of motion give, which are only alike (genlocked people before
 four cameras: up to 2 frames)."""
@@ -51,7 +51,7 @@ class Found:
 
 
 def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None) -> Found:
-    """The offsets of a capture that was opened without any (open_capture(path, offsets={})).
+    """The offsets of a capture against those that it was opened with; of one without any, open_capture(path, offsets={}), its offsets.
 
     way       "auto", "sound", "flash" or "motion"; auto: sound where all cameras have some and it is clear; else motion where poses are
               known and enough moves; else a flash; else motion
@@ -112,7 +112,7 @@ def _by_curves(capture: Capture, shown: Curves) -> Found:
         raise FastGSError(f"{capture.path}: nothing moves in the pictures of {some} of its cameras, so clocks cannot be compared; choose "
                           "a part of the clip in which something moves, or clap or flash a lamp when you film.")
     found = _settled(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion")
-    if len(found.lost) == len(shown.views):
+    if not found.measured:
         raise FastGSError(f"{capture.path}: what moves looks too different from camera to camera for their clocks to be compared; choose a "
                           "longer part of the clip, or clap or flash a lamp when you film.")
     return found
@@ -140,7 +140,8 @@ def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: lis
     pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
     offsets, spread = settled(len(lines), pairs)
     spread = np.hypot(spread, error)  # what curves of several cameras are alike in is wrong in the same way
-    return _found(capture, {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}, way, shown)
+    values = {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}
+    return _found(capture, values, way, shown, VAGUE if way == "motion" else np.inf)
 
 
 def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, shown: Curves | None, vague: float = np.inf) -> Found:
@@ -178,4 +179,7 @@ def _by_sound(capture: Capture) -> Found | None:
     offsets, spread = settled(len(views), pairs)
     if not np.isfinite(offsets).any():
         return None
+    moved = {shot.view: shot.frame - shot.image.frame for shot in capture.shots if shot.image.frame is not None}  # sounds begin with files
+    offsets -= [moved[view] for view in views]
+    offsets -= np.nanmedian(offsets)
     return _found(capture, {view: (offsets[k], spread[k]) for k, view in enumerate(views)}, "sound", None)

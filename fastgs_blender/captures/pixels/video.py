@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -34,6 +34,7 @@ class Index:
 
     first      seconds of the first frame
     constant   whether all frames are equally far apart
+    timecode   of the first frame, HH:MM:SS:FF, or empty
     """
 
     count: int
@@ -43,6 +44,7 @@ class Index:
     first: float
     constant: bool
     stamps: tuple[int, ...] | None
+    timecode: str = ""
 
 
 def index(path: Path) -> Index:
@@ -65,7 +67,8 @@ def _index(path: Path, _version: tuple) -> Index:
             raise FastGSError(f"{path}: the video holds no frames; it is damaged or was cut short.")
         if len(stamps) > MOST_FRAMES:
             raise FastGSError(f"{path}: the video has more than the {MOST_FRAMES} frames that are read; cut it into shorter ones.")
-        return _timed(stamps, base, rate, size)
+        timecode = next((text for each in (stream, container, *container.streams.data) if (text := each.metadata.get("timecode"))), "")
+        return replace(_timed(stamps, base, rate, size), timecode=timecode)
 
 
 def _timed(stamps: list, base, rate, size) -> Index:

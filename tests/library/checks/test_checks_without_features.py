@@ -24,7 +24,7 @@ VIEWS = ("cam00", "cam01", "cam02")
 def looked(tmp_path):
     """looked(capture, matches): the samples of a capture of the room, with these matches, and the same misses for all cameras."""
     def of(path, matches=None):
-        found = Looked(open_capture(path), path)
+        found = Looked(open_capture(path))
         look(found)
         found.__dict__["matches"] = matches or Matches({}, {}, [], 3)
         found.__dict__["judged"] = Judged(dict.fromkeys(VIEWS, 0.4), dict.fromkeys(VIEWS, "lines"), [])
