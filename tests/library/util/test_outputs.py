@@ -205,6 +205,13 @@ def test_a_journal_takes_nothing_but_what_was_written(tmp_path, source):
     assert (tmp_path / "m.ply").read_text() == "old" and not outputs._journal(tmp_path / "m.ply").exists()
 
 
+def test_a_journal_of_names_that_no_file_can_have_is_no_error(tmp_path):
+    made = journal(tmp_path, ["m" * 300, "m" * 300, None])
+    check_whole(tmp_path / "m.ply")
+    complete([tmp_path / "m.ply"])
+    assert not made.exists()
+
+
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"steps": [1], "aside": 1, "undo": 2}', "[" * 5000])
 def test_a_damaged_journal_is_removed_by_who_writes(tmp_path, content):
     made = outputs._journal(tmp_path / "m.ply")
