@@ -14,8 +14,8 @@ from ..fastgs_blender.rendering.instances import LIMIT
 from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
 from . import model_space, objects
 
-BROKEN = (f'its crop shape "{{}}" stands, is stretched or has vertices by numbers beyond {LIMIT:g} or that are no numbers; clear its '
-          "transform, or delete these vertices.")
+BROKEN = (f'its crop shape "{{}}" has a transform or a vertex beyond {LIMIT:g}, or one that is no number; clear its transform, or delete '
+          "that vertex.")
 WIDER = 1.001
 """By this factor a new box is larger than what it surrounds, so that what lies on its sides is inside."""
 

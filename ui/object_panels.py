@@ -294,7 +294,9 @@ class FASTGS_PT_object_filters(_Part, bpy.types.Panel):
             row.operator("fastgs.remove_filter", text="", icon='X').index = index
             row = col.row(align=True)
             if item.kind == 'COLOUR':
-                row.prop(item, "colour", text="")
+                sub = row.row(align=True)
+                sub.ui_units_x = 2  # as wide as the numbers, it would cut their names
+                sub.prop(item, "colour", text="")
             row.prop(item, "low")
             row.prop(item, "high")
         layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')

@@ -203,7 +203,7 @@ class View:
 
     def _draw(self, snapshot, camera, display, around, still, deep, at_once):
         answer = self._answer
-        self.trouble = next((f"{name}: {text}" for name, text in answer.left_out), None)
+        self.trouble = next((f'"{name}": {text}' for name, text in answer.left_out), None)
         fine = still and answer.share >= 1  # all that a still picture has more than a moving one comes at once, and fades in
         each = bool(around and around.surfaces and (fine or around.moving))
         depth = self._depth_of(around) if each else None
