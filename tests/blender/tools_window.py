@@ -128,50 +128,41 @@ def camera_here(model):
             "through": view.view_perspective}
 
 
-GROUPS = {
-    "time": ("object", "object_time", "object_trim", "object_capture_frame", "object_echoes", "object_cut", "object_sound"),
-    "look": ("object", "object_look"),
-    "rest": ("object", "object_crop", "object_filters", "object_points", "object_engines"),
-    "render": ("render", "film", "motion_blur", "depth_of_field", "shadows"),
-    "layer": ("passes",),
-    "sidebar": ("splats", "camera", "capture", "viewport", "pictures"),
-    "train": ("training", "training_filming", "training_options", "training_runs"),
-}
-"""Panels that are looked at together, all of them open, by the screenshot's name."""
+def recorded(draw, drawn, name):
+    """A panel's function draw() that adds the panel's name to a set."""
+    def draw_and_tell(self, context):
+        drawn.add(name)
+        draw(self, context)
+
+    return draw_and_tell
 
 
 def panels():
-    """Every panel with the example, open, in Blender's startup file: screenshots, and how wide the regions are that panels lie in."""
+    """Every panel with the example, open, in Blender's startup file: screenshots, how wide the regions are that panels lie in, and which
+    panels were drawn: Blender draws none that is closed."""
+    classes = [cls for cls in import_module(f"{ADDON}.ui").CLASSES if issubclass(cls, bpy.types.Panel)]
+    drawn = set()
+    for cls in reversed(classes):
+        bpy.utils.unregister_class(cls)
+    for cls in classes:  # before a window shows them: it remembers which are closed
+        cls.bl_options = set(getattr(cls, "bl_options", ())) - {'DEFAULT_CLOSED'}
+        cls.draw = recorded(cls.draw, drawn, cls.__name__)
+        bpy.utils.register_class(cls)
     bpy.ops.wm.read_homefile(use_factory_startup=True)
-    yield 1.0
-    area, editor = area_of(), area_of('PROPERTIES')
+    area, editor, scene = area_of(), area_of('PROPERTIES'), bpy.context.scene
     with within(area):
         bpy.ops.fastgs.import_example('EXEC_DEFAULT')
         bpy.ops.fastgs.add_crop_box()
         bpy.context.view_layer.objects.active = splat()
         bpy.ops.fastgs.add_filter(preset='COLOUR')
-    scene = bpy.context.scene
-    scene.render.engine = 'FASTGS'
     splat().fastgs.echoes, splat().fastgs.after, scene.fastgs.training.source = 3, 'LOOP', 'SCENE'
-    scene.use_nodes, scene.fastgs.use_meshes = False, True
+    scene.use_nodes, scene.fastgs.use_meshes, scene.fastgs.show_splats = False, True, False
+    scene.camera.data.background_images.new()
+    splat().display_type = 'BOUNDS'  # which is drawn at once
     yield from sidebar(area)
     widths = {"UI": next(region.width for region in area.regions if region.type == 'UI'),
               "WINDOW": next(region.width for region in editor.regions if region.type == 'WINDOW')}
-    classes = [cls for cls in import_module(f"{ADDON}.ui").CLASSES if issubclass(cls, bpy.types.Panel)]
-    for cls in reversed(classes):
-        bpy.utils.unregister_class(cls)
-    for name, group in GROUPS.items():
-        shown = [cls for cls in classes if cls.__name__.removeprefix("FASTGS_PT_") in group]
-        for cls in shown:
-            cls.bl_options = set(getattr(cls, "bl_options", set())) - {'DEFAULT_CLOSED'}
-            bpy.utils.register_class(cls)
-        editor.spaces.active.context = {"render": 'RENDER', "layer": 'VIEW_LAYER'}.get(name, 'OBJECT')
-        if name in ("sidebar", "train"):
-            yield from sidebar(area)
-        yield 1.5
-        shot(f"panels-{name}")
-        for cls in reversed(shown):
-            bpy.utils.unregister_class(cls)
-    for cls in classes:
-        bpy.utils.register_class(cls)
-    return {"widths": widths}
+    for context, engine in (('RENDER', 'FASTGS'), ('VIEW_LAYER', 'FASTGS'), ('OBJECT', 'FASTGS'), ('RENDER', 'BLENDER_WORKBENCH')):
+        scene.render.engine, editor.spaces.active.context = engine, context
+        yield from settled(f"panels-{context.lower()}-{engine.lower()}")
+    return {"widths": widths, "drawn": sorted(drawn), "panels": [cls.__name__ for cls in classes]}
