@@ -37,7 +37,7 @@ class RotorGaussians(Format):
         found = _parameters(torch_zip.TorchFile(path).content)
         if found is None:
             raise FastGSError("it is no checkpoint of 4D-Rotor Gaussians; save it again.")
-        arrays = {name: numbers_of(found[PREFIX + name]) for name in NAMES}
+        arrays = {name: numbers_of(found[name]) for name in NAMES}
         n = len(arrays["xyz"])
         widths = {"xyz": 3, "t": 1, "scales_xyz": 3, "scales_t": 1, "quats1": 4, "quats2": 4, "opacities": 1}
         check_shapes({name: (arrays[name], (n, width)) for name, width in widths.items()})
@@ -78,6 +78,5 @@ def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _parameters(content) -> dict | None:
     """The table of tensors of a checkpoint, or None."""
-    pipeline = content.get("pipeline") if isinstance(content, dict) else None
-    good = isinstance(pipeline, dict) and all(isinstance(pipeline.get(PREFIX + name), torch_zip.Tensor) for name in NAMES)
-    return pipeline if good else None
+    found = torch_zip.of_pipeline(content, PREFIX)
+    return found if found.keys() >= set(NAMES) else None

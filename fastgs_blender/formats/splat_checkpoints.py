@@ -115,10 +115,8 @@ def _gsplat(path: Path) -> GaussianModel:
 
 def _parameters(content) -> dict[str, torch_zip.Tensor] | None:
     """splatfacto's tensors by their plain names; None for anything else."""
-    pipeline = content.get("pipeline") if isinstance(content, dict) else None
-    for prefix in PREFIXES if isinstance(pipeline, dict) else ():
-        found = {name.removeprefix(prefix): value for name, value in pipeline.items()
-                 if isinstance(name, str) and name.startswith(prefix) and isinstance(value, torch_zip.Tensor)}
+    for prefix in PREFIXES:
+        found = torch_zip.of_pipeline(content, prefix)
         if prefix == PREFIXES[1]:  # the model's other parts are beside them there
             found = {name: value for name, value in found.items() if name in SHARED | DC_AND_REST}
         if found.keys() >= SHARED | DC_AND_REST:

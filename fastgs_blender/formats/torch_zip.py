@@ -135,6 +135,13 @@ def content_or_none(head: bytes, path: Path):
         return None
 
 
+def of_pipeline(content, prefix: str) -> dict[str, Tensor]:
+    """The tensors of a nerfstudio checkpoint's pipeline whose names begin so, by the rest of their names."""
+    pipeline = content.get("pipeline") if isinstance(content, dict) else None
+    return {name.removeprefix(prefix): value for name, value in (pipeline.items() if isinstance(pipeline, dict) else ())
+            if isinstance(name, str) and name.startswith(prefix) and isinstance(value, Tensor)}
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The zip file; its many ways to fail become one."""
