@@ -153,7 +153,7 @@ def prepare(folder: Path, common):
     from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.settings import settings
     from fastgs_blender.training.initial.backdrop import with_backdrop
-    from fastgs_blender.training.initial.points import initial_points
+    from fastgs_blender.training.initial.starting_points import initial_points
     from fastgs_blender.util.outputs import replacing
 
     path = points_file(folder, common)
@@ -175,7 +175,7 @@ def one(capture: str, settings: dict) -> dict:
     from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.settings import settings as make
     from fastgs_blender.training.core.trainer import Trainer
-    from fastgs_blender.training.initial.model import model_from_points, reach_of
+    from fastgs_blender.training.initial.first_model import model_from_points, reach_of
 
     made = make(**settings)
     filmed = opened(capture)

@@ -31,7 +31,7 @@ differed; "fade" only where an exposure changed over the clip."""
 
 
 def evened_entry(facts: dict) -> dict[str, str]:
-    """The provenance entry of a model trained from cameras that differed (training/core/evening.py, poses.py); none where they did not."""
+    """The provenance entry of a model trained from cameras that differed (camera_response.py, camera_turns.py); none where they did not."""
     return {EVENED: json.dumps(facts)} if facts else {}
 
 

@@ -4,7 +4,7 @@
 Arrays are the backend's own (`Array` below: NumPy on the CPU, buffers on a GPU).  Callers make them with array() or zeros(), hand
 them over whole, and compute nothing with them; numpy() and read() bring values back.  Nothing is brought back within a
 training step but what end_step() need not wait for: a few numbers, and the pictures of steps that refine poses
-(training/core/poses.py).
+(training/core/camera_turns.py).
 
 Rendering and viewports use PictureBackend, which the oracle (rendering/oracle.py) implements too; training uses TrainingBackend.
 Same inputs, same bytes: on one device, for any number of threads, without atomic sums of floats.
@@ -176,7 +176,7 @@ class TrainingBackend(PictureBackend, Protocol):
     def agreement(self, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background: np.ndarray | None,
                   gain: np.ndarray, bias: np.ndarray, sides: tuple[Splatted, Splatted] | None, apart: float, solid: float,
                   outlier: float) -> Array:
-        """Sums over pixels by which a camera's exposure and clock are estimated (training/core/evening.py), float64 [19].
+        """Sums over pixels by which a camera's exposure and clock are estimated (training/core/camera_response.py), float64 [19].
 
         With p the picture over its background, r = target - p, q = gain target + bias, J = (sides[0] - sides[1]) / apart, and
         w = min(weight, 1) / (1 + (r / outlier)^2), 0 where alpha is at most `solid` or the target only a lower bound: the sums of w, w p,
@@ -189,7 +189,7 @@ class TrainingBackend(PictureBackend, Protocol):
         """
 
     def over(self, picture: Splatted, background: np.ndarray | None) -> tuple[Array, Array]:
-        """A picture [h, w, 3] over its background, and its alpha [h, w], as end_step() brings them back (training/core/poses.py).
+        """A picture [h, w, 3] over its background, and its alpha [h, w], as end_step() brings them back (training/core/camera_turns.py).
 
         background  [3] on the host, or None for black
         """
@@ -235,7 +235,7 @@ class TrainingBackend(PictureBackend, Protocol):
 
     def hold(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
         """Add strength * (features [N, F] - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN
-        (training/core/hold.py)."""
+        (training/core/anchor.py)."""
 
     def shrink(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
                extent: float) -> None:

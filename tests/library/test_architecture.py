@@ -149,7 +149,7 @@ def test_no_file_is_long():
     ("fastgs_blender/kernels/a.py", "def f():\n    from ..formats import load", False),
     ("fastgs_blender/model/a.py", "from ..cameras.camera import Camera", False),
     ("fastgs_blender/model/a.py", "from .. import load", False),
-    ("fastgs_blender/training/core/a.py", "from ..initial.points import thinned", False),
+    ("fastgs_blender/training/core/a.py", "from ..initial.starting_points import thinned", False),
     ("fastgs_blender/training/initial/a.py", "from ..core import model", True),
     ("fastgs_blender/util/a.py", "import importlib\nimportlib.import_module('..model.motion', __package__)", False),
     ("fastgs_blender/util/a.py", "from importlib import import_module\nROOM = 'model.motion'\nimport_module(ROOM)", False),

@@ -13,8 +13,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from .evening import AWAITED, Evening
-from .poses import Poses
+from .camera_response import AWAITED, Evening
+from .camera_turns import Poses
 
 Learner = TypeVar("Learner", Evening, Poses)
 """What it is estimated in: said() makes sums of what steps found, learn() takes them, and SUMS are the names of its own such sums."""

@@ -11,7 +11,7 @@ import numpy as np
 from ...model.appearance import Features
 from ...model.slicing import sigmoid
 from ...util import rotations
-from .hold import HELD
+from .anchor import HELD
 from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 

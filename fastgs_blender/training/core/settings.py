@@ -67,7 +67,7 @@ class Settings:
       moving_weight   where there are no masks and cameras stand still: what moves counts so many times
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
-    Cameras that differ (evening.py, poses.py, initial/refine.py)
+    Cameras that differ (camera_response.py, camera_turns.py, initial/refine.py)
       exposures       a gain and an offset for each camera and channel, taken out of its pictures; auto: where they are seen to differ
       clocks          a shift in time for each camera, of a frame or less; auto: where it is found to differ
       poses           poses and focal lengths of cameras that stand still are refined before training; auto: where features that pictures
@@ -96,7 +96,7 @@ class Settings:
       start_model     a model, as a bake makes one, whose Gaussians are taken with their motion
       points          most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
-      backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (hold.py)
+      backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (anchor.py)
       start_opacity   opacity of the starting Gaussians
       start_size      their size in distances to their three nearest neighbours
       start_life      time over which a timed point's opacity falls to 1/e on either side

@@ -8,10 +8,10 @@ from ...formats.base import LIMIT, LIMITS
 from ...model.appearance import Features
 from ...model.gaussians import Clip, GaussianModel
 from ...util.errors import FastGSError
-from .evening import AWAITED, FARTHEST
-from .evening import shapes as evening_shapes
-from .hold import HELD
-from .poses import shapes as poses_shapes
+from .anchor import HELD
+from .camera_response import AWAITED, FARTHEST
+from .camera_response import shapes as evening_shapes
+from .camera_turns import shapes as poses_shapes
 
 DECODER = ("w1", "w2")
 STATISTICS = ("gradient", "absolute", "seen", "radius")

@@ -18,16 +18,16 @@ from ...rendering.api import render
 from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from . import schedule
+from .anchor import HELD, backdrop_of, held_features, hold
 from .awaited import Awaited
+from .camera_response import APART, Evening
+from .camera_turns import Poses
 from .density import STRATEGIES
 from .distributed import Group
-from .evening import APART, Evening
-from .hold import HELD, backdrop_of, held_features, hold
 from .losses import motion_factor, motion_norm
 from .model import empty_model, lasting, with_arrays
-from .moving import Moving
+from .moving_pixels import Moving
 from .optimiser import Optimiser
-from .poses import Poses
 from .state import check_state
 from .statistics import Statistics
 from .targets import cover_of, target, use_of_mask
@@ -38,13 +38,13 @@ class Trainer:
 
     capture, store  the pictures (captures.base.Capture, FrameStore)
     settings        Settings
-    model           where to begin: a GaussianModel (initial.model.model_from_points), or None before restore()
+    model           where to begin: a GaussianModel (initial.first_model.model_from_points), or None before restore()
     group           the processes that share the views
     decoder         a model whose decoder is used as it is; None: the decoder is trained
-    sizes           [N] of the points that the model was made from (Points.size): those that have one are held (hold.py)
-    reach           how far away is what the cameras film (initial.model.reach_of); None: the capture's extent
+    sizes           [N] of the points that the model was made from (Points.size): those that have one are held (anchor.py)
+    reach           how far away is what the cameras film (initial.first_model.reach_of); None: the capture's extent
     gains           [V, 3] of the views trained on, as starting points tell them (initial.dense.evening_of); None: equal exposures
-    fades           [V, 3] of these, how their exposures change (initial.fading.fades_of); None: they do not
+    fades           [V, 3] of these, how their exposures change (initial.fades.fades_of); None: they do not
     clocks          [V, 2] of these, the clock offsets that are expected (initial.start.expected_clocks); None: none are known
     known           it began with a model: see schedule.learning_rates()
     backend         the name of the backend that all arrays live on (util/backends.py)

@@ -15,7 +15,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...captures.capture import Points, Shot
 from ...util.errors import FastGSError
-from ..core.evening import Evened, Evening
+from ..core.camera_response import Evened, Evening
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, planes, sweep

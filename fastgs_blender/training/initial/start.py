@@ -8,10 +8,10 @@ import numpy as np
 
 from ...captures.clocks.find import by_epipolar_planes, stated_offsets
 from ...model.gaussians import GaussianModel
-from ..core.evening import FARTHEST, Evened, Evening
-from . import backdrop, known, points
-from .fading import fades_of
-from .model import model_from_points, reach_of
+from ..core.camera_response import FARTHEST, Evened, Evening
+from . import backdrop, starting_points, warm_start
+from .fades import fades_of
+from .first_model import model_from_points, reach_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +50,16 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     """
     clocks = expected_clocks(capture, store, settings, say)
     store, fades = _steady(capture, store, settings, say)
-    model = known.known_model(capture, settings, say)
-    found, store = points.initial_points(capture, store, settings, say, progress) if model is None else \
-        (known.points_of(model, capture), store)
+    model = warm_start.known_model(capture, settings, say)
+    found, store = starting_points.initial_points(capture, store, settings, say, progress) if model is None else \
+        (warm_start.points_of(model, capture), store)
     gains = store.evening.told if isinstance(store, Evened) and store.evening.colours_differ else None
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:
-        behind = points.thinned(behind, settings.max_gaussians, settings.seed)
+        behind = starting_points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
         return Start(first, behind.size, reach_of(behind, capture), gains, fades, clocks=clocks)
-    first = known.begun_with(model, capture, store, settings)
+    first = warm_start.begun_with(model, capture, store, settings)
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))
     if not len(behind):

@@ -11,7 +11,7 @@ from ...captures.capture import Capture, Points, Shot
 from ...captures.pixels.store import Pixels
 from ..core.settings import Settings
 from ..core.trainer import Trainer
-from ..initial.model import model_from_points
+from ..initial.first_model import model_from_points
 from .segments import spans
 
 SHARE = 0.7

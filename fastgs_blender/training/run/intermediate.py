@@ -10,7 +10,7 @@ import numpy as np
 from ...model.gaussians import GaussianModel
 from ...model.surroundings import Surroundings
 from ...util.errors import FastGSError
-from ..core.hold import backdrop_of
+from ..core.anchor import backdrop_of
 from ..core.model import empty_model, lasting, with_arrays
 from ..core.settings import from_dict
 from ..core.state import check_state, checked_clip

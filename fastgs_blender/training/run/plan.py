@@ -129,7 +129,7 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
 
     named  the settings that were asked for by name, which stay
     """
-    from ..initial.known import begins_with_model, following
+    from ..initial.warm_start import begins_with_model, following
     from .segments import spans
 
     if not begins_with_model(capture, settings):

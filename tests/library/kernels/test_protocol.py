@@ -23,7 +23,7 @@ from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.shadow import Light, Shadow
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.util import backends
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -119,7 +119,7 @@ def test_it_trains(copied_time):
 
     from fastgs_blender.training.core.settings import settings
     from fastgs_blender.training.core.trainer import Trainer
-    from fastgs_blender.training.initial.model import model_from_points
+    from fastgs_blender.training.initial.first_model import model_from_points
 
     capture, store, points = toy_capture()
     chosen = settings(motion="chebyshev", order=3, iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1,

@@ -21,7 +21,7 @@ torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
-from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
+from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, session, written  # noqa: E402
 from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
 from fastgs_blender.training.run.intermediate import model_of  # noqa: E402

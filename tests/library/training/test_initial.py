@@ -21,8 +21,8 @@ from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.initial.dense import among_others
 from fastgs_blender.training.initial.geometry import visible
-from fastgs_blender.training.initial.points import initial_points
 from fastgs_blender.training.initial.start import Start, start
+from fastgs_blender.training.initial.starting_points import initial_points
 from fastgs_blender.util import threads
 
 pytest.importorskip("pycolmap")

@@ -14,7 +14,7 @@ import fastgs_blender as fg
 from fastgs_blender.model.fitting import Fit
 from fastgs_blender.training.core.model import motion_basis
 from fastgs_blender.training.core.settings import settings
-from fastgs_blender.training.initial.known import following
+from fastgs_blender.training.initial.warm_start import following
 from fastgs_blender.training.run.plan import read_plan, suited
 
 

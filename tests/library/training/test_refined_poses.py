@@ -15,10 +15,10 @@ from fastgs_blender.cameras.poses import turned
 from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
-from fastgs_blender.training.core.poses import Poses
+from fastgs_blender.training.core.camera_turns import Poses
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.trainer import Trainer
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.util.backends import load_backend
 

@@ -5,7 +5,7 @@ import pytest
 from toy_captures import Pixels, toy_capture
 
 from fastgs_blender.training.core import settings
-from fastgs_blender.training.core.evening import Evened, Evening
+from fastgs_blender.training.core.camera_response import Evened, Evening
 from fastgs_blender.training.initial import backdrop
 from fastgs_blender.training.initial.geometry import project, visible
 

@@ -7,7 +7,7 @@ import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.training.core import hold, settings
 from fastgs_blender.training.core.trainer import Trainer
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import intermediate
 from fastgs_blender.util.backends import load_backend
 

@@ -14,9 +14,9 @@ from fastgs_blender.captures.pixels.store import Pixels
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
-from fastgs_blender.training.core.moving import Moving
+from fastgs_blender.training.core.moving_pixels import Moving
 from fastgs_blender.training.core.presets import SCENES
-from fastgs_blender.training.initial.model import model_from_points, reach_of
+from fastgs_blender.training.initial.first_model import model_from_points, reach_of
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.training.run.files import CHECKPOINT

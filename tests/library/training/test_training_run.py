@@ -20,7 +20,7 @@ torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import settings  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
-from fastgs_blender.training.initial.model import model_from_points  # noqa: E402
+from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, folder, session  # noqa: E402
 from fastgs_blender.util import locks  # noqa: E402
 
@@ -273,7 +273,7 @@ def test_a_lock_whose_file_was_removed_is_taken_anew(tmp_path):
 
 def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):
     capture, store, points = toy_capture()
-    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: (points, rest[1]))
+    monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
     real = checkpoint.save
     calls = []
 

@@ -81,7 +81,7 @@ def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
     from fastgs_blender.training.run import session
 
     capture, store, points = toy_capture(frames=14, views=3)
-    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: (points, rest[1]))
+    monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
     options = dict(iterations=80, max_gaussians=120, warm_up=(), segment_frames=8, segment_overlap=3, backdrop=0.0, preview_every=0,
                    position_rate=1e-3, motion_rate=2e-3, start_size=1.0, start_life=0.1)
     chosen = session.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)

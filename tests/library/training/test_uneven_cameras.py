@@ -17,13 +17,13 @@ from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.report import table
 from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
 from fastgs_blender.kernels.protocol import Splatted
-from fastgs_blender.training.core.evening import ALIKE_PIXELS, Evening
+from fastgs_blender.training.core.camera_response import ALIKE_PIXELS, Evening
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.targets import Target
 from fastgs_blender.training.core.trainer import Trainer, measure
 from fastgs_blender.training.initial.dense import evening_of
-from fastgs_blender.training.initial.fading import fades_of
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.fades import fades_of
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.initial.start import expected_clocks, start
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.util.backends import load_backend

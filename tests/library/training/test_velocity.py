@@ -11,7 +11,7 @@ import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.model.slicing import slice_model
 from fastgs_blender.training.core.settings import settings
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.initial.velocity import displacements, in_motion
 
 LAST = 11 / 12

@@ -217,7 +217,7 @@ def run_command(capsys):
 
 def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path, monkeypatch, capsys):
     capture, store, points = toy_capture(frames=2, views=3)
-    monkeypatch.setattr("fastgs_blender.training.initial.points.initial_points", lambda *rest: (points, rest[1]))
+    monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
     compare, calls = training.compare, []
 
     def lost(*given):

@@ -18,7 +18,7 @@ from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.util import backends
 from fastgs_blender.util.backends import load_backend
 

@@ -18,7 +18,7 @@ from fastgs_blender.kernels.gpu.rows import Split
 from fastgs_blender.kernels.protocol import MotionNorm
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.core.trainer import Trainer
-from fastgs_blender.training.initial.model import model_from_points
+from fastgs_blender.training.initial.first_model import model_from_points
 
 
 def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):

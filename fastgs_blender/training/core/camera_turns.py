@@ -2,8 +2,8 @@
 """Refines where each camera looks during training.
 
 A camera is turned by a small rotation w [3] in radians, in its own axes, so that a camera that moves in the clip has one correction too.
-It is found as clocks are (evening.py), in closed form, by Gauss-Newton steps over the latest pictures of each camera.  The change of a
-picture with the turn needs no further render: what lies in the direction (a, b, 1) moves by
+It is found as clocks are (camera_response.py), in closed form, by Gauss-Newton steps over the latest pictures of each camera.  The change
+of a picture with the turn needs no further render: what lies in the direction (a, b, 1) moves by
 
     da = -a b wx + (1 + a^2) wy - b wz
     db = -(1 + b^2) wx + a b wy + a wz
@@ -22,7 +22,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...cameras.poses import turned
 from ...util.errors import FastGSError
-from .evening import ALIKE_PIXELS, KEEP, OUTLIER, SETTLED, SOLID
+from .camera_response import ALIKE_PIXELS, KEEP, OUTLIER, SETTLED, SOLID
 
 FIRST, LAST = 0.05, 0.9
 """The part of a run, by its share of steps, in which poses are estimated: from small pictures on, where a turn is a small part of what they

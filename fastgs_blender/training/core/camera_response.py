@@ -6,7 +6,7 @@ converted to the model's colours, and the model is rendered at the camera's own 
 nor clock offsets.  Both are found in closed form, by least squares over the latest pictures of each camera: gain and bias by linear
 regression of the picture on the render, the clock by one Gauss-Newton step along the model's derivative by time,
 (model(t + d) - model(t - d)) / 2d.  Every backend can compute it.
-Fades, exposures that change while a camera films, are known before training (initial/fading.py) and stay as they are.
+Fades, exposures that change while a camera films, are known before training (initial/fades.py) and stay as they are.
 
 A change that all cameras share cannot be told from the model, so medians are fixed: 1 for the gains, 0 for biases and clocks.
 """
