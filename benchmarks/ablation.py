@@ -174,16 +174,17 @@ def one(capture: str, settings: dict) -> dict:
     from fastgs_blender.captures.capture import Points
     from fastgs_blender.captures.pixels.store import FrameStore
     from fastgs_blender.training.core.settings import settings as make
+    from fastgs_blender.training.core.start import Start
     from fastgs_blender.training.core.trainer import Trainer
-    from fastgs_blender.training.initial.first_model import model_from_points, reach_of
+    from fastgs_blender.training.initial.first_model import depth_of, model_from_points
 
     made = make(**settings)
     filmed = opened(capture)
     store = FrameStore(filmed)
     with np.load(points_file(Path(capture), settings)) as arrays:
         points = Points(**arrays)
-    trainer = Trainer(filmed, store, made, model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent), sizes=points.size,
-                      reach=reach_of(points, filmed))
+    first = model_from_points(points, made, filmed.clip, filmed.axes, filmed.extent)
+    trainer = Trainer(filmed, store, made, Start(first, points.size, depth_of(points, filmed)))
     began = time.process_time()
     losses = [trainer.step()["loss"] for _ in range(made.iterations)]
     seconds = time.process_time() - began

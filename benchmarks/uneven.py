@@ -5,7 +5,7 @@
 
 Films the model that comes with the extension with its own 12 cameras at 160 x 120 (one is held out): as it is, and with one camera's
 clock 0.4 frames ahead and exposures that differ by up to 30 % (gains 0.7 to 1.3 of the display values, the held-out camera's is 1).
-Trains on both with and without evening, and prints the held-out view's quality and what was found.
+Trains on both with and without these corrections, and prints the held-out view's quality and what was found.
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of
 from fastgs_blender.captures.layouts.fastgs import write_cameras
-from fastgs_blender.evaluation.training_record import evened
+from fastgs_blender.evaluation.training_record import corrections
 
 LATE, SHIFT, HELD_OUT, SIZE = "cam02", 0.4, "cam07", (160, 120)
 OFF, ON = {"exposures": "off", "clocks": "off"}, {"exposures": "on", "clocks": "on"}
@@ -71,7 +71,7 @@ def main() -> None:
         model = fg.train(capture, args.folder / "run", overwrite=True, device="cpu", iterations=args.steps, max_gaussians=8000, points=5000,
                          preview_every=0, **options)
         seconds = time.process_time() - began
-        found = evened(model)
+        found = corrections(model)
         plain, fitted = (fg.evaluate(model, fg.open_capture(capture), lpips=False, backend="cpu", fit_colours=fit)["average"]["psnr"]
                          for fit in (False, True))
         clocks = found.get("clocks", {})

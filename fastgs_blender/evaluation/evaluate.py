@@ -30,7 +30,7 @@ from .film import available, film
 from .flip import Flip
 from .perceptual import Lpips, Unavailable
 from .pictures import comparison
-from .training_record import TrainingRecord, evened, recorded
+from .training_record import TrainingRecord, corrections, recorded
 
 MEASURES = ("psnr", "psnr_right", "psnr_foreground", "dssim1", "dssim1_skimage", "dssim2", "lpips", "lpips_normalised", "flip", "flicker")
 """What is measured of each frame, and averaged; None where a measure does not apply.  psnr_right is that of the right half,
@@ -64,7 +64,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     progress, out = listener(progress), None if out is None else file_path(out, "the folder of the pictures")
     if store is not None and not hasattr(store, "pixels"):
         raise FastGSError(f"pictures are given by a FrameStore, not by {shown(store)}.")
-    known, differed = recorded(model), evened(model)
+    known, differed = recorded(model), corrections(model)
     fit_colours = "exposures" in differed if fit_colours is None else fit_colours
     given, capture = capture, refined(capture, differed.get("cameras", {}))
     store = store if store is None or capture is given else store.of(capture)

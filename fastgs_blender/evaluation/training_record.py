@@ -23,26 +23,26 @@ class TrainingRecord:
         return view in self.views and abs(frame - round(frame)) < 1e-6 and -0.5 < frame < frame_count - 0.5
 
 
-EVENED = "evened"
+CORRECTIONS = "corrections"
 """The entry of a model's provenance that says what was taken out of its training pictures, JSON: "clocks" {view: frames}, "exposures"
 {view: {"gain": [3], "bias": [3], "fade": [3]}}, "cameras" {view: what was changed before training, as captures/refined.py takes it} and
 "poses" {view: [3], a rotation vector in degrees in the camera's axes, by which it was turned while training}, each only where cameras
 differed; "fade" only where an exposure changed over the clip."""
 
 
-def evened_entry(facts: dict) -> dict[str, str]:
+def corrections_entry(facts: dict) -> dict[str, str]:
     """The provenance entry of a model trained from cameras that differed (camera_response.py, camera_turns.py); none where they did not."""
-    return {EVENED: json.dumps(facts)} if facts else {}
+    return {CORRECTIONS: json.dumps(facts)} if facts else {}
 
 
 MOST = 1e6
 """The largest number that an entry may hold."""
 
 
-def evened(model) -> dict:
+def corrections(model) -> dict:
     """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say it understandably."""
     try:
-        facts = parse_json(model.provenance[EVENED])
+        facts = parse_json(model.provenance[CORRECTIONS])
         exposures = facts.get("exposures", {}).values()
         numbers = [*facts.get("clocks", {}).values(), *(value for each in exposures for values in _rows(each) for value in values)]
         turns = facts.get("poses", {}).values()
@@ -64,7 +64,7 @@ def _rows(exposure: dict) -> list:
 
 
 def sentence(found: dict) -> str:
-    """What evened() gave, for people."""
+    """What corrections() gave, for people."""
     parts = []
     if clocks := found.get("clocks"):
         late = sorted(clocks.items(), key=lambda item: -abs(item[1]))

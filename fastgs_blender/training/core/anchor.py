@@ -13,9 +13,9 @@ import numpy as np
 
 from ...model.surroundings import Backdrop
 
-HELD = "held"
-"""Name of the optimiser's array [N, F] of the features to keep, NaN in rows that are free.  It is not trained; density control copies
-it with its row."""
+ANCHOR = "anchor"
+"""Name of the optimiser's array [N, F] of the features that Gaussians are pulled to, NaN in rows that are free.  It is not trained; density
+control copies it with its row."""
 OFF = 0.1
 """Difference in a feature at which the pull is as strong as the given number of pixels."""
 
@@ -23,31 +23,31 @@ INNERMOST = 1.5
 """Least radius of the backdrop, in distances of the farthest camera from what all look at."""
 
 
-def held_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """The values [N, F] to hold features at: those given for points with a known size [N] (backdrop.py), NaN for all others."""
+def anchor_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """The values [N, F] to anchor features at: those given for points with a known size [N] (backdrop.py), NaN for all others."""
     return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
 
 
 def backdrop_of(arrays: dict[str, np.ndarray], around) -> Backdrop | None:
-    """The sphere outside of which the held Gaussians, and what lies behind them, are; None where none is held.
+    """The sphere outside of which the anchored Gaussians, and what lies behind them, are; None where none is anchored.
 
     around  x, y, z of the place that all cameras look at, and the distance from there of the farthest camera
     A few that training drew nearer than INNERMOST of that distance do not make the sphere smaller.  Raises FastGSError for numbers that
     are no place.
     """
-    held = np.isfinite(arrays[HELD]).all(1) if HELD in arrays else np.zeros(0, bool)
-    if not held.any():
+    anchored = np.isfinite(arrays[ANCHOR]).all(1) if ANCHOR in arrays else np.zeros(0, bool)
+    if not anchored.any():
         return None
     outermost = Backdrop(tuple(around[:3]), max(INNERMOST * around[3], 1e-6))
-    nearest = float(outermost.distance(arrays["position"][held]).min())
+    nearest = float(outermost.distance(arrays["position"][anchored]).min())
     return replace(outermost, radius=outermost.radius * max(0.99 * nearest, 1.0))
 
 
-def hold(backend, arrays: dict, gradients: dict, rows, votes: float, pixels: int) -> None:
-    """Add the pull to the gradient of the features of those rows (of the backend) that are held.
+def anchor(backend, arrays: dict, gradients: dict, rows, votes: float, pixels: int) -> None:
+    """Add the pull to the gradient of the features of those rows (of the backend) that are anchored.
 
     votes   how many pixels of a picture a difference of OFF is worth
     pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels
     """
-    if HELD in arrays and votes:
-        backend.hold(arrays["features"], arrays[HELD], gradients["features"], rows, votes / (3 * OFF * pixels))
+    if ANCHOR in arrays and votes:
+        backend.hold(arrays["features"], arrays[ANCHOR], gradients["features"], rows, votes / (3 * OFF * pixels))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates each camera's exposure and clock offset during training, and compensates for them.
 
-A camera's picture at time t is modelled as exp(fade * (2 t - 1)) * (gain * model(t + late) + bias), for each channel.  Targets are
+A camera's picture at time t is modelled as exp(fade * (2 t - 1)) * (gain * model(t + offset) + bias), for each channel.  Targets are
 converted to the model's colours, and the model is rendered at the camera's own time, so that the model itself contains neither exposures
 nor clock offsets.  Both are found in closed form, by least squares over the latest pictures of each camera: gain and bias by linear
 regression of the picture on the render, the clock by one Gauss-Newton step along the model's derivative by time,
@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from ...util.errors import FastGSError
-
 KEEP = 0.8
 """Decay: the factor on a camera's older sums when new ones are added."""
 FIRST, LAST = 0.03, 0.95
@@ -30,8 +28,6 @@ CLOCKS_FIRST = 0.1
 """Share of a run after which clocks are estimated: the model must have motion."""
 EVERY = 2
 """Steps between two estimates.  A clock needs two more renders."""
-AWAITED = 16
-"""Steps of which a checkpoint may hold what their pictures said, for later: more than a backend is ahead."""
 FARTHER = 1.7
 """Over-relaxation of a clock's correction: the model has already followed the camera's wrong clock a part of the way."""
 APART = 0.25
@@ -47,8 +43,8 @@ NOTICED, NOTICED_CLOCK = 0.015, 0.12
 PRIOR_GAIN, PRIOR_BIAS = 1e-4, 0.1
 """Pull towards gain 1 and bias 0, in mean squares of colour.  Exposures are gains: free biases take a part of them over (a model is never
 exact, which makes slopes too small), and gains were off by 0.07 instead of 0.02 (benchmarks/uneven.py)."""
-TOLD = 1.0
-"""Pull towards gains that starting points told, in mean squares of colour.  These are right to 0.01 or so, while a model that is trained
+GAIN_PRIOR = 1.0
+"""Pull towards the prior gains of starting points, in mean squares of colour.  These are right to 0.01 or so, while a model that is trained
 with wrong gains partly believes them: its features see the direction, and with it the camera (benchmarks/uneven.py)."""
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
 """Standard deviation of clock offsets in frames, as a prior where the setting is on; number of pixels whose errors are correlated and
@@ -64,19 +60,24 @@ FARTHEST = 1.5
 """The largest clock offset in frames that training corrects; larger ones are found before training (captures/clocks)."""
 
 
+SHAPES = {"gains": (3,), "biases": (3,), "offsets": (), "gain_priors": (3,), "offset_priors": (2,), "fades": (3,),
+          "colour_sums": (3, 5), "clock_sums": (4,)}
+"""Of one camera, the arrays that a checkpoint holds; all are float64."""
+
+
 @dataclass(eq=False)
-class Evening:
+class CameraResponse:
     """The exposures and clock offsets of V cameras, and the sums that they are estimated from.
 
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
-    gains    [V, 3], biases [V, 3], late [V] in frames: as estimated
-    told     [V, 3] gains that starting points told; 0: they did not
-    expected [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in frames;
-             0, 0: none is known
+    gains    [V, 3], biases [V, 3], offsets [V] of clocks in frames: as estimated
+    gain_priors    [V, 3] gains that starting points show; 0: they do not
+    offset_priors  [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in
+                   frames; 0, 0: none is known
     fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
-    colour   [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
-    clock    [V, 4] sums of w J^2, w J (r + J late), w r^2, w; J the change of the render in a frame, r the target minus the render
-    apart    [V] whether a camera is known not to run together with the others; its pictures are placed at their moments then
+    colour_sums  [V, 3, 5] sums over pixels of w, w p, w q, w p^2, w p q; p the model's colour, q the picture's
+    clock_sums   [V, 4] sums of w J^2, w J (r + J offset), w r^2, w; J the change of the render in a frame, r the target minus the render
+    independent  [V] whether a camera is known not to run together with the others; its pictures are placed at their moments then
     """
 
     views: tuple[str, ...]
@@ -85,47 +86,28 @@ class Evening:
     clocks: str
     gains: np.ndarray
     biases: np.ndarray
-    late: np.ndarray
-    told: np.ndarray
-    expected: np.ndarray
+    offsets: np.ndarray
+    gain_priors: np.ndarray
+    offset_priors: np.ndarray
     fades: np.ndarray
-    colour: np.ndarray
-    clock: np.ndarray
-    apart: np.ndarray | None = None
-
-    SUMS = ("colour", "clock")
+    colour_sums: np.ndarray
+    clock_sums: np.ndarray
+    independent: np.ndarray | None = None
 
     @classmethod
-    def begun(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
-              fades: np.ndarray | None = None, expected: np.ndarray | None = None) -> Evening:
-        """The state at the first step: no sums, equal exposures, or those gains [V, 3] that starting points told (0: they did not), fades
-        [V, 3], and the clocks that are expected [V, 2]; None: none are known."""
+    def initial(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
+                fades: np.ndarray | None = None, offsets: np.ndarray | None = None) -> CameraResponse:
+        """The state at the first step: no sums; equal exposures and clocks, but for these priors (None: none are known)."""
         v = len(views)
-        told = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
-        several = v > 1
-        exposures, clocks = (value if several else "off" for value in (settings.exposures, settings.clocks))
-        steady = fades is None or exposures == "off"
-        expected = np.zeros((v, 2)) if expected is None else np.array(expected, np.float64)
+        exposures, clocks = (value if v > 1 else "off" for value in (settings.exposures, settings.clocks))
+        gains = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
+        fades = np.zeros((v, 3)) if fades is None or exposures == "off" else np.array(fades, np.float64)
+        offsets = np.zeros((v, 2)) if offsets is None else np.array(offsets, np.float64)
         if clocks == "on":
-            expected[expected[:, 1] == 0] = 0.0, PRIOR_CLOCK
-        begun = cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off",
-                    np.where(told > 0, told, 1.0), np.zeros((v, 3)), np.zeros(v), told, expected,
-                    np.zeros((v, 3)) if steady else np.array(fades, np.float64), np.zeros((v, 3, 5)), np.zeros((v, 4)))
-        return replace(begun, late=begun._clock_range().mean(0))
-
-    def state(self) -> dict[str, np.ndarray]:
-        """The arrays that a checkpoint holds."""
-        return {name: getattr(self, name) for name in ARRAYS}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore the arrays of state(); a checkpoint of an earlier version has none.  Raises FastGSError for other cameras."""
-        if not arrays:
-            return
-        if len(arrays["late"]) != len(self.views):
-            raise FastGSError(f"the checkpoint is of a run with {len(arrays['late'])} cameras, not {len(self.views)}; delete it to train "
-                              "from the beginning.")
-        for name, array in arrays.items():
-            setattr(self, name, np.array(array))
+            offsets[offsets[:, 1] == 0] = 0.0, PRIOR_CLOCK
+        made = cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off", np.where(gains > 0, gains, 1.0),
+                   np.zeros((v, 3)), np.zeros(v), gains, offsets, fades, np.zeros((v, 3, 5)), np.zeros((v, 4)))
+        return replace(made, offsets=made._clock_range().mean(0))
 
     # what it does to pictures
 
@@ -139,18 +121,18 @@ class Evening:
     @property
     def clocks_differ(self) -> bool:
         """Whether times are corrected: always, never, or (auto) where a clock differs by more than NOTICED_CLOCK."""
-        return self.clocks == "on" or (self.clocks == "auto" and bool(np.abs(self.late).max() > NOTICED_CLOCK))
+        return self.clocks == "on" or (self.clocks == "auto" and bool(np.abs(self.offsets).max() > NOTICED_CLOCK))
 
     def moment(self, shot) -> float:
         """The model's time t at which a shot was taken, with the camera's clock offset."""
-        late = self.late[self.views.index(shot.view)] if self.clocks_differ and shot.view in self.views else 0.0
-        return shot.t + float(late) * self.frame
+        offset = self.offsets[self.views.index(shot.view)] if self.clocks_differ and shot.view in self.views else 0.0
+        return shot.t + float(offset) * self.frame
 
     def pixels(self, shot, pixels):
         """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed ones only say how bright it is at least."""
         if not self.colours_differ or shot.view not in self.views:
             return pixels
-        rgb = self.seen_as(shot.view, self._steady(shot, pixels.rgb))
+        rgb = self.in_model_colours(shot.view, self._steady(shot, pixels.rgb))
         least = (pixels.rgb > CLIPPED) & (rgb < pixels.rgb)
         return replace(pixels, rgb=rgb, stored=None, least=least if least.any() else None)
 
@@ -159,7 +141,7 @@ class Evening:
         fade = self.fades[self.views.index(shot.view)]
         return rgb * np.exp(fade * (1 - 2 * shot.t)).astype(rgb.dtype) if fade.any() else rgb
 
-    def seen_as(self, view: str, rgb: np.ndarray) -> np.ndarray:
+    def in_model_colours(self, view: str, rgb: np.ndarray) -> np.ndarray:
         """Colours [..., 3] of a view's pictures, without fades, as the model has them."""
         if not self.colours_differ or view not in self.views:
             return rgb
@@ -168,14 +150,14 @@ class Evening:
 
     # how it is found
 
-    def looks(self, iteration: int, iterations: int) -> bool:
+    def is_due(self, iteration: int, iterations: int) -> bool:
         """Whether this step's pictures are used to estimate exposures or clocks."""
         if iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
             return False
         return self._open(self.exposures, self.colours_differ, iteration, iterations) or \
             self._open(self.clocks, self.clocks_differ, iteration, iterations)
 
-    def times(self, iteration: int, iterations: int) -> bool:
+    def are_clocks_due(self, iteration: int, iterations: int) -> bool:
         """Whether this step's pictures are used to estimate clocks."""
         return iteration >= CLOCKS_FIRST * iterations and self._open(self.clocks, self.clocks_differ, iteration, iterations)
 
@@ -184,8 +166,8 @@ class Evening:
         """Whether the estimation continues; with auto it ends at SETTLED if cameras have not differed noticeably until then."""
         return setting == "on" or (setting == "auto" and (differ or iteration < SETTLED * iterations))
 
-    def compared(self, backend, shot, picture, target, weight, least, background, sides):
-        """The sums over a shot's pixels that said() takes, as an array of the backend (TrainingBackend.agreement).
+    def measure(self, backend, shot, picture, target, weight, least, background, sides):
+        """The sums [19] over a shot's pixels that accumulate() takes, as an array of the backend (TrainingBackend.agreement).
 
         picture   the model's;  target, weight, least: of the Target, in the model's colours, on the backend
         sides     the model's pictures APART frames later and earlier, or None
@@ -194,32 +176,32 @@ class Evening:
         gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
         return backend.agreement(picture, target, weight, least, background, gain, bias, sides, 2 * APART, SOLID, OUTLIER)
 
-    def said(self, found) -> tuple[np.ndarray, np.ndarray]:
-        """What a step's pictures say, colour [V, 3, 5] and clock [V, 4]; found: (shot, its sums [19]) of each."""
-        colour, clock = np.zeros_like(self.colour), np.zeros_like(self.clock)
-        for shot, sums in found:
+    def accumulate(self, measured) -> dict[str, np.ndarray]:
+        """A step's sums for update(), by name; measured: (shot, measure() of it) of each of its pictures."""
+        colour, clock = np.zeros_like(self.colour_sums), np.zeros_like(self.clock_sums)
+        for shot, sums in measured:
             k = self.views.index(shot.view)
             if self.exposures != "off":
                 colour[k] += sums[:15].reshape(3, 5)
             square, missing, error, count = sums[15:]
-            clock[k] += square, missing + square * (self.late[k] if self.clocks_differ else 0.0), error, count
-        return colour, clock
+            clock[k] += square, missing + square * (self.offsets[k] if self.clocks_differ else 0.0), error, count
+        return {"colour_sums": colour, "clock_sums": clock}
 
-    def learn(self, colour: np.ndarray, clock: np.ndarray) -> None:
-        """Add the sums of a step's pictures, over all processes, and update the estimates."""
-        for sums, new in ((self.colour, colour), (self.clock, clock)):
+    def update(self, colour_sums: np.ndarray, clock_sums: np.ndarray) -> None:
+        """Add the sums of a step's pictures, over all processes, and estimate anew."""
+        for sums, new in ((self.colour_sums, colour_sums), (self.clock_sums, clock_sums)):
             fresh = np.abs(new).reshape(len(new), -1).sum(1) > 0
             sums[fresh] = KEEP * sums[fresh] + new[fresh]
-        if self.exposures != "off" and colour.any():
+        if self.exposures != "off" and colour_sums.any():
             self._fit_colours()
-        if clock.any():
+        if clock_sums.any():
             self._fit_clocks()
 
     def _fit_colours(self) -> None:
-        n, p, q, pp, pq = np.moveaxis(self.colour, -1, 0)
+        n, p, q, pp, pq = np.moveaxis(self.colour_sums, -1, 0)
         known = n[:, 0] > 0
         n = np.maximum(n, 1e-9)
-        pull, towards = np.where(self.told > 0, TOLD, PRIOR_GAIN), np.where(self.told > 0, self.told, 1.0)
+        pull, towards = np.where(self.gain_priors > 0, GAIN_PRIOR, PRIOR_GAIN), np.where(self.gain_priors > 0, self.gain_priors, 1.0)
         a, b, c = pp / n + pull, p / n, 1 + PRIOR_BIAS
         right, above = pq / n + pull * towards, q / n
         det = a * c - b * b
@@ -231,29 +213,29 @@ class Evening:
         self.gains[~known], self.biases[~known] = 1, 0
 
     def _fit_clocks(self) -> None:
-        square, missing, error, n = self.clock.T
-        expected, deviation = self.expected.T
+        square, missing, error, n = self.clock_sums.T
+        expected, deviation = self.offset_priors.T
         low, high = self._clock_range()
         pull = ALIKE_PIXELS * error / np.maximum(n, 1e-9) / np.maximum(deviation, 1e-6)**2
         known = (square > 0) & (high > low)
         if not known.any():
             return
-        told = (missing + pull * expected) / np.maximum(square + pull, 1e-12)
-        late = np.clip(self.late + FARTHER * (told - self.late), low, high)
+        found = (missing + pull * expected) / np.maximum(square + pull, 1e-12)
+        offsets = np.clip(self.offsets + FARTHER * (found - self.offsets), low, high)
         if self.clocks == "auto":
-            self.late = np.where(known, late, self.late)
+            self.offsets = np.where(known, offsets, self.offsets)
             return
-        together = known & (np.abs(late - np.median(late[known])) < NOTICED_CLOCK)
-        if self.apart is not None:
-            together &= ~self.apart
+        together = known & (np.abs(offsets - np.median(offsets[known])) < NOTICED_CLOCK)
+        if self.independent is not None:
+            together &= ~self.independent
         if together.sum() >= TOGETHER * known.sum():
-            self.late = np.where(known & ~together, late, 0.0)
+            self.offsets = np.where(known & ~together, offsets, 0.0)
         else:
-            self.late = np.where(known, late - np.median(late[known]), 0.0)
+            self.offsets = np.where(known, offsets - np.median(offsets[known]), 0.0)
 
     def _clock_range(self) -> np.ndarray:
         """Between which offsets each clock may move [2, V]; equal ones: it stays."""
-        expected, deviation = self.expected.T
+        expected, deviation = self.offset_priors.T
         if self.clocks != "auto":
             return np.stack([np.full_like(expected, -FARTHEST), np.full_like(expected, FARTHEST)])
         moves = np.abs(expected) > np.maximum(LEAST_CLOCK, SURE * deviation)
@@ -262,16 +244,16 @@ class Evening:
 
     def uncertainty(self) -> np.ndarray:
         """Standard deviations [V] of the clocks, in frames; inf where nothing is known of one."""
-        square, _, error, n = self.clock.T
+        square, _, error, n = self.clock_sums.T
         with np.errstate(divide="ignore", invalid="ignore"):
             own = np.where(square > 0, np.sqrt(ALIKE_PIXELS * error / np.maximum(n, 1e-9) / square), np.inf)
-            return np.where(self.expected[:, 1] > 0, 1 / np.hypot(1 / own, 1 / self.expected[:, 1]), np.inf)
+            return np.where(self.offset_priors[:, 1] > 0, 1 / np.hypot(1 / own, 1 / self.offset_priors[:, 1]), np.inf)
 
     def facts(self) -> dict:
         """JSON values of what was found, empty where cameras are even."""
         found: dict = {}
         if self.clocks_differ:
-            found["clocks"] = {view: round(float(late), 4) for view, late in zip(self.views, self.late)}
+            found["clocks"] = {view: round(float(offset), 4) for view, offset in zip(self.views, self.offsets)}
         if self.colours_differ:
             found["exposures"] = {view: {"gain": np.round(gain, 4).tolist(), "bias": np.round(bias, 4).tolist()}
                                   | ({"fade": np.round(fade, 4).tolist()} if fade.any() else {})
@@ -280,21 +262,11 @@ class Evening:
 
 
 @dataclass(frozen=True, eq=False)
-class Evened:
+class CorrectedStore:
     """A store of pictures whose pixels are in the model's colours."""
 
     store: Any
-    evening: Evening
+    response: CameraResponse
 
     def pixels(self, shot):
-        return self.evening.pixels(shot, self.store.pixels(shot))
-
-
-ARRAYS = ("gains", "biases", "late", "told", "expected", "fades", "colour", "clock")
-
-
-def shapes(views: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of Evening.state() by name; all are float64."""
-    return {"gains": (views, 3), "biases": (views, 3), "late": (views,), "told": (views, 3), "expected": (views, 2),
-            "fades": (views, 3),
-            "colour": (views, 3, 5), "clock": (views, 4), "awaited_colour": (AWAITED, views, 3, 5), "awaited_clock": (AWAITED, views, 4)}
+        return self.response.pixels(shot, self.store.pixels(shot))

@@ -21,7 +21,6 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...cameras.poses import turned
-from ...util.errors import FastGSError
 from .camera_response import ALIKE_PIXELS, KEEP, OUTLIER, SETTLED, SOLID
 
 FIRST, LAST = 0.05, 0.9
@@ -41,14 +40,18 @@ LOOKED_AT = 20_000
 """Pixels of a picture that are compared, about: enough for three numbers, and little work."""
 
 
+SHAPES = {"turns": (3,), "turn_sums": (14,)}
+"""Of one camera, the arrays that a checkpoint holds; all are float64."""
+
+
 @dataclass(eq=False)
-class Poses:
+class CameraTurns:
     """The turns of V cameras, and the sums that they are estimated from.
 
     views    their names;  setting: the setting `poses`;  focal [V] in pixels
     axes     [V, 3, 3] world to camera, of each view's first camera
     turns    [V, 3] as estimated
-    sums     [V, 14] over pixels and channels: w J J' [3, 3], w J (r + J turn) [3], w r^2, w; J the change of the picture with the turn,
+    turn_sums  [V, 14] over pixels and channels: w J J' [3, 3], w J (r + J turn) [3], w r^2, w; J the change of the picture with the turn,
              r the target minus the picture
     """
 
@@ -57,30 +60,16 @@ class Poses:
     focal: np.ndarray
     axes: np.ndarray
     turns: np.ndarray
-    sums: np.ndarray
-
-    SUMS = ("sums",)
+    turn_sums: np.ndarray
 
     @classmethod
-    def begun(cls, shots: list, setting: str) -> Poses:
+    def initial(cls, shots: list, setting: str) -> CameraTurns:
         """The state at the first step of training on these shots: no turns.  Parallel projections are left as they are."""
         first = {shot.view: shot.camera for shot in reversed(shots)}
         views = tuple(dict.fromkeys(shot.view for shot in shots))
         possible = len(views) > 1 and not any(camera.orthographic for camera in first.values())
         return cls(views, setting if possible else "off", np.array([abs(first[view].fx) for view in views]),
                    np.array([first[view].world_to_camera[:3, :3] for view in views]), np.zeros((len(views), 3)), np.zeros((len(views), 14)))
-
-    def state(self) -> dict[str, np.ndarray]:
-        """The arrays that a checkpoint holds."""
-        return {name: getattr(self, name) for name in ARRAYS}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore the arrays of state(); a checkpoint of an earlier version has none.  Raises FastGSError for other cameras."""
-        if arrays and len(arrays["turns"]) != len(self.views):
-            raise FastGSError(f"the checkpoint is of a run with {len(arrays['turns'])} cameras, not {len(self.views)}; delete it to train "
-                              "from the beginning.")
-        for name, array in arrays.items():
-            setattr(self, name, np.array(array))
 
     # what it does to cameras
 
@@ -97,14 +86,14 @@ class Poses:
 
     # how it is found
 
-    def looks(self, iteration: int, iterations: int) -> bool:
+    def is_due(self, iteration: int, iterations: int) -> bool:
         """Whether this step's pictures are used to estimate poses; with auto it ends at SETTLED if none has been noticeably wrong."""
         if self.setting == "off" or iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
             return False
         return self.setting == "on" or self.differ or iteration < SETTLED * iterations
 
-    def compared(self, shot, target, picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """The sums [14] over a shot's pixels that said() takes.
+    def measure(self, shot, target, picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """The sums [14] over a shot's pixels that accumulate() takes.
 
         target   a Target, whose camera made the picture
         picture  [h, w, 3] over its background, and alpha [h, w], as TrainingBackend.over() gives them
@@ -131,29 +120,29 @@ class Poses:
             missing = missing + square @ self.turns[self.views.index(shot.view)]
         return np.concatenate([square.ravel(), missing, [(weight * error**2).sum(), weight.sum()]])
 
-    def said(self, found) -> tuple[np.ndarray]:
-        """What a step's pictures say [V, 14]; found: (shot, its sums [14]) of each."""
-        sums = np.zeros_like(self.sums)
-        for shot, each in found:
+    def accumulate(self, measured) -> dict[str, np.ndarray]:
+        """A step's sums for update(), by name; measured: (shot, measure() of it) of each of its pictures."""
+        sums = np.zeros_like(self.turn_sums)
+        for shot, each in measured:
             sums[self.views.index(shot.view)] += each
-        return (sums,)
+        return {"turn_sums": sums}
 
-    def learn(self, new: np.ndarray) -> None:
-        """Add the sums of a step's pictures, over all processes, and update the estimates."""
-        for k in np.flatnonzero(new[:, 13] > 0):
-            self.sums[k] = sums = KEEP * self.sums[k] + new[k]
+    def update(self, turn_sums: np.ndarray) -> None:
+        """Add the sums of a step's pictures, over all processes, and estimate anew."""
+        for k in np.flatnonzero(turn_sums[:, 13] > 0):
+            self.turn_sums[k] = sums = KEEP * self.turn_sums[k] + turn_sums[k]
             pull = ALIKE_PIXELS * sums[12] / sums[13] / PRIOR**2 + 1e-9
             try:
-                told = np.linalg.solve(sums[:9].reshape(3, 3) + pull * np.eye(3), sums[9:12])
+                found = np.linalg.solve(sums[:9].reshape(3, 3) + pull * np.eye(3), sums[9:12])
             except np.linalg.LinAlgError:  # pictures of one edge, far stronger than the pull
                 continue
-            turn = self.turns[k] + FARTHER * (told - self.turns[k])
+            turn = self.turns[k] + FARTHER * (found - self.turns[k])
             self.turns[k] = turn * min(1, FARTHEST / max(float(np.linalg.norm(turn)), FARTHEST))
-        known = self.sums[:, 13] > 0
-        if 2 * known.sum() > len(known):
-            self._hold(known)
+        known = self.turn_sums[:, 13] > 0
+        if turn_sums.any() and 2 * known.sum() > len(known):
+            self._take_out_shared_turn(known)
 
-    def _hold(self, known: np.ndarray) -> None:
+    def _take_out_shared_turn(self, known: np.ndarray) -> None:
         """Take the turn that the known cameras [V] share out of theirs; those that are turned much farther than others count less."""
         turns = np.einsum("vji,vj->vi", self.axes[known], self.turns[known])
         shared = np.median(turns, axis=0)
@@ -167,11 +156,3 @@ class Poses:
         if not self.differ:
             return {}
         return {"poses": {view: np.round(np.degrees(turn), 4).tolist() for view, turn in zip(self.views, self.turns)}}
-
-
-ARRAYS = ("turns", "sums")
-
-
-def shapes(views: int, awaited: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of Poses.state() by name, and of what it awaits of so many steps; all are float64."""
-    return {"turns": (views, 3), "sums": (views, 14), "awaited_sums": (awaited, views, 14)}

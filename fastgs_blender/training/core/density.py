@@ -11,7 +11,7 @@ import numpy as np
 from ...model.appearance import Features
 from ...model.slicing import sigmoid
 from ...util import rotations
-from .anchor import HELD
+from .anchor import ANCHOR
 from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 
@@ -96,9 +96,9 @@ class Default(Strategy):
     def _prune(self, optimiser, statistics):
         arrays = optimiser.arrays
         largest = np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
-        if HELD in arrays:  # a hole in the backdrop makes its neighbours grow until they are removed too
-            held = np.flatnonzero(np.isfinite(arrays[HELD]).all(1))
-            arrays["scale"][held] = np.minimum(arrays["scale"][held], np.log(largest[held])[:, None] - 1e-3)
+        if ANCHOR in arrays:  # a hole in the backdrop makes its neighbours grow until they are removed too
+            anchored = np.flatnonzero(np.isfinite(arrays[ANCHOR]).all(1))
+            arrays["scale"][anchored] = np.minimum(arrays["scale"][anchored], np.log(largest[anchored])[:, None] - 1e-3)
         keep = sigmoid(arrays["opacity"]) >= self.settings.prune_opacity
         keep &= np.exp(arrays["scale"].max(1)) <= largest
         if keep.all() or not keep.any():

@@ -17,7 +17,7 @@ LOW, HIGH = 0.03, 0.10
 """Differences in colour (0..1) below which a pixel stands still, and above which it surely moves; between them lies noise."""
 
 
-class Moving:
+class MovingPixels:
     """How much each pixel of a shot moves; for shots of cameras that stand still, and that have no mask.
 
     shots  those that training uses, by which a camera's still picture is found

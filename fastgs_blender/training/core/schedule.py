@@ -12,8 +12,8 @@ from .model import PLACE
 VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
 """What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
 
-REFINED = {"position": 1.0, "motion": 1.0, "scale": 0.5, "rotation": 0.5, "rotation_motion": 0.5}
-"""What is slower where training begins with a model: the power of `known_rate` by which its rate is multiplied."""
+WARM = {"position": 1.0, "motion": 1.0, "scale": 0.5, "rotation": 0.5, "rotation_motion": 0.5}
+"""What is slower after a warm start: the power of `known_rate` by which its rate is multiplied."""
 
 
 def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
@@ -21,15 +21,15 @@ def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
     return np.random.default_rng([seed, purpose, *step])
 
 
-def learning_rates(settings, iteration: int, extent: float, reach: float, basis: Basis, known: bool = False) -> dict:
+def learning_rates(settings, iteration: int, extent: float, depth: float, basis: Basis, warm: bool = False) -> dict:
     """The rate of every array at a step: a number, or a row of the array's columns.
 
-    Lengths scale with the extent; positions begin with steps in proportion to the reach, how far away is what the cameras film, unless the
-    settings say otherwise.  In the last part of the run all of them go down to nothing.  known: the run began with a model, whose places
+    Lengths scale with the extent; positions begin with steps in proportion to the depth, how far away is what the cameras film, unless the
+    settings say otherwise.  In the last part of the run all of them go down to nothing.  warm: the run began with a model, whose places
     and shapes want refining: steps by which they would be found would first destroy them.
     """
     done = min(iteration / max(settings.iterations, 1), 1.0)
-    first, last = settings.position_rate * (reach if settings.rate_unit == "reach" else extent), settings.position_rate_end * extent
+    first, last = settings.position_rate * (depth if settings.rate_unit == "reach" else extent), settings.position_rate_end * extent
     position = first * (last / first) ** done if first > 0 else 0.0
     motion = settings.motion_rate * extent * settings.motion_decay**done
     features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
@@ -50,8 +50,8 @@ def learning_rates(settings, iteration: int, extent: float, reach: float, basis:
     fade = settings.rate_decay**done
     rates = {"position": position, "motion": motion * np.repeat(1 / basis.frequency_index(), 3),
              **{name: rate * fade for name, rate in others.items()}}
-    if known:
-        for name, power in REFINED.items():
+    if warm:
+        for name, power in WARM.items():
             rates[name] = rates[name] * settings.known_rate**power
     rest = min((1 - done) / settings.cool_down, 1.0) if settings.cool_down else 1.0
     return {name: rate * rest for name, rate in rates.items()}

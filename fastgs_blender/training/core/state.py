@@ -8,15 +8,13 @@ from ...formats.base import LIMIT, LIMITS
 from ...model.appearance import Features
 from ...model.gaussians import Clip, GaussianModel
 from ...util.errors import FastGSError
-from .anchor import HELD
-from .camera_response import AWAITED, FARTHEST
-from .camera_response import shapes as evening_shapes
-from .camera_turns import shapes as poses_shapes
+from . import camera_response, camera_turns
+from .anchor import ANCHOR
+from .camera_estimates import KEPT, SUMS
+from .camera_response import FARTHEST
+from .statistics import NAMES as STATISTICS
 
 DECODER = ("w1", "w2")
-STATISTICS = ("gradient", "absolute", "seen", "radius")
-NEWER = ("told", "fades", "awaited_colour", "awaited_clock")
-"""Arrays of the evening that checkpoints of earlier versions lack."""
 LARGEST_SUM = 1e15
 """Sums over a camera's pictures, of squares of pixels' changes, stay far below it."""
 LONGEST_STEP = 10.0
@@ -67,11 +65,11 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
     iteration = about.get("iteration")
     if not is_count(iteration) or iteration > iterations:
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
-    if not is_length(about.get("reach", 1.0)):  # older checkpoints state none
+    if not is_length(about.get("depth")):
         raise FastGSError(f"it does not say how far away the scene is; {ADVICE}")
-    if not _are_numbers(about.get("around", [0.0] * 4), 4, LIMIT):  # nor this
+    if not _are_numbers(about.get("around"), 4, LIMIT):
         raise FastGSError(f"it does not say what the cameras stand around; {ADVICE}")
-    if not isinstance(about.get("known", False), bool):  # nor this
+    if not isinstance(about.get("warm"), bool):
         raise FastGSError(f"it does not say whether it began with a model; {ADVICE}")
     expected = _expected(arrays, template)
     odd = sorted(arrays.keys() ^ expected.keys())
@@ -99,19 +97,20 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
     shapes = template.shapes(count)
     if isinstance(template.appearance, Features):
         shapes |= {name: getattr(template.appearance, name).shape for name in DECODER}
-    if f"optimiser.value.{HELD}" in arrays:
-        shapes[HELD] = shapes["features"]
+    if f"optimiser.value.{ANCHOR}" in arrays:
+        shapes[ANCHOR] = shapes["features"]
     expected = {}
     for name, shape in shapes.items():
         expected |= {f"optimiser.{part}.{name}": (np.float32, shape) for part in ("value", "mean", "square")}
         expected[f"optimiser.count.{name}"] = np.int32, shape[:1]
-    late = arrays.get("evening.late")
-    if late is not None and late.ndim == 1:  # earlier versions had none
-        expected |= {f"evening.{name}": (np.float64, shape) for name, shape in evening_shapes(len(late)).items()
-                     if name not in NEWER or f"evening.{name}" in arrays}
-    turns = arrays.get("poses.turns")
-    if turns is not None and turns.ndim == 2:  # nor these
-        expected |= {f"poses.{name}": (np.float64, shape) for name, shape in poses_shapes(len(turns), AWAITED).items()}
+    turns, steps = (arrays.get(f"cameras.{name}") for name in ("turns", "delayed.steps"))
+    cameras, queued = (len(array) if array is not None and array.ndim else 0 for array in (turns, steps))
+    if queued > KEPT:
+        raise FastGSError(f"it queues {queued} steps; {ADVICE}")
+    expected |= {f"cameras.{name}": (np.float64, (cameras, *shape))
+                 for name, shape in (camera_response.SHAPES | camera_turns.SHAPES).items()}
+    expected |= {f"cameras.delayed.{name}": (np.float64, (queued, cameras, *shape)) for name, shape in SUMS.items()}
+    expected["cameras.delayed.steps"] = np.int64, (queued,)
     expected |= {f"statistics.{name}": (np.float32, (count,)) for name in STATISTICS}
     return expected | {"optimiser.moved": (np.int64, (count,)), "optimiser.steps": (np.int64, (1,)), "optimiser.betas": (np.float64, (2,))}
 
@@ -134,32 +133,32 @@ def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
         return bool(((array >= 0) & (array < 1)).all())
     if group == "statistics":  # magnitudes
         return not bool((array < 0).any())
-    if group == "evening":
-        return _evening_in_range(part, array)
-    if group == "poses":
-        return _turns_in_range(array) if part == "turns" else _changes_in_range(array)
+    if name == "cameras.delayed.steps":
+        return bool(((array >= 0) & (array < iteration)).all())
+    if group == "cameras":
+        return _cameras_in_range(name.rpartition(".")[2], array)
     if part == "square":
         return bool((array >= 0).all())
     if part == "mean":
         return bool(np.isfinite(array).all())
-    kind = "features" if rest == [HELD] else rest[0]
+    kind = "features" if rest == [ANCHOR] else rest[0]
     bounded = (np.abs(array) <= LIMIT) & (array <= LIMITS.get(kind, LIMIT))
-    return bool((bounded | np.isnan(array) if rest == [HELD] else bounded).all())  # NaN: not held
+    return bool((bounded | np.isnan(array) if rest == [ANCHOR] else bounded).all())  # NaN: not held
 
 
-def _evening_in_range(part: str, array: np.ndarray) -> bool:
-    most = {"biases": 10.0, "late": 2 * FARTHEST, "fades": 5.0}
-    if part == "gains":
-        return bool(((array > 0.01) & (array < 100)).all())
-    if part == "told":  # 0: starting points did not
-        return bool(((array >= 0) & (array < 100)).all())
+def _cameras_in_range(part: str, array: np.ndarray) -> bool:
+    most = {"biases": 10.0, "offsets": 2 * FARTHEST, "fades": 5.0, "turns": 0.1}
     if part in most:
         return bool((np.abs(array) <= most[part]).all())
-    if part == "expected":
+    if part in ("gains", "gain_priors"):  # a prior of 0: starting points show none
+        return bool(((array > 0.01) & (array < 100) | (array == 0) & (part == "gain_priors")).all())
+    if part == "offset_priors":
         return bool((np.abs(array[:, 0]) <= LARGEST_OFFSET).all() and ((array[:, 1] >= 0) & (array[:, 1] <= LARGEST_OFFSET)).all())
     if not (np.abs(array) <= LARGEST_SUM).all():
         return False
-    if part in ("clock", "awaited_clock"):
+    if part == "turn_sums":
+        return _turns_in_range(array)
+    if part == "clock_sums":
         square, _, error, count = np.moveaxis(array, -1, 0)
         return bool(((square >= 0) & (error >= 0) & (count >= 0)).all())
     count, p, _, pp, _ = np.moveaxis(array, -1, 0)
@@ -167,12 +166,8 @@ def _evening_in_range(part: str, array: np.ndarray) -> bool:
 
 
 def _turns_in_range(array: np.ndarray) -> bool:
-    return bool((np.abs(array) < 0.1).all())
-
-
-def _changes_in_range(array: np.ndarray) -> bool:
-    """Whether [..., 14] sums of poses are those of real pictures: a symmetric matrix without negative eigenvalues, and magnitudes."""
-    if not (np.abs(array) <= LARGEST_SUM).all() or not (array[..., 12:] >= 0).all():
+    """Whether [..., 14] sums of turns are those of real pictures: a symmetric matrix without negative eigenvalues, and magnitudes."""
+    if not (array[..., 12:] >= 0).all():
         return False
     square = array[..., :9].reshape(-1, 3, 3)
     slack = 1e-6 * np.abs(square).max((1, 2), initial=0.0) + TINY

@@ -50,7 +50,7 @@ def target(capture, pixels, shot, settings, reduction: int, *key: int, moving: n
     """The target of a shot with these pixels (captures.pixels.store.Pixels).
 
     key     seeds the random background, where the settings ask for one
-    moving  [h, w] how much each pixel moves (Moving.share), or None: not known
+    moving  [h, w] how much each pixel moves (MovingPixels.share), or None: not known
     """
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
     use = use_of_mask(settings, capture, shot, mask)

@@ -15,7 +15,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...captures.capture import Points, Shot
 from ...util.errors import FastGSError
-from ..core.camera_response import Evened, Evening
+from ..core.camera_response import CameraResponse, CorrectedStore
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, planes, sweep
@@ -135,34 +135,33 @@ def _features(capture, store, settings, moments, tick):
     points = joined(clouds)
     if len(points) < FEW * len(moments):
         raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
-    even = evening_of(capture, settings, looks)
-    rgb = np.array([np.mean([even.seen_as(view, colour) for view, colour in each.items()], 0) for each in looks]).reshape(-1, 3)
-    return Points(points.xyz, rgb, points.t), Evened(store, even)
+    response = response_of(capture, settings, looks)
+    rgb = np.array([np.mean([response.in_model_colours(*pair) for pair in each.items()], 0) for each in looks]).reshape(-1, 3)
+    return Points(points.xyz, rgb, points.t), CorrectedStore(store, response)
 
 
-def evening_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> Evening:
+def response_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
     """How cameras differ, from the colours [3] of points in the views that see them.
 
     The logarithm of a colour is the point's plus that of the camera's gain: robust least squares over all points and cameras together.
     (Medians of ratios to the points' medians are too near 1, because a point that few cameras see has their own colours as its median.)
     """
-    even = Evening.begun(tuple(dict.fromkeys(shot.view for shot in capture.training)), capture.clip.frame_count, settings)
-    place = {view: k for k, view in enumerate(even.views)}
-    table = np.full((len(looks), len(even.views), 3), np.nan)
+    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    place = {view: k for k, view in enumerate(views)}
+    table = np.full((len(looks), len(views), 3), np.nan)
     for row, each in zip(table, looks):
         for view, colour in each.items():
             row[place[view]] = colour
     table[(table < DARK) | (table > BRIGHT)] = np.nan
-    table[np.isfinite(table).sum(1, keepdims=True).repeat(len(even.views), 1) < 2] = np.nan  # alone, a colour tells nothing
+    table[np.isfinite(table).sum(1, keepdims=True).repeat(len(views), 1) < 2] = np.nan  # alone, a colour tells nothing
     known = (np.isfinite(table).sum(0) >= FEW).all(1)
-    if known.sum() < 2:
-        return even
-    gains = np.exp(np.stack([_offsets(np.log(table[:, known, c])) for c in range(3)], 1))
-    told = np.zeros_like(even.gains)
-    told[known] = np.clip(gains / np.median(gains, 0), 0.3, 3)
-    if np.abs(told[known] - 1).max() < UNEVEN:
-        return even
-    return Evening.begun(even.views, capture.clip.frame_count, settings, told)
+    priors = None
+    if known.sum() >= 2:
+        gains = np.exp(np.stack([_offsets(np.log(table[:, known, c])) for c in range(3)], 1))
+        priors = np.zeros((len(views), 3))
+        priors[known] = np.clip(gains / np.median(gains, 0), 0.3, 3)
+        priors = None if np.abs(priors[known] - 1).max() < UNEVEN else priors
+    return CameraResponse.initial(views, capture.clip.frame_count, settings, priors)
 
 
 def _offsets(values: np.ndarray) -> np.ndarray:

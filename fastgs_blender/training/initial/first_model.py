@@ -18,7 +18,7 @@ ENOUGH = 100
 """Points in pictures from which a distance is taken."""
 
 
-def reach_of(points: Points, capture) -> float:
+def depth_of(points: Points, capture) -> float:
     """How far away what the cameras film is: the median depth of the starting points in the pictures, at least the capture's extent.
 
     Cameras around a subject stand as far from it as from each other.  A rig that looks forward films what is several times farther

@@ -2,45 +2,16 @@
 """Makes the initial Gaussians of training, from an existing model or from starting points, with a backdrop behind them."""
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...captures.clocks.find import by_epipolar_planes, stated_offsets
-from ...model.gaussians import GaussianModel
-from ..core.camera_response import FARTHEST, Evened, Evening
+from ..core.camera_response import FARTHEST, CameraResponse, CorrectedStore
+from ..core.start import Start
 from . import backdrop, starting_points, warm_start
 from .fades import fades_of
-from .first_model import model_from_points, reach_of
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """The model that training begins with; sizes [N], how far apart its backdrop's Gaussians stand, NaN for others, or None without
-    a backdrop; reach, how far away is what the cameras film; gains [V, 3] of the views trained on, 0 where they are not known, or
-    None where they are not known to differ; fades [V, 3] of these views, how their exposures change, or None where none does; known: it
-    was made from a model that shows the scene; clocks [V, 2] of these views, see expected_clocks(), or None."""
-
-    model: GaussianModel
-    sizes: np.ndarray | None
-    reach: float
-    gains: np.ndarray | None = None
-    fades: np.ndarray | None = None
-    known: bool = False
-    clocks: np.ndarray | None = None
-
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """All of it but the model's kinds, for other processes."""
-        perhaps = {"sizes": self.sizes, "gains": self.gains, "fades": self.fades, "clocks": self.clocks}
-        numbers = {"reach": np.array([self.reach]), "known": np.array([self.known])}
-        return self.model.arrays | numbers | {name: a for name, a in perhaps.items() if a is not None}
-
-    @classmethod
-    def of(cls, arrays: dict[str, np.ndarray], empty: GaussianModel) -> Start:
-        """The inverse of arrays(), for a model of the same kinds as `empty`."""
-        return cls(replace(empty, **{name: arrays[name] for name in empty.arrays}), arrays.get("sizes"), float(arrays["reach"][0]),
-                   arrays.get("gains"), arrays.get("fades"), bool(arrays["known"][0]), arrays.get("clocks"))
+from .first_model import depth_of, model_from_points
 
 
 def start(capture, store, settings, say=print, progress=lambda done, of: None) -> Start:
@@ -53,21 +24,20 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     model = warm_start.known_model(capture, settings, say)
     found, store = starting_points.initial_points(capture, store, settings, say, progress) if model is None else \
         (warm_start.points_of(model, capture), store)
-    gains = store.evening.told if isinstance(store, Evened) and store.evening.colours_differ else None
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:
+        gains = store.response.gain_priors if isinstance(store, CorrectedStore) and store.response.colours_differ else None
         behind = starting_points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
-        return Start(first, behind.size, reach_of(behind, capture), gains, fades, clocks=clocks)
-    first = warm_start.begun_with(model, capture, store, settings)
+        return Start(first, behind.size, depth_of(behind, capture), gains, fades, clocks)
+    first, sizes = warm_start.begun_with(model, capture, store, settings), None
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))
-    if not len(behind):
-        return Start(first, None, reach_of(found, capture), fades=fades, known=True, clocks=clocks)
-    second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
-    both = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
-    sizes = np.concatenate([np.full(len(first), np.nan, np.float32), behind.size])
-    return Start(both, sizes, reach_of(found, capture), fades=fades, known=True, clocks=clocks)
+    if len(behind):
+        sizes = np.concatenate([np.full(len(first), np.nan, np.float32), behind.size])
+        second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
+        first = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
+    return Start(first, sizes, depth_of(found, capture), None, fades, clocks, warm=True)
 
 
 def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
@@ -102,4 +72,4 @@ def _steady(capture, store, settings, say):
         return store, None
     say("exposures change over the clip, and are evened: " + ", ".join(
         f"{view} by {np.exp(2 * fade.mean()):.2f}" for view, fade in zip(views, fades) if fade.any()))
-    return Evened(store, Evening.begun(views, capture.clip.frame_count, settings, fades=fades)), fades
+    return CorrectedStore(store, CameraResponse.initial(views, capture.clip.frame_count, settings, fades=fades)), fades

@@ -20,7 +20,7 @@ SOURCES = {"triangulate": "triangulated features", "file": "the layout's point f
 
 def initial_points(capture, store, settings, say=print, progress=lambda done, of: None) -> tuple[Points, Any]:
     """The points that training starts from, at most settings.points, and the store with colours in which cameras agree, where it is found
-    that they differ (Evened); t is NaN for points that are visible at all times.
+    that they differ (CorrectedStore); t is NaN for points that are visible at all times.
 
     settings.start  "auto": the first source that gives points, in SOURCES' order; or a source's name
     progress        called as progress(done, of)

@@ -15,6 +15,7 @@ from ...captures.pixels.probe import picture_size
 from ...captures.pixels.store import FrameStore
 from ...util.errors import FastGSError
 from ..core.settings import settings
+from ..core.start import Start
 from ..core.trainer import Trainer
 from ..initial.start import expected_clocks, start
 
@@ -49,13 +50,14 @@ def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None 
         if expected is None or not expected[:, 1].any():
             return first, tuple(lost)
         began = start(capture, store, replace(chosen, clocks="off"), lambda text: None, starting)
-        trainer = Trainer(capture, store, chosen, began.model, sizes=began.sizes, reach=began.reach, clocks=expected)
-        trainer.evening.apart = np.array([first.offsets.get(view, 0.0) != 0 for view in trainer.evening.views])
+        trainer = Trainer(capture, store, chosen, Start(began.model, began.sizes, began.depth, clocks=expected))
+        response = trainer.cameras.response
+        response.independent = np.array([first.offsets.get(view, 0.0) != 0 for view in response.views])
         while trainer.iteration < steps:
             trainer.step()
             progress(trainer.iteration, steps)
-    found = trainer.evening
-    late, spread = dict(zip(found.views, found.late)), dict(zip(found.views, found.uncertainty()))
+    found = trainer.cameras.response
+    late, spread = dict(zip(found.views, found.offsets)), dict(zip(found.views, found.uncertainty()))
     offsets = {view: first.offsets.get(view, 0.0) + float(late[view]) for view in found.views}
     middle = float(np.median(list(offsets.values())))
     known = {view for view in found.views if np.isfinite(spread[view])}

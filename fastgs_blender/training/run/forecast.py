@@ -10,6 +10,7 @@ import numpy as np
 from ...captures.capture import Capture, Points, Shot
 from ...captures.pixels.store import Pixels
 from ..core.settings import Settings
+from ..core.start import Start
 from ..core.trainer import Trainer
 from ..initial.first_model import model_from_points
 from .segments import spans
@@ -48,7 +49,7 @@ def step_seconds(capture: Capture, settings: Settings, backend: str) -> float:
     plain = replace(settings, warm_up=(), densify_from=1.0, densify_until=1.0, reset_every=0, moving_weight=1.0, exposures="off",
                     clocks="off", poses="off")
     model = model_from_points(points, plain, first.clip, first.axes, first.extent)
-    trainer = Trainer(first, _Noise(), plain, model, backend=backend)
+    trainer = Trainer(first, _Noise(), plain, Start(model), backend=backend)
     times = []
     for _ in range(1 + STEPS):
         began = time.perf_counter()

@@ -50,6 +50,5 @@ def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
     empty = empty_model(settings, checked_clip(about.get("clip")), about.get("axes"))
     check_state(arrays, about, empty, settings.iterations)
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
-    around = about.get("around")  # checkpoints of earlier versions have none
-    backdrop = backdrop_of(values, around) if around else None
+    backdrop = backdrop_of(values, about["around"])
     return replace(lasting(with_arrays(empty, values)), surroundings=Surroundings(backdrop))

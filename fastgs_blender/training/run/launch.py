@@ -13,7 +13,7 @@ from ...training.core.settings import Settings
 from ...util.arguments import file_path, shown, yes_or_no
 from ...util.backends import choose_device
 from ...util.errors import FastGSError
-from .files import MODEL
+from .files import MODEL, RUN
 
 if TYPE_CHECKING:
     from .plan import Source
@@ -69,33 +69,33 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     """
     from ...captures.pixels.checks import check
     from ...captures.pixels.store import FrameStore
-    from ..core.distributed import joined
+    from ..core.processes import joined
     from ..core.settings import settings
     from ..initial.calibrate import with_poses
-    from . import session
-    from .plan import plan_from_dict, read_plan, suited
+    from . import follower, session
+    from .folder import release
+    from .plan import begin, suited
 
     def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
 
-    with joined() as group:
-        plan = group.first_does(lambda: session.begin(out, dict(wanted), new, resume, overwrite, source))
+    with joined() as processes:
+        if processes.rank:
+            follower.follow(processes, device)
+            return {}
+        plan = begin(out, dict(wanted), new, resume, overwrite, source)
         try:
-            plan = plan_from_dict(group.share(plan.to_dict() if plan else None))
             capture = plan.source.open()
-            for remark in capture.notes if group.first else ():
+            for remark in capture.notes:
                 note(remark)
             check(capture)
-            if read_plan(out) is None or plan.fresh:
+            if plan.fresh or not (Path(out) / RUN).exists():
                 plan = replace(plan, settings=suited(plan.settings, capture, wanted))
             backend, about = choose_device(device)  # last: the first time a GPU is tested, which takes a moment
             if about:
                 note(about)
-            if not capture.posed:
-                store = FrameStore(capture, session.MEMORY)
-                group.first_does(lambda: with_poses(capture, store, out, note))
-                capture = with_poses(capture, store, out)
-            return session.train(capture, FrameStore(capture, session.MEMORY), plan, out, group, quiet,
-                                 backend="cpu" if backend == "auto" else backend)
+            capture = with_poses(capture, FrameStore(capture, session.MEMORY), out, note)
+            return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,
+                               backend="cpu" if backend == "auto" else backend)
         finally:
-            session.release(out)
+            release(out)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The plan of a training run: its capture and its settings, which run.json in the run's folder records.
 
-begin() makes the plan of a new run, or brings back that of a run which is resumed.  It changes nothing in the folder: a run that
-cannot start leaves everything as it was.
+begin() makes the plan of a new run, or brings back that of a run which is resumed, and takes the folder.  It changes nothing in it: a run
+that cannot start leaves everything as it was.
 """
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from pathlib import Path
 from ...captures import open_capture
 from ...captures.capture import Capture
 from ...util.errors import FastGSError
+from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
 from ..core.presets import KNOWN
 from ..core.settings import Settings, from_dict
 from . import checkpoint
 from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REFINED, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
+from .folder import release, take
 
 DAMAGED = "delete it to train from the beginning"
 
@@ -72,7 +74,7 @@ class Plan:
 
 
 def plan_from_dict(values: object, where: str = "the plan of a run") -> Plan:
-    """The inverse of Plan.to_dict; raises FastGSError, which names `where`.  Runs of earlier versions name no source."""
+    """The inverse of Plan.to_dict; raises FastGSError, which names `where`.  A plan may name no source."""
     settings = values.get("settings") if isinstance(values, dict) else None
     if not isinstance(values, dict) or not isinstance(settings, dict):
         raise FastGSError(f"{where}: it holds no settings; {DAMAGED}.")
@@ -106,22 +108,32 @@ def read_plan(out: str | Path) -> Plan | None:
     return replace(plan_from_dict(read_json(path, advice=DAMAGED), str(path)), fresh=False)
 
 
-def begin(out: str | Path, wanted: dict, source: Source, make: Callable[[dict], Settings], resume: bool, overwrite: bool) -> Plan:
-    """The plan of the run in a folder; the caller holds the folder's lock.
+def begin(out: str | Path, wanted: dict, make: Callable[[dict], Settings], resume: bool = False, overwrite: bool = False,
+          source: Source = NOTHING) -> Plan:
+    """The plan of the run in a folder, which is made where there is none.
 
     wanted, source  the options that were asked for by name; make(wanted) gives the settings of a new run
-    A run that is resumed has the settings and the capture it began with.  Raises FastGSError where these contradict what is asked
-    for, or where a run is in the folder already and neither resume nor overwrite says what to do with it.
+    A run that is resumed has the settings and the capture it began with.  No other process can train in the folder until session.run() or
+    folder.release() has been called, or this process has ended.  Raises FastGSError where another one does, where settings or capture
+    contradict what is asked for, or where a run is in the folder already and neither resume nor overwrite says what to do with it.
     """
     out = Path(out)
-    old = read_plan(out) if resume else None
-    if old is not None:
-        for name, value in wanted.items():
-            _agree(out, name, getattr(old.settings, name), value)
-        return replace(old, source=_continued(out, old.source, source))
-    if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
-        raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the beginning.")
-    return Plan(make(wanted), source, fresh=not resume)
+    take(out)
+    try:
+        for folder in (out, *(out / SEGMENTS).glob("*")):
+            remove_leftovers(folder)
+        old = read_plan(out) if resume else None
+        if old is not None:
+            for name, value in wanted.items():
+                _agree(out, name, getattr(old.settings, name), value)
+            return replace(old, source=_continued(out, old.source, source))
+        if not resume and not overwrite and any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
+            raise FastGSError(f"there is a training run in {out} already; --resume continues it, --overwrite starts again from the "
+                              "beginning.")
+        return Plan(make(wanted), source, fresh=not resume)
+    except BaseException:
+        release(out)
+        raise
 
 
 def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) -> Settings:

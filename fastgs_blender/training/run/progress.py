@@ -31,9 +31,9 @@ UNTIMED_STEPS = 2
 
 
 class Silent:
-    """Reports nothing: for the processes that are not the first, and for programs that only want the result."""
+    """Reports nothing: for programs that only want the result."""
 
-    iterations = 0
+    iterations, elapsed = 0, 0.0
     device = ""
     """What trains, for people."""
 

@@ -7,91 +7,71 @@ from __future__ import annotations
 
 import contextlib
 import json
-import signal
-import threading
+import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ... import formats
+from ...captures.refined import refined
 from ...evaluation import training_record
 from ...formats.base import generator
 from ...kernels.protocol import DeviceError
+from ...model.gaussians import GaussianModel
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
-from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ...util.stopping import SIGNALS
-from ..core.settings import Settings
+from ..core.measure import measure
+from ..core.processes import Processes
 from ..core.state import is_duration
+from ..core.trainer import Trainer
+from ..initial.refine import refinement
+from ..initial.start import start
 from . import checkpoint, written
 from . import plan as plans
 from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
 from .folder import release, take
-from .plan import NOTHING, Plan, Source
-from .progress import Reporter, Silent
+from .plan import Plan
+from .progress import Reporter
+from .segments import Span, joined_model, spans
+from .stopping import StopFlag, Stopped
 
 PREVIEW_SHOTS = 4
 MEMORY = 768 << 20
 """Bytes of pictures kept in memory."""
 
 
-class Stopped(KeyboardInterrupt):
-    """The user ended the run; the message says how to continue it."""
+def run(capture, store, plan: Plan, out, *, quiet: bool = False, reporter_type=Reporter, backend: str = "cpu",
+        processes: Processes | None = None) -> dict:
+    """Train, or continue, the run in a folder; returns the report.
 
-
-def begin(out, wanted: dict, make: Callable[[dict], Settings], resume: bool, overwrite: bool,
-          source: Source = NOTHING) -> Plan:
-    """The plan of the run in a folder, which is made where there is none; see plan.begin().
-
-    No other process can train in the folder until train() or release() has been called, or this process has ended.  Raises FastGSError
-    where another one does.
-    """
-    out = Path(out)
-    take(out)
-    try:
-        for folder in (out, *(out / SEGMENTS).glob("*")):
-            remove_leftovers(folder)
-        return plans.begin(out, wanted, source, make, resume, overwrite)
-    except BaseException:
-        release(out)
-        raise
-
-
-def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, reporter_type=Reporter, backend: str = "cpu") -> dict:
-    """Train, or continue, the run in a folder; returns the report, in the first process.
-
-    capture, store  see captures.capture; plan  what begin() gave; group  distributed.Group; backend  its name (util/backends.py)
+    capture, store  see captures.capture; plan  what plan.begin() gave; backend  its name (util/backends.py)
+    processes       those that take the steps together
     Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.  A run that fails before its first checkpoint leaves
     no plan behind, so that the corrected one can start.
     """
-    from ..core.distributed import Group
-    from .segments import spans
-
-    group = group or Group()
     out, settings = Path(out), plan.settings
     cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
     if len(cuts) > 1 and settings.motion == "keyframes":
         raise FastGSError("a capture this long is trained in segments, and keyframes of several segments do not join; choose another "
                           "motion, or --set segment_frames=0.")
-    reporter: Silent = Silent()
-    if group.first:
-        take(out)
-        plans.write(out, plan)
-        done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
-        reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
+    take(out)
+    plans.write(out, plan)
+    done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
+    reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
     reporter.device = describe_backend(backend)
     try:
         with StopFlag() as stop:
-            return _train(capture, store, settings, out, group, reporter, stop, cuts, backend)
+            return _Session(plan, out, reporter, stop, processes or Processes()).train(capture, store, cuts, backend)
     except KeyboardInterrupt as stopped:
         reporter.status("stopped", reason=str(stopped) or "stopped.")
         raise
     except BaseException as error:
         reporter.status("failed", reason=str(error) or type(error).__name__)
-        if group.first and not isinstance(error, SystemExit):
+        if not isinstance(error, SystemExit):
             plans.forget(out)
         raise
     finally:
@@ -99,136 +79,155 @@ def train(capture, store, plan: Plan, out, group=None, quiet: bool = False, repo
         release(out)
 
 
-def _train(capture, store, settings, out, group, reporter, stop, cuts, backend) -> dict:
-    from .segments import joined_model
+@dataclass
+class _Session:
+    """A run in its folder; cameras: what was changed in those that the capture gives (initial/refine.py)."""
 
-    reporter.status("preparing")
-    capture, store, cameras = _refined(capture, store, settings, out, group, reporter)
-    group.first_does(lambda: reporter.fill(store, capture.shots))
-    about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout, "iterations": str(settings.iterations),
-             "settings": json.dumps(settings.to_dict(), allow_nan=False), **training_record.record(capture)}
-    if len(cuts) == 1:
-        model = _segment(capture, store, settings, out, group, reporter, stop, None, 0, backend)
-        evened = training_record.evened(model)
-    else:
-        models = []
+    plan: Plan
+    out: Path
+    reporter: Any
+    stop: StopFlag
+    processes: Processes
+    cameras: dict | None = None
+
+    def train(self, capture, store, cuts: list[Span], backend: str) -> dict:
+        """All segments of a capture, a short one in one; returns the report."""
+        reporter, settings = self.reporter, self.plan.settings
+        reporter.status("preparing")
+        begun = (self.out / CHECKPOINT).exists() or any((self.out / SEGMENTS).glob("*/*"))
+        with reporter.stage("refining cameras", "picture") as report:
+            self.cameras = refinement(capture, store, settings, self.out / REFINED, begun, reporter.say, report)["cameras"]
+        given, capture = capture, refined(capture, self.cameras)
+        store = store if capture is given else store.of(capture)
+        reporter.fill(store, capture.shots)
+        models: list[GaussianModel] = []
         for number, cut in enumerate(cuts):
-            folder = segment_folder(out, number)
-            group.first_does(lambda folder=folder: folder.mkdir(parents=True, exist_ok=True))
-            reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
-            decoder = models[0] if models else None
-            models.append(_segment(capture.part(cut.first, cut.count), store, settings, folder, group, reporter, stop, decoder, number,
-                                   backend))
-        evened = training_record.evened(models[0])  # exposures stay, and clocks run on
-        model = joined_model(models, cuts, capture.clip, {})
-    about |= training_record.evened_entry(evened | ({"cameras": cameras} if cameras else {}))
-    return group.first_does(lambda: _finish(replace(model, provenance=about), capture, store, settings, out, group, reporter)) or {}
+            if len(cuts) > 1:
+                reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
+            models.append(self._segment(capture, store, cuts, number, models[0] if models else None, backend))
+        corrections = training_record.corrections(models[0])  # exposures stay, and clocks run on
+        corrections |= {"cameras": self.cameras} if self.cameras else {}
+        about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout,
+                 "iterations": str(settings.iterations), "settings": json.dumps(settings.to_dict(), allow_nan=False),
+                 **training_record.record(capture), **training_record.corrections_entry(corrections)}
+        model = models[0] if len(cuts) == 1 else joined_model(models, cuts, capture.clip, {})
+        return self._finish(replace(model, provenance=about), capture, store)
 
+    def _segment(self, capture, store, cuts: list[Span], number: int, decoder: GaussianModel | None, backend: str) -> GaussianModel:
+        """Train one segment, continue it, or load it if it is finished.  Where the device fails, the CPU goes on from the last checkpoint.
 
-def _refined(capture, store, settings, out, group, reporter):
-    """Capture and store with cameras that fit the pictures, and what was changed; nothing where none fit clearly better."""
-    from ...captures.refined import refined
-    from ..initial.refine import refinement
-
-    if settings.poses == "off":
-        return capture, store, {}
-    begun = (out / CHECKPOINT).exists() or any((out / SEGMENTS).glob("*/*"))
-    with reporter.stage("refining cameras", "picture") as report:
-        found = group.share(group.first_does(lambda: refinement(capture, store, settings, out / REFINED, begun, reporter.say, report)))
-    better = refined(capture, found["cameras"])
-    return better, store if better is capture else store.of(better), found["cameras"]
-
-
-def _segment(capture, store, settings, folder, group, reporter, stop, decoder, number, backend):
-    """Train one segment (a short capture is one segment), continue it, or load it if it is finished; returns its model.
-
-    decoder  the model whose decoder it shares, None: it learns its own
-    Where the backend's device fails, the CPU goes on from the last checkpoint.
-    """
-    rest = (capture, store, settings, folder, group, reporter, stop, decoder, number)
-    try:
-        return _segment_on(backend, *rest)
-    except DeviceError as error:
-        if group.size > 1:
-            raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
-        reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
-        reporter.device = f"{reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
-        return _segment_on("cpu", *rest)
-
-
-def _segment_on(backend, capture, store, settings, folder, group, reporter, stop, decoder, number):
-    """_segment() on one backend; raises DeviceError."""
-    from ..core.trainer import Trainer, run
-
-    name = folder / SEGMENT_MODEL
-    if group.share(name.exists() if group.first else None):
-        return formats.load(name)
-    found = group.first_does(lambda: checkpoint.load(folder))
-    trainer = _trainer(Trainer, capture, store, settings, group, reporter, found, decoder, backend)
-
-    def save(last: bool):
-        arrays, about = trainer.state()
+        decoder  the model whose decoder it shares, None: it learns its own
+        """
+        folder = self.out if len(cuts) == 1 else segment_folder(self.out, number)
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / SEGMENT_MODEL).exists():
+            return formats.load(folder / SEGMENT_MODEL)
+        capture = capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
         try:
-            checkpoint.save(folder, arrays, {**about, "elapsed": getattr(reporter, "elapsed", 0.0)})
-        except FastGSError as error:
-            if last:
-                raise
-            reporter.warn(f"{error} Training continues and will try again.")
+            model = self._trained(capture, store, cuts[number], folder, number, decoder, backend)
+        except DeviceError as error:
+            if self.processes.count > 1:
+                raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
+            self.reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
+            self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
+            model = self._trained(capture, store, cuts[number], folder, number, decoder, "cpu")
+        if len(cuts) > 1:  # the model replaces the checkpoint
+            checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
+            written.write(model, folder / SEGMENT_MODEL)
+            (folder / CHECKPOINT).unlink(missing_ok=True)
+        return model
 
-    if found is None:
-        group.first_does(lambda: save(False))
-    stop.patient = True
-    complete = run(trainer, reporter, save, stop, preview_shots(capture), number * settings.iterations)
-    stop.patient = False
-    if not complete:
-        raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
-    model = trainer.final_model({})
-    if folder.parent.name == SEGMENTS:
-        group.first_does(lambda: _keep_segment(model, folder, reporter))
-    return model
+    def _trained(self, capture, store, span: Span, folder: Path, number: int, decoder: GaussianModel | None, backend: str) -> GaussianModel:
+        """_segment() on one backend; raises DeviceError."""
+        settings, found = self.plan.settings, checkpoint.load(folder)
+        began = None
+        if found is None:
+            with self.reporter.stage("finding starting points") as report:
+                began = start(capture, store, settings, self.reporter.say, report)
+        trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes)
+        if found is not None:
+            trainer.restore(*found)
+
+        def save(last: bool) -> None:
+            arrays, about = trainer.state()
+            try:
+                checkpoint.save(folder, arrays, {**about, "elapsed": self.reporter.elapsed})
+            except FastGSError as error:
+                if last:
+                    raise
+                self.reporter.warn(f"{error} Training continues and will try again.")
+
+        if found is None:
+            save(False)
+        if self.processes.count > 1:
+            arrays, about = trainer.state()
+            self.processes.send({"plan": self.plan.to_dict(), "out": str(self.out), "cameras": self.cameras, "about": about,
+                                 "span": [span.first, span.count], "fixed": trainer.fixed}, arrays)
+        self.stop.patient = True
+        complete = take_steps(trainer, self.reporter, save, self.stop, preview_shots(capture), number * settings.iterations)
+        self.stop.patient = False
+        if not complete:
+            raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
+        return trainer.final_model({})
+
+    def _finish(self, model: GaussianModel, capture, store) -> dict:
+        """Write the model and measure it; returns the report."""
+        out, settings, reporter = self.out, self.plan.settings, self.reporter
+        written.write(model, out / MODEL)
+        report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
+                  "model_bytes": (out / MODEL).stat().st_size, "seconds": round(reporter.elapsed, 1), "peak_memory_bytes": peak_memory(),
+                  "processes": self.processes.count, "device": reporter.device, "settings": settings.to_dict()}
+        found = training_record.corrections(model)
+        if found:
+            report["corrections"] = found
+            reporter.say(training_record.sentence(found))
+        if capture.held_out:
+            whole, foreground, _ = measure(model, capture, store, settings, capture.held_out, fit_colours="exposures" in found)
+            report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
+        checkpoint.write_json(out / REPORT, report)
+        reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
+        return report
 
 
-def _keep_segment(model, folder, reporter):
-    """Replace the checkpoint of a finished segment by its model."""
-    checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": getattr(reporter, "elapsed", 0.0)})
-    written.write(model, folder / SEGMENT_MODEL)
-    (folder / CHECKPOINT).unlink(missing_ok=True)
+def take_steps(trainer: Trainer, reporter, save: Callable[[bool], None], stop: Callable[[], bool], preview=(), before: int = 0) -> bool:
+    """Take all steps that are left; returns whether the run is complete.
 
+    save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds (0: after every step)
+    stop()   whether to end early, for example because of Ctrl-C
+    preview  shots to look at now and then
+    before   steps of earlier segments, by which the reporter counts on
+    """
+    s = trainer.settings
+    saved, pause = time.monotonic(), s.checkpoint_seconds
 
-def _trainer(kind, capture, store, settings, group, reporter, found, decoder, backend):
-    """The trainer at its first step, or where the checkpoint left it; the first process tells the others."""
-    about = group.share(found[1] if found else None)
-    if about is not None:
-        trainer = kind(capture, store, settings, None, group, decoder, backend=backend)
-        trainer.restore(group.share_arrays(found[0] if found else {}), about)
-        return trainer
-    from ..core.model import empty_model
-    from ..initial.start import Start, start
+    def report(finished: list[dict]) -> None:
+        for values in finished:
+            reporter.step({**values, "iteration": before + values["iteration"]})
 
-    with reporter.stage("finding starting points") as report:
-        began = group.first_does(lambda: start(capture, store, settings, reporter.say, report))
-    began = Start.of(group.share_arrays(began.arrays if began else {}), empty_model(settings, capture.clip, capture.axes))
-    return kind(capture, store, settings, began.model, group, decoder, began.sizes, began.reach, backend, began.gains,
-                began.fades, began.known, began.clocks)
-
-
-def _finish(model, capture, store, settings, out, group, reporter) -> dict:
-    from ..core.trainer import measure
-
-    written.write(model, out / MODEL)
-    report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
-              "model_bytes": (out / MODEL).stat().st_size, "seconds": round(getattr(reporter, "elapsed", 0.0), 1),
-              "peak_memory_bytes": peak_memory(), "processes": group.size, "device": reporter.device, "settings": settings.to_dict()}
-    found = training_record.evened(model)
-    if found:
-        report["evened"] = found
-        reporter.say(training_record.sentence(found))
-    if capture.held_out:
-        whole, foreground, _ = measure(model, capture, store, settings, capture.held_out, fit_colours="exposures" in found)
-        report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
-    checkpoint.write_json(out / REPORT, report)
-    reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
-    return report
+    while trainer.iteration < s.iterations:
+        report(trainer.advance())
+        i = trainer.iteration
+        stopped = stop()
+        last = stopped or i == s.iterations
+        look = preview and s.preview_every and (i % s.preview_every == 0 or i == s.iterations)
+        keep = last or time.monotonic() - saved > pause
+        if look or keep:
+            report(trainer.finish())
+            if trainer.iteration < i:
+                continue
+        if look:
+            whole, foreground, pictures = trainer.measure(preview)
+            kind = "held_out" if preview[0].held_out else "preview"
+            measured = {f"{kind}_psnr": whole} | ({} if foreground is None else {f"{kind}_foreground_psnr": foreground})
+            reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
+        if keep:
+            began = time.monotonic()
+            save(last)
+            saved = time.monotonic()
+            pause = max(s.checkpoint_seconds, 20 * (saved - began)) if s.checkpoint_seconds else 0.0  # a slow disk is asked less often
+        if stopped:
+            return i == s.iterations
+    return True
 
 
 def segment_folder(out: Path, number: int) -> Path:
@@ -268,30 +267,3 @@ def peak_memory() -> int | None:
     import sys
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-
-class StopFlag:
-    """Handles Ctrl-C and the other signals to stop (util/stopping.py).  While `patient`, they only set the flag, and the step that is being
-    taken is finished; a second one does not wait.  Otherwise there is nothing to save, and they end the run at once.
-    """
-
-    def __init__(self):
-        self.patient = self.asked = False
-
-    def __call__(self) -> bool:
-        return self.asked
-
-    def __enter__(self):
-        self._before = {}
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._handle) for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN}
-        return self
-
-    def __exit__(self, *error):
-        for number, old in self._before.items():
-            signal.signal(number, old)
-
-    def _handle(self, number, frame):
-        if self.asked or not self.patient:
-            raise KeyboardInterrupt
-        self.asked = True

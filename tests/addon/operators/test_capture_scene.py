@@ -173,7 +173,7 @@ def test_own_cameras_film_as_they_move(moving_scene, add_camera, module, tmp_pat
 def test_the_button_trains_on_a_film_of_the_scene_as_the_command_line_does(moving_scene, module, tmp_path, monkeypatch):
     """The same capture and the same defaults: the same plan, which begins with the bake that lies beside the pictures."""
     cli, installation, plans = module("fastgs_blender.cli"), module("scene.training.installation"), []
-    monkeypatch.setattr(module("fastgs_blender.training.run.session"), "train", lambda capture, store, plan, *rest, **more: (
+    monkeypatch.setattr(module("fastgs_blender.training.run.session"), "run", lambda capture, store, plan, *rest, **more: (
         plans.append((capture, plan)) or {"model": "", "gaussians": 0, "iterations": 0}))
     monkeypatch.setattr(module("fastgs_blender.util.backends"), "choose_device", lambda device=None: ("cpu", ""))
     monkeypatch.setattr(installation, "python", lambda: sys.executable)

@@ -118,7 +118,7 @@ def test_everything_that_a_header_may_say(tmp_path):
     around = Surroundings(Backdrop((0.5, 0.0, 1.0), 4.0), (view, replace(view, name="second")), view)
     facts = {"clocks": {"a": 0.5}, "exposures": {"a": {"gain": [1.0, 1.1, 0.9], "bias": [0.0, 0.01, 0.0]}},
              "cameras": {"a": {"turn": [0.0, 0.01, 0.0], "shift": [0.0, 0.0, 0.1], "focal": 1.01}}}
-    origin = {"settings": "{}", "trained_on": '{"views": ["a", "b"], "scale": 0.5}', **training_record.evened_entry(facts)}
+    origin = {"settings": "{}", "trained_on": '{"views": ["a", "b"], "scale": 0.5}', **training_record.corrections_entry(facts)}
     model = replace(random_model(np.random.default_rng(3), N, "keys", "smooth keys", "radial-window", "changing sh1"),
                     surroundings=around, provenance=origin)
     fg.save(model, tmp_path / "m.safetensors")
@@ -129,7 +129,7 @@ def test_everything_that_a_header_may_say(tmp_path):
         assert all(printable_lines(text) == text for text in (model_text(found, True), model_text(found, False)))
         with warnings.catch_warnings():
             model = fg.load(folder / "m.safetensors")
-        known, evened = training_record.recorded(model), training_record.evened(model)
+        known, evened = training_record.recorded(model), training_record.corrections(model)
         assert known is None or not known.saw("c", 0.0, 1) or "c" in known.views
         assert isinstance(training_record.sentence(evened), str)
 

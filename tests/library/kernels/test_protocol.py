@@ -22,6 +22,7 @@ from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.shadow import Light, Shadow
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.util import backends
@@ -72,14 +73,14 @@ def test_training_through_the_protocol(fake, density, mask, options):
                                density=density, preview_every=0, **options)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
-    ours, theirs = (Trainer(capture, store, chosen, model, sizes=sizes, backend=name) for name in ("cpu", "fake"))
+    ours, theirs = (Trainer(capture, store, chosen, Start(model, sizes), backend=name) for name in ("cpu", "fake"))
     used = set()
     for number in range(1, 13):
         fake.calls.clear()
         assert ours.step() == theirs.step()
         used |= set(fake.calls)
         assert fake.calls.count("end_step") == 1 and "read" not in fake.calls
-        if not theirs.strategy.acts(number) and not theirs.evening.looks(number - 1, 12):
+        if not theirs.strategy.acts(number) and not theirs.cameras.response.is_due(number - 1, 12):
             assert "numpy" not in fake.calls
     assert len(ours) > len(points)
     for mine, other in zip(ours.state()[0].items(), theirs.state()[0].items()):

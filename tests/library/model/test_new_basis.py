@@ -118,13 +118,14 @@ def test_it_trains(copied_time):
     from toy_captures import toy_capture
 
     from fastgs_blender.training.core.settings import settings
+    from fastgs_blender.training.core.start import Start
     from fastgs_blender.training.core.trainer import Trainer
     from fastgs_blender.training.initial.first_model import model_from_points
 
     capture, store, points = toy_capture()
     chosen = settings(motion="chebyshev", order=3, iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1,
                       warm_up=(), copied_time=copied_time, position_rate=1e-3, motion_rate=2e-3, start_opacity=0.1, preview_every=0)
-    trainer = Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent))
+    trainer = Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
     losses = [trainer.step() for _ in range(60)]
     model = trainer.final_model({})
     assert model.basis == Chebyshev(3) and np.abs(model.motion).max() > 0

@@ -20,9 +20,11 @@ import fastgs_blender as fg
 torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import settings  # noqa: E402
+from fastgs_blender.training.core.camera_estimates import SUMS  # noqa: E402
+from fastgs_blender.training.core.start import Start  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, session, written  # noqa: E402
+from fastgs_blender.training.run import checkpoint, plan, session, written  # noqa: E402
 from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
 from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
 
@@ -41,7 +43,8 @@ def begun(toy, steps=12, **choices):
     points = points.take(np.arange(0, len(points.xyz), 4))
     sizes = np.where(np.arange(len(points.xyz)) % 3, np.nan, 0.1)
     points = replace(points, size=sizes)
-    trainer = Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent), sizes=sizes)
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    trainer = Trainer(capture, store, chosen, Start(first, sizes))
     for _ in range(steps):
         trainer.step()
     return trainer
@@ -91,7 +94,7 @@ DAMAGES = {
     "a beta that is no number": with_value("optimiser.betas", 0, np.nan),
     "a position that is no number": with_value("optimiser.value.position", 5, np.nan),
     "an infinite mean": with_value("optimiser.mean.scale", 5, np.inf), "a negative square": with_value("optimiser.square.motion", 0, -1),
-    "an infinite held feature": with_value("optimiser.value.held", 1, np.inf),
+    "an infinite anchor": with_value("optimiser.value.anchor", 1, np.inf),
     "shortened statistics": changed("statistics.radius", lambda array: array[:-1]),
     "empty statistics": changed("statistics.seen", lambda array: array[:0]),
     "negative statistics": with_value("statistics.seen", 0, -1.0),
@@ -108,19 +111,23 @@ DAMAGES = {
     "a decoder beyond all numbers": with_value("optimiser.value.w2", 0, -1e30),
     "a position beyond all scenes": with_value("optimiser.value.position", 5, 1e30),
     "a size beyond them": with_value("optimiser.value.scale", 0, 60),
-    "a held feature beyond them": with_value("optimiser.value.held", 0, 1e30),
+    "an anchor beyond them": with_value("optimiser.value.anchor", 0, 1e30),
     "a square that is no number": with_value("optimiser.square.w1", 0, np.nan),
     "a mean without its square": with_value("optimiser.mean.opacity", 0, 1e6),
-    "a clock beyond the clip": with_value("evening.late", 0, -1e30),
-    "a bias beyond colours": with_value("evening.biases", 0, 1e30),
-    "awaited clocks": with_value("evening.awaited_clock", 0, -1e30), "awaited colours": with_value("evening.awaited_colour", 1, 1e30),
-    "awaited poses": with_value("poses.awaited_sums", 0, -1e30), "poses that are not alike": with_value("poses.sums", 1, 5.0),
-    "poses of negative squares": with_value("poses.sums", 0, -5.0), "poses without errors": with_value("poses.sums", 12, -1.0),
+    "a clock beyond the clip": with_value("cameras.offsets", 0, -1e30),
+    "a bias beyond colours": with_value("cameras.biases", 0, 1e30),
+    "delayed clocks": with_value("cameras.delayed.clock_sums", 0, -1e30),
+    "delayed colours": with_value("cameras.delayed.colour_sums", 1, 1e30),
+    "delayed turns": with_value("cameras.delayed.turn_sums", 0, -1e30), "poses that are not alike": with_value("cameras.turn_sums", 1, 5.0),
+    "poses of negative squares": with_value("cameras.turn_sums", 0, -5.0),
+    "poses without errors": with_value("cameras.turn_sums", 12, -1.0),
     "steps after the end": about_changed(iteration=41), "negative steps": about_changed(iteration=-1),
     "no steps": about_changed(iteration=None),
     "no capture": about_changed(capture=None), "no settings": about_changed(settings=None), "no clip": about_changed(clip=[]),
     "a clip of no frames": about_changed(clip=[0, 24.0, 1]), "no axes": about_changed(axes=None),
-    "no reach": about_changed(reach="far"), "a reach of 0": about_changed(reach=0), "no time": about_changed(elapsed="x"),
+    "a queue too long": changed("cameras.delayed.steps", lambda array: np.zeros(17, np.int64)),
+    "a queued step to come": with_value("cameras.delayed.steps", 0, 12),
+    "no depth": about_changed(depth="far"), "a depth of 0": about_changed(depth=0), "no time": about_changed(elapsed="x"),
 }
 
 
@@ -128,6 +135,8 @@ DAMAGES = {
 def whole(toy, tmp_path_factory):
     """(trainer, arrays, about) of a checkpoint that is all right."""
     trainer = begun(toy)
+    queued = {name: np.zeros((len(trainer.cameras.turns.views), *shape)) for name, shape in SUMS.items()}
+    trainer.delayed.updated, trainer.delayed.arrived = 10, {11: queued}  # as a GPU, which is steps ahead, has some
     folder = tmp_path_factory.mktemp("whole")
     checkpoint.save(folder, *trainer.state())
     assert resumed(toy, folder, trainer.settings, 2).iteration == 14
@@ -235,14 +244,14 @@ def test_mutations_of_the_small_files(tmp_path, monkeypatch):
         from fastgs_blender.training.run.plot import write_plot
         from fastgs_blender.training.run.progress import Reporter
 
-        begun = session.begin(folder, {}, lambda wanted: chosen, True, False)
+        begun = plan.begin(folder, {}, lambda wanted: chosen, True, False)
         try:
             done, elapsed = session.progress_so_far(folder, 2, begun.settings.iterations)
             assert done == begun.settings.iterations and elapsed >= 0
             Reporter(folder, 100, 60, quiet=True).close()
             write_plot(folder / "plot.png", folder / "log.jsonl")
         finally:
-            session.release(str(folder.resolve()))
+            folder.release(str(folder.resolve()))
 
     mutations.campaign("run", read, {"run": files}, tmp_path / "damaged", fixed=[f"segments/000/{SEGMENT_MODEL}"])
     assert not (tmp_path / REPORT).exists()

@@ -21,7 +21,7 @@ from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.initial.dense import among_others
 from fastgs_blender.training.initial.geometry import visible
-from fastgs_blender.training.initial.start import Start, start
+from fastgs_blender.training.initial.start import start
 from fastgs_blender.training.initial.starting_points import initial_points
 from fastgs_blender.util import threads
 
@@ -270,15 +270,15 @@ def test_a_known_model_is_refined_and_not_lost(filmed, card):
     capture, store = filmed
     chosen = settings(start_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial", warm_up=(), iterations=400)
     begun = start(capture, store, chosen, lambda text: None)
-    assert begun.known and Start.of(begun.arrays, begun.model).known
+    assert begun.warm
 
     def moved(known: bool) -> float:
-        trainer = Trainer(capture, store, chosen, begun.model, known=known)
+        trainer = Trainer(capture, store, chosen, replace(begun, warm=known))
         for _ in range(12):
             trainer.step()
         again = Trainer(capture, store, chosen)
         again.restore(*trainer.state())
-        assert again.known == known
+        assert again.warm == known
         return float(np.median(np.linalg.norm(again.model().position - begun.model.position, axis=1)))
 
     assert 0 < moved(True) < 0.15 * moved(False)

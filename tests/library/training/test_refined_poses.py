@@ -14,9 +14,10 @@ import fastgs_blender as fg
 from fastgs_blender.cameras.poses import turned
 from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.evaluation.evaluate import evaluate
-from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
-from fastgs_blender.training.core.camera_turns import Poses
+from fastgs_blender.evaluation.training_record import corrections, corrections_entry, sentence
+from fastgs_blender.training.core.camera_turns import CameraTurns
 from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import checkpoint
@@ -50,7 +51,7 @@ def trainer(made, **choices):
     capture, store, points, _ = made
     chosen = settings(**{**dict(points=150, max_gaussians=150, warm_up=(), start_opacity=0.9, start_size=1.0, preview_every=0,
                                 appearance="rgb", motion="static", iterations=300), **choices})
-    return Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent))
+    return Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
 
 
 def train(who):
@@ -62,30 +63,30 @@ def train(who):
 def test_a_turn_is_found_from_the_slopes_of_one_picture():
     """The model is the truth: a few looks at each camera find all three angles."""
     capture, store, _, truth = cloud()
-    backend, found = load_backend("cpu"), Poses.begun(capture.training, "on")
+    backend, found = load_backend("cpu"), CameraTurns.initial(capture.training, "on")
     arrays = {name: np.array(array) for name, array in truth.arrays.items()}
     for _ in range(12):
         for shot in capture.training:
             camera = found.camera(shot.view, shot.camera)
             picture = backend.splat(arrays, truth, camera, 0.0)
             goal = SimpleNamespace(camera=camera, rgb=store.pixels(shot).rgb, weight=None, least=None)
-            found.learn(*found.said([(shot, found.compared(shot, goal, *backend.over(picture, None)))]))
+            found.update(**found.accumulate([(shot, found.measure(shot, goal, *backend.over(picture, None)))]))
     right = np.array([-WRONG.get(view, np.zeros(3)) for view in found.views])
     np.testing.assert_allclose(found.turns * FOCAL, right * FOCAL, atol=0.1)
 
 
 def test_what_all_cameras_turn_by_is_not_told():
     capture, *_ = cloud({})
-    found = Poses.begun(capture.training, "on")
+    found = CameraTurns.initial(capture.training, "on")
     for shared in np.eye(3) * 2e-3:
         new = np.zeros((5, 14))
         for k, axes in enumerate(found.axes):
             new[k] = *(1e9 * np.eye(3)).ravel(), *(1e9 * axes @ shared), 1.0, 1e5
-        found.learn(new)
+        found.update(new)
         assert np.abs(found.turns).max() < 1e-6
     new[2, 9:12] += 1e9 * np.array([0, 0.03, 0])
     for _ in range(12):
-        found.learn(new)
+        found.update(new)
     assert found.turns[2, 1] == pytest.approx(0.03, rel=0.05) and np.abs(np.delete(found.turns, 2, 0)).max() < 1.5e-3
 
 
@@ -97,12 +98,12 @@ def refined():
 
 def test_one_wrong_pose_is_refined_and_told(refined):
     who, without = refined
-    left = np.array([who.poses.turns[k] + WRONG.get(view, 0) for k, view in enumerate(who.poses.views)]) * FOCAL
+    left = np.array([who.cameras.turns.turns[k] + WRONG.get(view, 0) for k, view in enumerate(who.cameras.turns.views)]) * FOCAL
     assert np.linalg.norm(left, axis=1).max() < np.linalg.norm(WRONG["cam03"]) * FOCAL / 3
     model = who.final_model({})
-    assert evened(model)["poses"]["cam03"] == pytest.approx(np.degrees(who.poses.turns[2]), abs=1e-3)
-    assert "poses were refined" in sentence(evened(model)) and "cam03" in sentence(evened(model))
-    assert "poses" not in evened(without.final_model({}))
+    assert corrections(model)["poses"]["cam03"] == pytest.approx(np.degrees(who.cameras.turns.turns[2]), abs=1e-3)
+    assert "poses were refined" in sentence(corrections(model)) and "cam03" in sentence(corrections(model))
+    assert "poses" not in corrections(without.final_model({}))
     seen = [evaluate(each.final_model({}), each.capture, each.store, views=["cam03"], lpips=False) for each in refined]
     assert seen[0]["average"]["psnr"] > 30 and any("refined" in note for note in seen[0]["notes"])
     assert not any("refined" in note for note in seen[1]["notes"])
@@ -110,9 +111,9 @@ def test_one_wrong_pose_is_refined_and_told(refined):
 
 def test_right_poses_stay():
     who = train(trainer(cloud({}), poses="auto"))
-    assert who.poses.sums.any() and not who.poses.differ and who.poses.facts() == {}
+    assert who.cameras.turns.turn_sums.any() and not who.cameras.turns.differ and who.cameras.turns.facts() == {}
     shot = who.shots[0]
-    assert who.poses.camera(shot.view, shot.camera) is shot.camera
+    assert who.cameras.turns.camera(shot.view, shot.camera) is shot.camera
 
 
 def test_a_restored_run_goes_on_exactly(tmp_path):
@@ -125,36 +126,35 @@ def test_a_restored_run_goes_on_exactly(tmp_path):
     again = Trainer(made[0], made[1], straight.settings)
     again.restore(*checkpoint.load(tmp_path))
     train(again)
-    assert again.poses.turns.any()
+    assert again.cameras.turns.turns.any()
     for name, array in straight.state()[0].items():
         assert np.array_equal(array, again.state()[0][name], equal_nan=True), name
 
 
-@pytest.mark.parametrize("wrong", ["turns", "sums"])
+@pytest.mark.parametrize("wrong", ["turns", "turn_sums"])
 def test_damaged_numbers_of_a_checkpoint_are_refused(wrong):
     made = cloud()
     who = trainer(made, iterations=20)
     arrays, about = who.state()
-    for array in (np.full_like(arrays[f"poses.{wrong}"], np.nan), arrays[f"poses.{wrong}"][:-1]):
-        with pytest.raises(fg.FastGSError, match="poses|cameras"):
-            Trainer(made[0], made[1], who.settings).restore({**arrays, f"poses.{wrong}": array}, about)
-    older = {name: array for name, array in arrays.items() if not name.startswith("poses.")}
-    Trainer(made[0], made[1], who.settings).restore(older, about)
+    name = f"cameras.{wrong}"
+    for array in (np.full_like(arrays[name], np.nan), arrays[name][:-1]):
+        with pytest.raises(fg.FastGSError, match="cameras"):
+            Trainer(made[0], made[1], who.settings).restore({**arrays, name: array}, about)
 
 
 def test_parallel_projections_and_single_cameras_are_left_alone():
     capture, *_ = cloud()
     flat = [replace(shot, camera=replace(shot.camera, orthographic=True)) for shot in capture.training]
-    assert Poses.begun(flat, "on").setting == "off" and Poses.begun(capture.training[:1], "on").setting == "off"
+    assert CameraTurns.initial(flat, "on").setting == "off" and CameraTurns.initial(capture.training[:1], "on").setting == "off"
 
 
 def test_evaluation_shows_trained_views_by_refined_cameras():
     """The model is the truth, and its file says what training changed in a capture that believes something else."""
     capture, store, _, truth = cloud()
     change = {"turn": (-WRONG["cam03"]).tolist(), "shift": [0.0, 0.0, 0.0], "focal": 1.0}
-    told = replace(truth, provenance={**truth.provenance, **evened_entry({"cameras": {"cam03": change}})})
-    assert evened(told)["cameras"] == {"cam03": change} and "cameras of 1 views" in sentence(evened(told))
+    told = replace(truth, provenance={**truth.provenance, **corrections_entry({"cameras": {"cam03": change}})})
+    assert corrections(told)["cameras"] == {"cam03": change} and "cameras of 1 views" in sentence(corrections(told))
     right, wrong = (evaluate(model, capture, store, views=["cam03"], lpips=False) for model in (told, truth))
     assert (right["average"]["psnr"] or 99) > wrong["average"]["psnr"] + 20 and any("refined" in note for note in right["notes"])
     for damage in ({"focal": 0.0}, {"focal": "1"}, {"turn": [0.0]}, {"shift": None}):
-        assert evened(replace(truth, provenance=evened_entry({"cameras": {"cam03": {**change, **damage}}}))) == {}
+        assert corrections(replace(truth, provenance=corrections_entry({"cameras": {"cam03": {**change, **damage}}}))) == {}

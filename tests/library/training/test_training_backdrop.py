@@ -5,7 +5,7 @@ import pytest
 from toy_captures import Pixels, toy_capture
 
 from fastgs_blender.training.core import settings
-from fastgs_blender.training.core.camera_response import Evened, Evening
+from fastgs_blender.training.core.camera_response import CameraResponse, CorrectedStore
 from fastgs_blender.training.initial import backdrop
 from fastgs_blender.training.initial.geometry import project, visible
 
@@ -58,8 +58,8 @@ def test_cameras_that_differ_agree_on_it(filmed):
     for (view, frame), pixels in store.pictures.items():
         gain = gains[views.index(view)] if view in views else np.ones(3)
         store.pictures[view, frame] = Pixels(np.float32(np.clip(pixels.rgb * gain, 0, 1)))
-    even = Evening.begun(views, capture.clip.frame_count, settings.settings(), gains)
-    found = backdrop.with_backdrop(capture, Evened(store, even), settings.settings(points=1000, backdrop=0.5), points)
+    even = CameraResponse.initial(views, capture.clip.frame_count, settings.settings(), gains)
+    found = backdrop.with_backdrop(capture, CorrectedStore(store, even), settings.settings(points=1000, backdrop=0.5), points)
     assert len(found) > 20 and np.allclose(found.rgb, SKY, atol=0.02)
 
 

@@ -14,9 +14,9 @@ from fastgs_blender.captures.pixels.store import Pixels
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
-from fastgs_blender.training.core.moving_pixels import Moving
+from fastgs_blender.training.core.moving_pixels import MovingPixels
 from fastgs_blender.training.core.presets import SCENES
-from fastgs_blender.training.initial.first_model import model_from_points, reach_of
+from fastgs_blender.training.initial.first_model import depth_of, model_from_points
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.training.run.files import CHECKPOINT
@@ -194,7 +194,7 @@ def test_what_moves_weighs_more(why, rng):
     store = SimpleNamespace(pixels=lambda shot: Pixels(films[shot.number].astype(np.float32)))
     chosen = options.settings(moving_weight=3.0)
     pixels = store.pixels(shots[1])
-    share = Moving(store, shots).share(shots[1], pixels)
+    share = MovingPixels(store, shots).share(shots[1], pixels)
     found = targets.target(SimpleNamespace(mask_means="foreground"), pixels, shots[1], chosen, 1, moving=share).weight
     if why:
         assert found is None
@@ -247,7 +247,7 @@ def test_the_reach_is_how_far_away_the_scene_is(distance, reach, rng):
     wall = np.concatenate([rng.uniform(-3, 3, (500, 2)), np.full((500, 1), distance)], 1)
     behind = wall * (1, 1, 0) + (0, 0, 500)
     points = Points(np.concatenate([wall, behind]), np.zeros((1000, 3)), size=np.repeat([np.nan, 30.0], 500))
-    assert reach_of(points, SimpleNamespace(training=shots, extent=2.2)) == pytest.approx(reach)
+    assert depth_of(points, SimpleNamespace(training=shots, extent=2.2)) == pytest.approx(reach)
 
 
 class Rows:

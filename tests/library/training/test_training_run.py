@@ -19,9 +19,10 @@ from fastgs_blender import cli
 torch = pytest.importorskip("torch")
 
 from fastgs_blender.training.core import settings  # noqa: E402
-from fastgs_blender.training.core.trainer import Trainer, run  # noqa: E402
+from fastgs_blender.training.core.start import Start  # noqa: E402
+from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, folder, session  # noqa: E402
+from fastgs_blender.training.run import checkpoint, folder, plan, session  # noqa: E402
 from fastgs_blender.util import locks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -34,7 +35,7 @@ def trainer(capture=None, **choices):
     capture, store, points = capture or toy_capture()
     chosen = settings.settings(**{**FEW, **choices})
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
-    return Trainer(capture, store, chosen, first)
+    return Trainer(capture, store, chosen, Start(first))
 
 
 def steps(who, count):
@@ -101,9 +102,9 @@ def test_a_run_that_is_asked_to_stop_saves_and_stops():
     who, saved = trainer(), []
     from fastgs_blender.training.run.progress import Silent
 
-    assert not run(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: who.iteration >= 5)
+    assert not session.take_steps(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: who.iteration >= 5)
     assert who.iteration == 5 and saved[-1] == (5, True)
-    assert run(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: False)
+    assert session.take_steps(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: False)
     assert saved[-1] == (60, True)
 
 
@@ -229,7 +230,7 @@ def test_a_folder_in_training_is_locked(files, tmp_path, barrier, monkeypatch):
             second = fastgs(*arguments(files, out, choice))
             assert second.returncode == 2 and "another process is training in this folder" in second.stderr
             with pytest.raises(fg.FastGSError, match="another process is training"):
-                session.begin(out, {}, lambda w: settings.settings(**w), choice == "--resume", choice == "--overwrite")
+                plan.begin(out, {}, lambda w: settings.settings(**w), choice == "--resume", choice == "--overwrite")
         assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     finally:
         barrier.release()
@@ -241,7 +242,7 @@ def test_the_lock_of_a_run_is_free_after_it(tmp_path):
     """In this process too: what fails in begin() leaves no lock."""
     (tmp_path / "model.safetensors").touch()
     with pytest.raises(fg.FastGSError, match="already"):
-        session.begin(tmp_path, {}, lambda w: settings.settings(**w), False, False)
+        plan.begin(tmp_path, {}, lambda w: settings.settings(**w), False, False)
     with locks.hold(tmp_path / "training.lock") as mine:
         assert mine is not None
 
@@ -284,8 +285,8 @@ def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsy
         real(folder, arrays, about)
 
     monkeypatch.setattr(checkpoint, "save", full)
-    chosen = session.begin(tmp_path, {**FEW, "iterations": 12, "checkpoint_seconds": 0.0}, lambda w: settings.settings(**w), False, False)
-    report = session.train(capture, store, chosen, tmp_path, quiet=True)
+    chosen = plan.begin(tmp_path, {**FEW, "iterations": 12, "checkpoint_seconds": 0.0}, lambda w: settings.settings(**w), False, False)
+    report = session.run(capture, store, chosen, tmp_path, quiet=True)
     assert "No space left" in capsys.readouterr().err and report["iterations"] == 12 and len(calls) > 3
 
 

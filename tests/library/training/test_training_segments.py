@@ -78,19 +78,19 @@ def test_what_is_joined_shows_each_segment_and_fades_without_a_gap(rng, make_mod
 
 def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from fastgs_blender.training.run import session
+    from fastgs_blender.training.run import plan, session
 
     capture, store, points = toy_capture(frames=14, views=3)
     monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
     options = dict(iterations=80, max_gaussians=120, warm_up=(), segment_frames=8, segment_overlap=3, backdrop=0.0, preview_every=0,
                    position_rate=1e-3, motion_rate=2e-3, start_size=1.0, start_life=0.1)
-    chosen = session.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
-    report = session.train(capture, store, chosen, tmp_path, quiet=True)
+    chosen = plan.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
+    report = session.run(capture, store, chosen, tmp_path, quiet=True)
     model = fg.load(tmp_path / "model.safetensors")
     assert model.clip == capture.clip and len(model) == report["gaussians"] and report["held_out_psnr"] > 13
     assert sorted(p.name for p in (tmp_path / "segments").iterdir()) == ["000", "001", "002"]
     before = (tmp_path / "model.safetensors").read_bytes()
     (tmp_path / "model.safetensors").unlink()
     (tmp_path / "segments" / "001" / "segment.safetensors").unlink()
-    session.train(capture, store, session.begin(tmp_path, {}, None, True, False), tmp_path, quiet=True)
+    session.run(capture, store, plan.begin(tmp_path, {}, None, True, False), tmp_path, quiet=True)
     assert (tmp_path / "model.safetensors").read_bytes() == before

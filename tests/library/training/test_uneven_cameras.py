@@ -15,13 +15,15 @@ from fastgs_blender.evaluation import halves
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.report import table
-from fastgs_blender.evaluation.training_record import evened, evened_entry, sentence
+from fastgs_blender.evaluation.training_record import corrections, corrections_entry, sentence
 from fastgs_blender.kernels.protocol import Splatted
-from fastgs_blender.training.core.camera_response import ALIKE_PIXELS, Evening
+from fastgs_blender.training.core.camera_response import ALIKE_PIXELS, CameraResponse
+from fastgs_blender.training.core.measure import measure
 from fastgs_blender.training.core.settings import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.targets import Target
-from fastgs_blender.training.core.trainer import Trainer, measure
-from fastgs_blender.training.initial.dense import evening_of
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.dense import response_of
 from fastgs_blender.training.initial.fades import fades_of
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.initial.start import expected_clocks, start
@@ -35,7 +37,7 @@ VIEWS = ("a", "b", "c")
 def trainer(made, **choices):
     capture, store, points = made
     chosen = settings(**{**FEW, **choices})
-    return Trainer(capture, store, chosen, model_from_points(points, chosen, capture.clip, capture.axes, capture.extent))
+    return Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
 
 
 def train(who):
@@ -52,28 +54,28 @@ def goal(rgb):
     return SimpleNamespace(rgb=np.float32(rgb), weight=None, least=None)
 
 
-def said(found, view, target, rgb, change=None):
+def shown(found, view, target, rgb, change=None):
     """What a picture of a view says, where the model shows `rgb`, and `change` more a frame later."""
     alpha = np.ones(rgb.shape[:2], np.float32)
     picture, *sides = (Splatted(image, alpha, None, None) for image in (rgb, *(() if change is None else (change / 2, -change / 2))))
-    sums = found.compared(load_backend("cpu"), shot(view), picture, target.rgb, target.weight, target.least, None, sides or None)
-    return found.said([(shot(view), sums)])
+    sums = found.measure(load_backend("cpu"), shot(view), picture, target.rgb, target.weight, target.least, None, sides or None)
+    return found.accumulate([(shot(view), sums)])
 
 
-def evening(expected=None, **choices):
-    return Evening.begun(VIEWS, 10, settings(**choices), expected=None if expected is None else np.array(expected, float))
+def response(expected=None, **choices):
+    return CameraResponse.initial(VIEWS, 10, settings(**choices), offsets=None if expected is None else np.array(expected, float))
 
 
 def test_gains_and_offsets_are_found_and_taken_out():
     """Pictures that are the model's, but for a gain and an offset: what is found is about these, and the pixels become the model's."""
     rng = np.random.default_rng(0)
-    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), evening()
+    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), response()
     gains, biases = {"a": 1.0, "b": 1.3, "c": 0.8}, {"a": 0.0, "b": 0.02, "c": -0.03}
     filmed = {view: Pixels(model * np.float32(gains[view]) + np.float32(biases[view])) for view in VIEWS}
     for _ in range(30):
         for view in VIEWS:
             pixels = found.pixels(shot(view), filmed[view])
-            found.learn(*said(found, view, goal(pixels.rgb), model))
+            found.update(**shown(found, view, goal(pixels.rgb), model))
     assert found.colours_differ and not found.clocks_differ
     for k, view in enumerate(VIEWS):
         np.testing.assert_allclose(found.gains[k], gains[view], atol=0.05)
@@ -88,24 +90,24 @@ def test_gains_that_points_told_hold_against_a_model_that_believes_other_ones():
     rng = np.random.default_rng(4)
     model, told = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), np.ones((3, 3))
     told[1], told[2] = 1.3, 0  # nothing is known of c
-    found = Evening.begun(VIEWS, 10, settings(), told)
+    found = CameraResponse.initial(VIEWS, 10, settings(), told)
     assert found.colours_differ and (found.gains[2] == 1).all()
-    alone = evening()
+    alone = response()
     for who in (found, alone):
         for _ in range(20):
             for view, gain, drawn in (("a", 1.0, 1.0), ("b", 1.3, 1.1), ("c", 0.8, 1.0)):
                 pixels = who.pixels(shot(view), Pixels(model * np.float32(gain)))
-                who.learn(*said(who, view, goal(pixels.rgb), model * np.float32(drawn)))
+                who.update(**shown(who, view, goal(pixels.rgb), model * np.float32(drawn)))
     assert found.gains[1] == pytest.approx(1.3, abs=0.04) and alone.gains[1].max() < 1.22
     assert found.gains[2] == pytest.approx(0.8, abs=0.04), "what is not told is found"
 
 
 def test_even_cameras_stay_as_they_are():
     rng = np.random.default_rng(1)
-    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), evening()
+    model, found = np.float32(rng.uniform(0.1, 0.6, (24, 32, 3))), response()
     for view in VIEWS:
         noisy = model + np.float32(rng.normal(0, 0.02, model.shape))
-        found.learn(*said(found, view, goal(noisy), model))
+        found.update(**shown(found, view, goal(noisy), model))
     pixels = Pixels(model)
     assert not found.colours_differ and found.pixels(shot("b"), pixels) is pixels and found.facts() == {}
     assert found.moment(shot("b")) == 0.25
@@ -113,7 +115,7 @@ def test_even_cameras_stay_as_they_are():
 
 def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
     """A model that is brighter there is right, one that is darker is not; exposures and clocks are not told by such pixels."""
-    found = evening(exposures="on")
+    found = response(exposures="on")
     found.gains[1] = 1.25
     rgb = np.full((4, 4, 3), 0.5, np.float32)
     rgb[0, 0, 1] = 1.0
@@ -129,20 +131,20 @@ def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
     sums = []
     for colour in (0.8, 0.9):
         wild[0, 0, 1] = colour
-        sums.append(said(found, "b", target, wild, wild)[0])
+        sums.append(shown(found, "b", target, wild, wild)["colour_sums"])
     assert np.array_equal(*sums)
 
 
 def test_a_clock_is_found_along_the_models_change():
     rng = np.random.default_rng(2)
     model, change = (np.float32(rng.uniform(low, 0.6, (24, 32, 3))) for low in (0.1, -0.6))
-    found, late = evening([[0, 0.1], [0.32, 0.1], [0.02, 0.1]], exposures="off"), {"a": 0.0, "b": 0.4, "c": 0.0}
+    found, late = response([[0, 0.1], [0.32, 0.1], [0.02, 0.1]], exposures="off"), {"a": 0.0, "b": 0.4, "c": 0.0}
     for _ in range(40):
         for view in VIEWS:
-            drawn = model + change * np.float32(found.late[VIEWS.index(view)] if found.clocks_differ else 0)
+            drawn = model + change * np.float32(found.offsets[VIEWS.index(view)] if found.clocks_differ else 0)
             target = goal(model + change * np.float32(late[view]) + np.float32(rng.normal(0, 0.01, model.shape)))
-            found.learn(*said(found, view, target, drawn, change))
-    assert found.late == pytest.approx([0, 0.4, 0], abs=0.02) and (found.late[[0, 2]] == 0).all() and found.uncertainty().max() < 0.02
+            found.update(**shown(found, view, target, drawn, change))
+    assert found.offsets == pytest.approx([0, 0.4, 0], abs=0.02) and (found.offsets[[0, 2]] == 0).all() and found.uncertainty().max() < 0.02
     assert found.moment(shot("b")) == pytest.approx(0.25 + 0.04, abs=0.002)
     assert found.facts()["clocks"]["b"] == pytest.approx(0.4, abs=0.02)
 
@@ -151,22 +153,22 @@ def test_a_clock_moves_only_as_far_as_evidence_is_unsure():
     """A poor model thinks that a clock is a frame off; two cameras show that it is not, or nothing is known."""
     clock = np.array([(1e3, 0, 10.0, 1e4), (1e3, 1e3, 10.0, 1e4), (1e3, 0, 10.0, 1e4)])
     for expected in ([[0, 0.05]] * 3, None):
-        found = evening(expected)
+        found = response(expected)
         for _ in range(20):
-            found.learn(np.zeros((3, 3, 5)), clock)
-        assert not found.late.any() and not found.clocks_differ
-    assert not evening([[0, 0.1], [0.29, 0.1], [0, 0.1]]).late.any(), "0.29 +- 0.1 is not surely different from 0"
-    told = evening([[0, 0.05], [0.8, 0.05], [0, 0.05]])
-    assert told.late == pytest.approx([0, 0.8, 0]) and told.clocks_differ
+            found.update(np.zeros((3, 3, 5)), clock)
+        assert not found.offsets.any() and not found.clocks_differ
+    assert not response([[0, 0.1], [0.29, 0.1], [0, 0.1]]).offsets.any(), "0.29 +- 0.1 is not surely different from 0"
+    told = response([[0, 0.05], [0.8, 0.05], [0, 0.05]])
+    assert told.offsets == pytest.approx([0, 0.8, 0]) and told.clocks_differ
     for _ in range(20):
-        told.learn(np.zeros((3, 3, 5)), clock * [1, 1.5, 1, 1])
-    assert told.late == pytest.approx([0, 0.9, 0]), "the model may say more, within two standard deviations"
-    told = evening([[0, 0.05], [0.8, 0.05], [0, 0.05]])
-    assert np.isinf(evening().uncertainty()).all() and told.uncertainty() == pytest.approx(0.05)
-    free = evening(clocks="on")
+        told.update(np.zeros((3, 3, 5)), clock * [1, 1.5, 1, 1])
+    assert told.offsets == pytest.approx([0, 0.9, 0]), "the model may say more, within two standard deviations"
+    told = response([[0, 0.05], [0.8, 0.05], [0, 0.05]])
+    assert np.isinf(response().uncertainty()).all() and told.uncertainty() == pytest.approx(0.05)
+    free = response(clocks="on")
     for _ in range(20):
-        free.learn(np.zeros((3, 3, 5)), clock)
-    assert free.late[1] > 0.3
+        free.update(np.zeros((3, 3, 5)), clock)
+    assert free.offsets[1] > 0.3
 
 
 def test_evidence_of_two_cameras_comes_from_their_pictures_alone():
@@ -191,30 +193,30 @@ def test_evidence_of_two_cameras_comes_from_their_pictures_alone():
     ((-0.4, 0.35, -0.2, -0.1, 0.02, 0.3), (), "all"),  # free cameras
     ((-0.05, 0.08, -0.06, -0.07, 0.02, 0.03), (0, 1, 2, 3, 4), "all")])  # they were already placed at their own moments
 def test_cameras_that_run_together_keep_equal_clocks(seems, apart, taken):
-    found = Evening.begun(tuple("abcdef"), 10, settings(clocks="on"))
-    found.apart = np.isin(np.arange(6), apart)
+    found = CameraResponse.initial(tuple("abcdef"), 10, settings(clocks="on"))
+    found.independent = np.isin(np.arange(6), apart)
     clock = np.array([(1e4, 1e4 * late, 0.01, 1e5) for late in seems])
-    found.learn(np.zeros((6, 3, 5)), clock)
-    assert (found.late != 0).tolist() == [taken == "all" or k == 1 for k in range(6)]
-    assert found.late[1] > 0.1
+    found.update(np.zeros((6, 3, 5)), clock)
+    assert (found.offsets != 0).tolist() == [taken == "all" or k == 1 for k in range(6)]
+    assert found.offsets[1] > 0.1
 
 
 def test_where_nothing_moves_no_clock_is_found():
-    found = evening()
+    found = response()
     rgb = np.full((8, 8, 3), 0.5, np.float32)
-    found.learn(*said(found, "b", goal(rgb), rgb, np.zeros_like(rgb)))
-    assert not found.late.any() and np.isinf(found.uncertainty()).all() and ALIKE_PIXELS > 1
+    found.update(**shown(found, "b", goal(rgb), rgb, np.zeros_like(rgb)))
+    assert not found.offsets.any() and np.isinf(found.uncertainty()).all() and ALIKE_PIXELS > 1
 
 
 @pytest.fixture(scope="module")
 def uneven():
-    """A short run on cameras that differ, and the same run without evening."""
+    """A short run on cameras that differ, and the same run without corrections."""
     made = uneven_capture(6, 5, {"cam02": 0.4}, {"cam01": 1.25, "cam02": 0.75, "cam04": 1.1}, terms=2)
     return [train(trainer(made, iterations=400, **options)) for options in ({"clocks": "on"}, {"exposures": "off", "clocks": "off"})]
 
 
 def test_each_picture_is_read_once_for_its_step():
-    """The pixels as they were filmed tell what moves; the same ones are evened."""
+    """The pixels as they were filmed tell what moves; the same ones are corrected."""
     capture, store, points = uneven_capture(6, 5, {}, {"cam01": 1.25}, terms=2)
     read = []
     counted = SimpleNamespace(pixels=lambda shot: read.append(shot) or store.pixels(shot))
@@ -227,18 +229,18 @@ def test_each_picture_is_read_once_for_its_step():
     assert len(read) == 11, "one of each step, and that of the next one"
 
 
-def test_evening_makes_the_held_out_view_better(uneven):
+def test_correction_makes_the_held_out_view_better(uneven):
     with_it, without = uneven
     shots = with_it.capture.held_out
     fitted = [np.mean([psnr(halves.fitted(picture, truth), truth) for picture, truth in who.measure(shots)[2]])
               for who in uneven]
     assert fitted[0] > fitted[1] + 0.5
-    grey = 0.5 * with_it.evening.gains[:, 1] + with_it.evening.biases[:, 1]
+    grey = 0.5 * with_it.cameras.response.gains[:, 1] + with_it.cameras.response.biases[:, 1]
     assert grey == pytest.approx(0.5 * np.array([1.25, 0.75, 1, 1.1]) / 1.05, abs=0.04)
-    assert np.argmax(with_it.evening.late) == 1
+    assert np.argmax(with_it.cameras.response.offsets) == 1
     model = with_it.final_model({})
-    assert evened(model)["exposures"].keys() == {"cam01", "cam02", "cam03", "cam04"} and "cam02" in sentence(evened(model))
-    assert evened(without.final_model({})) == {}
+    assert corrections(model)["exposures"].keys() == {"cam01", "cam02", "cam03", "cam04"} and "cam02" in sentence(corrections(model))
+    assert corrections(without.final_model({})) == {}
 
 
 def test_evaluation_fits_colours_of_such_a_model_and_says_so(uneven):
@@ -304,27 +306,27 @@ def test_a_restored_run_goes_on_exactly(tmp_path):
     again = Trainer(made[0], made[1], straight.settings)
     again.restore(*checkpoint.load(tmp_path))
     train(again)
-    assert again.evening.gains.std() > 0.01 and np.abs(again.evening.clock).max() > 0
+    assert again.cameras.response.gains.std() > 0.01 and np.abs(again.cameras.response.clock_sums).max() > 0
     for name, array in straight.state()[0].items():
         assert np.array_equal(array, again.state()[0][name], equal_nan=True), name
 
 
-@pytest.mark.parametrize("wrong", ["gains", "late", "colour"])
+@pytest.mark.parametrize("wrong", ["gains", "offsets", "colour_sums"])
 def test_damaged_numbers_of_a_checkpoint_are_refused(wrong):
     made = toy_capture(frames=2, views=4)
     who = trainer(made, iterations=20)
     arrays, about = who.state()
-    for array in (np.full_like(arrays[f"evening.{wrong}"], np.nan), arrays[f"evening.{wrong}"][:-1]):
-        with pytest.raises(fg.FastGSError, match="evening|cameras"):
-            Trainer(made[0], made[1], who.settings).restore({**arrays, f"evening.{wrong}": array}, about)
-    older = {name: array for name, array in arrays.items() if not name.startswith("evening.")}
-    Trainer(made[0], made[1], who.settings).restore(older, about)
+    name = f"cameras.{wrong}"
+    for array in (np.full_like(arrays[name], np.nan), arrays[name][:-1]):
+        with pytest.raises(fg.FastGSError, match="cameras"):
+            Trainer(made[0], made[1], who.settings).restore({**arrays, name: array}, about)
 
 
 def test_records_that_cannot_be_understood_say_nothing():
     model = toy_capture(frames=2, views=3)[0]
-    assert evened(SimpleNamespace(provenance={"evened": "["})) == {} and evened(SimpleNamespace(provenance={"evened": "[]"})) == {}
-    assert evened_entry({}) == {} and model is not None and replace(model, notes=[]).notes == []
+    for text in ("[", "[]"):
+        assert corrections(SimpleNamespace(provenance={"corrections": text})) == {}
+    assert corrections_entry({}) == {} and model is not None and replace(model, notes=[]).notes == []
 
 
 def test_colours_of_points_tell_gains_before_training():
@@ -336,10 +338,10 @@ def test_colours_of_points_tell_gains_before_training():
     points[::9] = 2.0  # overexposed in some cameras
     for true in (gains, np.ones((4, 3))):
         looks = [{f"cam{v + 1:02}": point * true[v] * rng.normal(1, 0.05, 3) for v in rng.choice(4, 3, replace=False)} for point in points]
-        found = evening_of(capture, settings(), looks)
+        found = response_of(capture, settings(), looks)
         assert found.views == ("cam01", "cam02", "cam03", "cam04") and found.gains == pytest.approx(true, abs=0.015)
     assert (found.gains == 1).all(), "nearly even cameras are left as they are"
-    assert (evening_of(capture, settings(), looks[:10]).gains == 1).all(), "a few points tell nothing"
+    assert (response_of(capture, settings(), looks[:10]).gains == 1).all(), "a few points tell nothing"
 
 
 class Still:
@@ -367,7 +369,7 @@ def test_exposures_that_change_while_cameras_film_are_found_and_taken_out():
     said = []
     began = start(capture, store, chosen, said.append)
     assert np.array_equal(began.fades, fades) and "cam02 by 1.2" in said[0] and "cam03" not in said[0]
-    found = Trainer(capture, store, chosen, began.model, fades=began.fades).evening
+    found = Trainer(capture, store, chosen, began).cameras.response
     assert found.colours_differ and found.facts()["exposures"]["cam02"]["fade"] == pytest.approx(rates["cam02"], abs=0.008)
     first, last = capture.shots[2], capture.shots[-3]  # of cam02
     filmed = [store.pixels(shot).rgb for shot in (first, last)]
@@ -375,8 +377,8 @@ def test_exposures_that_change_while_cameras_film_are_found_and_taken_out():
     change = [np.median(rgb[1] / rgb[0]) for rgb in (filmed, steady)]
     light = 1.2 ** (7 / 8)
     assert change[0] > light + 0.15 and change[1] == pytest.approx(light, rel=0.02)
-    model = SimpleNamespace(provenance=evened_entry(found.facts()))
-    assert "change over the clip, and were evened: cam02, cam04" in sentence(evened(model))
+    model = SimpleNamespace(provenance=corrections_entry(found.facts()))
+    assert "change over the clip, and were evened: cam02, cam04" in sentence(corrections(model))
     off = start(capture, store, settings(start="file", backdrop=0, exposures="off"), said.append)
     assert off.fades is None and start(capture, Still({}), chosen, said.append).fades is None
 

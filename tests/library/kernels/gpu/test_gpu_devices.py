@@ -15,6 +15,7 @@ from fastgs_blender.kernels.gpu import adapters, choice, pace, selftest, trainin
 from fastgs_blender.kernels.gpu.device import Device, Failure
 from fastgs_blender.kernels.gpu.selftest import self_test
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.run import plan as plans
 from fastgs_blender.training.run import session
 from fastgs_blender.util.backends import choose_device, load_backend
 from fastgs_blender.util.verdicts import Verdict, read_verdict
@@ -228,8 +229,8 @@ def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path,
 
     monkeypatch.setattr(training, "compare", lost)
     options = {"iterations": 5, "checkpoint_seconds": 0.0, "preview_every": 0, "max_gaussians": 500}
-    plan = session.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
-    report = session.train(capture, store, plan, tmp_path, quiet=True, backend=fresh.name)
+    plan = plans.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
+    report = session.run(capture, store, plan, tmp_path, quiet=True, backend=fresh.name)
     assert report["iterations"] == 5 and len(calls) == 3
     assert report["device"].startswith("fresh, then the processor, ")
     assert json.loads((tmp_path / "status.json").read_text())["device"] == report["device"]

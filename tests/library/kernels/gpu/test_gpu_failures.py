@@ -17,6 +17,7 @@ from fastgs_blender.rendering.exposure import Aperture, Exposure
 from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.util import backends
@@ -114,7 +115,7 @@ def test_a_step_without_memory_is_a_device_error(gpu, another, breaking):
 
     def steps():
         another()
-        Trainer(capture, store, chosen, model, backend="gpu:fresh").step()
+        Trainer(capture, store, chosen, Start(model), backend="gpu:fresh").step()
 
     steps()
     number = len(breaking.seen["memory"])

@@ -17,6 +17,7 @@ from fastgs_blender.kernels.gpu.device import Device
 from fastgs_blender.kernels.gpu.rows import Split
 from fastgs_blender.kernels.protocol import MotionNorm
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 
@@ -125,7 +126,7 @@ def test_steps_in_small_buffers_read_nothing_back(fresh, rng, monkeypatch):
     monkeypatch.setattr(Device, "run", lambda self, stage, *rest, **more: stages.append(stage) or run(self, stage, *rest, **more))
     device = fresh.backend.device
     for spoil in (False, True):
-        trainer = Trainer(capture, store, chosen, model, backend=fresh.name)
+        trainer = Trainer(capture, store, chosen, Start(model), backend=fresh.name)
         trainer.step()  # this needs a large table, once
         with device.narrow(60 << 10):
             for number in range(2):

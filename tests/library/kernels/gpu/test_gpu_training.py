@@ -18,6 +18,7 @@ from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device
 from fastgs_blender.kernels.protocol import DeviceError, MotionNorm, TrainingBackend
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.util import backends
@@ -129,7 +130,7 @@ def test_a_run_ends_where_the_cpus_does(gpu, adapter):
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     found = []
     for name in ("cpu", f"gpu:{adapter.name}"):
-        trainer = Trainer(capture, store, chosen, model, backend=name)
+        trainer = Trainer(capture, store, chosen, Start(model), backend=name)
         while trainer.iteration < STEPS:
             trainer.step()
         found.append(trainer.measure(capture.held_out)[0])
@@ -149,7 +150,7 @@ def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
         device = Device(gpu.device.adapter, _pipelines=pipelines)
         device.__dict__ |= {"native": native, "subgroups": subgroups}
         monkeypatch.setitem(backends.loaded, "gpu:fresh", GPU(lambda: device))
-        trainer = Trainer(capture, store, chosen, model, sizes=np.full(len(points), 0.3), backend="gpu:fresh")
+        trainer = Trainer(capture, store, chosen, Start(model, np.full(len(points), 0.3)), backend="gpu:fresh")
         for _ in range(2):
             trainer.step()
 
@@ -211,7 +212,7 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
     name = f"gpu:{adapter.name}"
-    ours, theirs = (Trainer(capture, store, chosen, model, sizes=sizes, backend=each) for each in (name, "cpu"))
+    ours, theirs = (Trainer(capture, store, chosen, Start(model, sizes), backend=each) for each in (name, "cpu"))
     reads, read, sizes = [], Device.read, set()
     monkeypatch.setattr(Device, "read", lambda self, *given: reads.append(given) or read(self, *given))
     for number in range(8):
@@ -227,9 +228,9 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
             middle = {key: array.copy() for key, array in ours.state()[0].items()}, ours.state()[1]
     resumed = Trainer(capture, store, chosen, backend=name)
     resumed.restore(*middle)
-    begin, begun, finished = resumed._begin, [], []
+    backward, begun, finished = resumed._backward, [], []
     monkeypatch.setattr(guesses, "LEAST", 16)
-    monkeypatch.setattr(resumed, "_begin", lambda rates: begun.append(resumed.iteration) or begin(rates))
+    monkeypatch.setattr(resumed, "_backward", lambda *given: begun.append(resumed.iteration) or backward(*given))
     while resumed.iteration < 8:
         for guess in gpu.device.guesses.values():
             guess.largest = guess.largest if resumed.iteration in begun else 20
@@ -247,7 +248,7 @@ def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkey
     chosen = settings.settings(iterations=14, preview_every=0, exposures="on", clocks="on", poses="on", density="mcmc", densify_from=0.9)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     model = replace(model, opacity=np.full(len(model), 4.0), scale=model.scale + 1)  # solid, so that exposures are compared
-    slow, fast = (Trainer(capture, store, chosen, model, backend=f"gpu:{adapter.name}") for _ in range(2))
+    slow, fast = (Trainer(capture, store, chosen, Start(model), backend=f"gpu:{adapter.name}") for _ in range(2))
     wanted = [slow.step() for _ in range(7)]
     middle = slow.state()
     wanted += [slow.step() for _ in range(5)]
@@ -256,13 +257,13 @@ def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkey
     for number in range(12):
         found += fast.advance()
         assert len(found) == max(number + 1 - 8, 0)
-    assert found + fast.settle() == wanted and fast.settle() == []
+    assert found + fast.finish() == wanted and fast.finish() == []
     monkeypatch.undo()
     resumed = Trainer(capture, store, chosen, backend=f"gpu:{adapter.name}")
     resumed.restore(*middle)
     assert [resumed.step() for _ in range(5)] == wanted[7:]
-    assert middle[0]["evening.awaited_colour"].any() and slow.evening.colour.any(), "exposures were compared"
-    assert middle[0]["poses.awaited_sums"].any(), "poses were compared"
+    assert middle[0]["cameras.delayed.colour_sums"].any() and slow.cameras.response.colour_sums.any(), "exposures were compared"
+    assert middle[0]["cameras.delayed.turn_sums"].any(), "poses were compared"
     for name, array in slow.state()[0].items():
         for other in (fast, resumed):
             assert np.array_equal(array, other.state()[0][name], equal_nan=True), name

@@ -5,7 +5,8 @@ from toy_captures import Pixels, toy_capture
 
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
-from fastgs_blender.training.core import hold, settings
+from fastgs_blender.training.core import anchor, settings
+from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import intermediate
@@ -16,9 +17,9 @@ FRINGE = 40
 
 def test_the_pull_is_as_strong_as_so_many_pixels():
     features = np.array([[0.5, 0.5], [0.5, 0.5], [0.5, 0.5]], np.float32)
-    arrays = {"features": features + np.float32(hold.OFF), hold.HELD: hold.held_features(features, np.array([1.0, np.nan, 1.0]))}
+    arrays = {"features": features + np.float32(anchor.OFF), anchor.ANCHOR: anchor.anchor_features(features, np.array([1.0, np.nan, 1.0]))}
     gradients = {"features": np.ones((3, 2), np.float32)}
-    hold.hold(load_backend("cpu"), arrays, gradients, np.array([0, 1]), votes=30, pixels=1000)
+    anchor.anchor(load_backend("cpu"), arrays, gradients, np.array([0, 1]), votes=30, pixels=1000)
     np.testing.assert_allclose(gradients["features"], [[1 + 30 / 3000] * 2, [1, 1], [1, 1]], rtol=1e-6)
 
 
@@ -27,7 +28,7 @@ def trained(capture, store, points, **choices):
     rates = dict(position_rate=1.6e-4, scale_rate=5e-3, rate_decay=1.0)  # colours can go as far as they do here
     chosen = settings.settings(iterations=200, densify_from=1.0, warm_up=(), preview_every=0, **rates, **choices)
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
-    trainer = Trainer(capture, store, chosen, first, sizes=points.size)
+    trainer = Trainer(capture, store, chosen, Start(first, points.size))
     for _ in range(200):
         trainer.step()
     return trainer
@@ -75,7 +76,7 @@ def test_a_trained_model_knows_its_backdrop_and_cameras():
     points = Points(np.concatenate([points.xyz, xyz]).astype(np.float32), rgb, None, sizes)
     chosen = settings.settings(iterations=30, densify_from=0.0, densify_every=5, warm_up=(), preview_every=0)
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
-    trainer = Trainer(capture, store, chosen, first, sizes=points.size)
+    trainer = Trainer(capture, store, chosen, Start(first, points.size))
     for _ in range(30):
         trainer.step()
     model = trainer.final_model({})
@@ -86,8 +87,8 @@ def test_a_trained_model_knows_its_backdrop_and_cameras():
     assert np.allclose(sorted(camera.position for camera in cameras), sorted(capture.centres().tolist()), atol=1e-6)
     assert intermediate.model_of(*trainer.state()).surroundings.backdrop == backdrop
     arrays = trainer.optimiser.arrays
-    arrays["position"][np.flatnonzero(np.isfinite(arrays[hold.HELD][:, 0]))[0]] = capture.focus  # one of them astray
-    least = hold.INNERMOST * np.linalg.norm(capture.centres() - capture.focus, axis=1).max()
+    arrays["position"][np.flatnonzero(np.isfinite(arrays[anchor.ANCHOR][:, 0]))[0]] = capture.focus  # one of them astray
+    least = anchor.INNERMOST * np.linalg.norm(capture.centres() - capture.focus, axis=1).max()
     assert np.isclose(trainer.final_model({}).surroundings.backdrop.radius, least)
 
 
@@ -100,11 +101,11 @@ def test_density_control_leaves_the_backdrop_whole():
     sizes = np.concatenate([np.full(len(points), np.nan), np.full(FRINGE, 50.0)])
     points = Points(xyz, np.concatenate([points.rgb, np.full((FRINGE, 3), 0.5)]), None, sizes)
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
-    trainer = Trainer(capture, store, chosen, first, sizes=points.size)
+    trainer = Trainer(capture, store, chosen, Start(first, points.size))
     trainer.optimiser.arrays["scale"][0] = np.log(50.0)  # fog
     with trainer.optimiser.on_host() as rows:
         trainer.strategy.after_step(trainer.strategy.first // 100 * 100 + 100, rows, trainer.statistics.on_host(trainer.backend), {})
     arrays = trainer.optimiser.arrays
-    assert np.isfinite(arrays[hold.HELD]).all(1).sum() == FRINGE
+    assert np.isfinite(arrays[anchor.ANCHOR]).all(1).sum() == FRINGE
     assert len(trainer) == len(points) - 1
     assert np.exp(arrays["scale"].max()) <= capture.extent

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training run begins with; initial/ makes it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...model.gaussians import GaussianModel
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The first model, and what is known of the scene and of the V views trained on; None: it is not known.
+
+    model   one Gaussian for each starting point, or those of a model that shows the scene (warm)
+    sizes   [N] distances between its backdrop's Gaussians, NaN for others (anchor.py)
+    depth   how far away is what the cameras film; None: the capture's extent
+    gains, fades, clocks  priors of CameraResponse.initial()
+    """
+
+    model: GaussianModel
+    sizes: np.ndarray | None = None
+    depth: float | None = None
+    gains: np.ndarray | None = None
+    fades: np.ndarray | None = None
+    clocks: np.ndarray | None = None
+    warm: bool = False
