@@ -34,7 +34,7 @@ RATES = ("motion_rate", "position_rate")
 STEP, MOST = 3.0, 27.0
 """Factor between two rates of the search, and the farthest factor on the default."""
 TEST, VALIDATION = "cam00", "cam06"
-COMMON = dict(iterations=10_000, max_gaussians=4000, points=2500, densify_every=100, motion_weight=0.01, preview_every=0)
+COMMON = dict(iterations=10_000, max_gaussians=4000, init_points=2500, densify_every=100, motion_weight=0.01, preview_every=0)
 SCALE = 1 / 3
 PAPER = dict(motion="paper", order=5)
 COSINES = dict(motion="cosine", order=10)

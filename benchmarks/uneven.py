@@ -68,7 +68,8 @@ def main() -> None:
         if not capture.exists():
             film(capture, kind, args.frames)
         began = time.process_time()
-        model = fg.train(capture, args.folder / "run", overwrite=True, device="cpu", iterations=args.steps, max_gaussians=8000, points=5000,
+        model = fg.train(capture, args.folder / "run", overwrite=True, device="cpu", iterations=args.steps, max_gaussians=8000,
+                         init_points=5000,
                          preview_every=0, **options)
         seconds = time.process_time() - began
         found = corrections(model)

@@ -70,8 +70,8 @@ def _wanted(args, part, capture) -> dict:
     from ..training.core.settings import option_from_text
 
     scene = SCENES.get(args.dataset, {}).get(part.scene, {}) if args.preset in ("paper", "stg") else {}
-    start = {"start": "file"} if capture.points is not None and capture.points.t is not None else {}
-    return {"preset": args.preset, **start, **scene, **dict(option_from_text(text) for text in args.set)}
+    init = {"init": "file"} if capture.points is not None and capture.points.t is not None else {}
+    return {"preset": args.preset, **init, **scene, **dict(option_from_text(text) for text in args.set)}
 
 
 def _foretell(args, protocol, todo, out: Path) -> None:

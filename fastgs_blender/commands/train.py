@@ -24,13 +24,11 @@ FLAGS = {
     "max_gaussians": (int, "N", "never more Gaussians than this (default: by the preset)"),
     "motion_weight": (float, "X", "lambda of the motion regulariser (default: 0.01)"),
     "density": (str, "KIND", "density control: default or mcmc"),
-    "start": (str, "KIND", "source of the starting points: auto, triangulate, file, model or random (default: auto)"),
+    "init": (str, "KIND", "source of the starting points: auto, triangulate, file, model or random (default: auto)"),
     "masks": (str, "USE", "how masks are used: auto, cut, weight, only or off (default: auto)"),
     "seed": (int, "N", "seed of all random numbers (default: 0)"),
 }
 """Settings with a flag of their own; --set reaches all."""
-OTHER_FLAGS = {"start": "--init"}
-"""Flags with another name than their setting: torchrun would take --start for an abbreviation of its own --start-method."""
 
 
 def add_arguments(parser):
@@ -43,8 +41,8 @@ def add_arguments(parser):
                         "final; or a published setup: paper, stg")
     parser.add_argument("--basis", choices=("paper",), help="the paper's printed basis of motion: period 1, L = 5")
     for name, (kind, metavar, text) in FLAGS.items():
-        parser.add_argument(OTHER_FLAGS.get(name, f"--{name.replace('_', '-')}"), dest=name, type=kind, metavar=metavar, help=text)
-    parser.add_argument("--init-model", dest="start_model", metavar="FILE", help="a model to start from, for example one made by a bake")
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=text)
+    parser.add_argument("--init-model", metavar="FILE", help="a model to start from, for example one made by a bake")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
@@ -78,8 +76,8 @@ def options(args) -> dict:
 
     wanted = dict(option_from_text(text) for text in args.set)
     wanted |= {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
-    if args.start_model:
-        wanted["start_model"] = os.path.abspath(args.start_model)
+    if args.init_model:
+        wanted["init_model"] = os.path.abspath(args.init_model)
     if args.basis == "paper":
         if wanted.get("motion", "paper") != "paper":
             raise FastGSError("--basis paper is a motion of its own; leave out --motion.")

@@ -20,7 +20,8 @@ from fastgs_blender.training.core.settings import settings
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [page for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))) if page.name != "api.md"]
 BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
-FEW = ["--init", "file", *(text for option in ("iterations=3", "points=60", "preview_every=0", "warm_up=") for text in ("--set", option))]
+FEW = ["--init", "file",
+       *(text for option in ("iterations=3", "init_points=60", "preview_every=0", "warm_up=") for text in ("--set", option))]
 OTHERS = r"(\w+=\S+ )*(make|pip|blender|torchrun|ffmpeg|colmap|\.venv(313)?/bin/python) "
 """Programs that are not run here: make and pip are looked at below, the rest needs what a test has not."""
 
@@ -97,6 +98,6 @@ def test_options_of_training_in_the_text_exist():
     text = (ROOT / "docs" / "training.md").read_text("utf-8")
     options = cli.parser().parse_args(["train", "x", "--out", "y"])
     for flag in set(re.findall(r"`--([a-z-]+)", text)):
-        assert hasattr(options, {"init-model": "start_model", "init": "start"}.get(flag, flag.replace("-", "_"))), flag
+        assert hasattr(options, flag.replace("-", "_")), flag
     for option in re.findall(r"--set (\w+)=(\d+)`", text):
         settings(**{option[0]: int(option[1])})

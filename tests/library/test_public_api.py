@@ -53,7 +53,7 @@ def test_the_examples_run(tmp_path, monkeypatch):
     write_capture(Path("my-capture"), frames=16)  # clocks are compared along them
     positions = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]
     names = {"fg": fg, "np": np, "warnings": warnings, "positions": positions, "triangles": np.array([[0, 1, 2], [1, 3, 2]])}
-    few = ', start="file", iterations=2, points=50, preview_every=0'
+    few = ', init="file", iterations=2, init_points=50, preview_every=0'
     overview = "\n".join(line.strip() for line in inspect.getdoc(fg).split("\n\n")[1:-1] for line in line.splitlines())
     model, camera = fg.load("examples/fireside.safetensors"), fg.load_cameras("examples/cameras.json")[4].camera
     frozen = fg.freeze(model.take(slice(0, 50)), 0)

@@ -16,8 +16,8 @@ from ...model.surroundings import Backdrop
 ANCHOR = "anchor"
 """Name of the optimiser's array [N, F] of the features that Gaussians are pulled to, NaN in rows that are free.  It is not trained; density
 control copies it with its row."""
-OFF = 0.1
-"""Difference in a feature at which the pull is as strong as the given number of pixels."""
+OFF, PIXELS = 0.1, 100.0
+"""Difference in a feature at which the pull is as strong as the gradient of so many pixels."""
 
 INNERMOST = 1.5
 """Least radius of the backdrop, in distances of the farthest camera from what all look at."""
@@ -43,11 +43,10 @@ def backdrop_of(arrays: dict[str, np.ndarray], around) -> Backdrop | None:
     return replace(outermost, radius=outermost.radius * max(0.99 * nearest, 1.0))
 
 
-def anchor(backend, arrays: dict, gradients: dict, rows, votes: float, pixels: int) -> None:
+def anchor(backend, arrays: dict, gradients: dict, rows, pixels: int) -> None:
     """Add the pull to the gradient of the features of those rows (of the backend) that are anchored.
 
-    votes   how many pixels of a picture a difference of OFF is worth
     pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels
     """
-    if ANCHOR in arrays and votes:
-        backend.hold(arrays["features"], arrays[ANCHOR], gradients["features"], rows, votes / (3 * OFF * pixels))
+    if ANCHOR in arrays:
+        backend.hold(arrays["features"], arrays[ANCHOR], gradients["features"], rows, PIXELS / (3 * OFF * pixels))

@@ -15,6 +15,9 @@ from .anchor import ANCHOR
 from .optimiser import SHARED
 from .schedule import DENSITY, NOISE, generator
 
+NOISE_STRENGTH, WEIGHTS = 0.1, (0.01, 0.01)
+"""MCMC: share of the authors' noise, and weights of its penalties on opacity and on scale."""
+
 
 class Strategy:
     """Base class of the strategies: at which steps they act, and how many Gaussians they may add.
@@ -30,7 +33,7 @@ class Strategy:
         self.first = int(settings.densify_from * settings.iterations)
         self.last = int(settings.densify_until * settings.iterations)
         every = settings.densify_every
-        self.growing = min(self.last, (self.first // every + settings.growths) * every) if settings.growths else self.last
+        self.growing = min(self.last, (self.first // every + settings.densify_rounds) * every) if settings.densify_rounds else self.last
 
     def due(self, iteration: int) -> bool:
         """Whether density changes after this step (counted from 1)."""
@@ -45,7 +48,7 @@ class Strategy:
         if iteration > self.growing:
             return 0
         times = (self.growing - iteration) // s.densify_every + 1
-        return min(-(-(s.max_gaussians - count) // times), int(s.grow * count) + 1)
+        return min(-(-(s.max_gaussians - count) // times), int(s.densify_share * count) + 1)
 
     def acts(self, iteration: int) -> bool:
         """Whether after_step() must be called after this step (counted from 1)."""
@@ -95,7 +98,7 @@ class Default(Strategy):
 
     def _prune(self, optimiser, statistics):
         arrays = optimiser.arrays
-        largest = np.minimum(self.extent, self.settings.near_size * self._distance(optimiser))
+        largest = np.minimum(self.extent, self.settings.prune_size * self._distance(optimiser))
         if ANCHOR in arrays:  # a hole in the backdrop makes its neighbours grow until they are removed too
             anchored = np.flatnonzero(np.isfinite(arrays[ANCHOR]).all(1))
             arrays["scale"][anchored] = np.minimum(arrays["scale"][anchored], np.log(largest[anchored])[:, None] - 1e-3)
@@ -117,15 +120,15 @@ class Default(Strategy):
 
     def _grow(self, iteration, optimiser, statistics):
         s, arrays = self.settings, optimiser.arrays
-        total = statistics.gradient if s.gradient == "plain" else statistics.absolute
+        total = statistics.gradient if s.densify_gradient == "plain" else statistics.absolute
         score = total / np.maximum(statistics.seen, 1)
         n = len(score)
         room = self._room(iteration, n)
-        wanting = np.flatnonzero(score > s.threshold)
+        wanting = np.flatnonzero(score > s.densify_threshold)
         if room <= 0 or not len(wanting):
             return
         chosen = np.sort(wanting[np.argsort(-score[wanting], kind="stable")[:room]])
-        large = np.exp(arrays["scale"][chosen].max(1)) > s.dense_size * self.extent
+        large = np.exp(arrays["scale"][chosen].max(1)) > s.densify_size * self.extent
         rng = generator(s.seed, DENSITY, iteration)
         born = {name: array[chosen].copy() for name, array in arrays.items() if _per_gaussian(name)}
         split = chosen[large]
@@ -137,7 +140,7 @@ class Default(Strategy):
             born["scale"][large] -= np.float32(np.log(1.6))
             for name in ("position", "scale"):
                 optimiser.reset(name, split)
-        if s.copied_time == "random":
+        if s.densify_time == "random":
             self._move_in_time(born, rng)
         optimiser.append(born)
 
@@ -158,7 +161,7 @@ class MCMC(Strategy):
     most = 51
 
     def penalise(self, backend, arrays, gradients):
-        backend.shrink(arrays, gradients, self.settings.opacity_weight, self.settings.scale_weight, self.extent)
+        backend.shrink(arrays, gradients, *WEIGHTS, self.extent)
 
     def after_step(self, iteration, optimiser, statistics, rates):
         s, arrays = self.settings, optimiser.arrays
@@ -211,9 +214,8 @@ class MCMC(Strategy):
                 optimiser.reset(name, rows)
 
     def shake(self, backend, iteration, arrays, rates):
-        if self.settings.noise and iteration <= self.last:
-            # the authors' factor, where the extent is 1
-            strength = self.settings.noise * 5e5 * rates["position"] / self.extent**2
+        if iteration <= self.last:
+            strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
             backend.shake(arrays, strength, (self.settings.seed, NOISE, iteration))
 
 

@@ -32,29 +32,31 @@ STG: dict[str, Any] = {
     "rotation_rate": 1e-3, "turn_rate": 1e-4, "scale_rate": 1.5e-3, "opacity_rate": 0.05, "base_rate": 2.5e-3, "direction_rate": 2.5e-3,
     "time_rate": 1e-3, "centre_rate": 1e-4, "duration_rate": 0.03, "decoder_rate": 1e-4, "rate_decay": 1.0,
     "cool_down": 0.0,
-    "backdrop": 0.0, "points": 200_000, "start_opacity": 0.1, "start_size": 1.0, "start_life": 1.0, "static_life": 1.0,
-    "start_motion": False,
+    "backdrop": 0.0, "init_points": 200_000, "init_opacity": 0.1, "init_scale": 1.0, "init_duration": 1.0, "init_duration_static": 1.0,
+    "init_motion": False,
     "density": "default", "max_gaussians": 500_000, "densify_every": 100,
-    "growths": 6, "gradient": "plain", "threshold": 2e-4, "dense_size": 0.01, "grow": 100.0, "prune_opacity": 0.005, "near_size": 1e6,
-    "reset_every": 3000, "copied_time": "random", "warm_up": (), "segment_frames": 50, "segment_overlap": 0,
+    "densify_rounds": 6, "densify_gradient": "plain", "densify_threshold": 2e-4, "densify_size": 0.01, "densify_share": 100.0,
+    "prune_opacity": 0.005, "prune_size": 1e6,
+    "reset_every": 3000, "densify_time": "random", "warm_up": (), "segment_frames": 50, "segment_overlap": 0,
 }
 PAPER: dict[str, Any] = {**STG, "motion": "paper", "order": 5, "motion_weight": 0.1, "regulariser": "printed", "loss": "sum"}
 
-_TECHNICOLOR = published(25_000, scale_rate=5e-3, growths=12, start_life=math.exp(-2), static_life=math.exp(-2), activation="clamp")
+_TECHNICOLOR = published(25_000, scale_rate=5e-3, densify_rounds=12, init_duration=math.exp(-2),
+                          init_duration_static=math.exp(-2), activation="clamp")
 SCENES: dict[str, dict[str, dict[str, Any]]] = {
     "n3v": {"coffee_martini": published(10_000, scale_rate=3e-3), "flame_salmon": published(12_000, scale_rate=3e-3)},
     "technicolor": dict.fromkeys(("Birthday", "Fabien", "Painter", "Theater", "Train"), _TECHNICOLOR),
     "immersive": {"02_Flames": published(20_000, 12_000, scale_rate=1e-3, motion_rate=0.5 * 0.5 * 1.6e-4, activation="none",
-                                         copied_time="keep")},
+                                         densify_time="keep")},
 }
 """What STG's configurations of single scenes change (configs/n3d_full, techni_full, im_distort_full), by data set."""
 
 LENGTHS: dict[str, dict[str, Any]] = {
-    "draft": {"iterations": 2500, "max_gaussians": 20_000, "points": 10_000, "warm_up": (0.05, 0.2), "cool_down": 0.0},
+    "draft": {"iterations": 2500, "max_gaussians": 20_000, "init_points": 10_000, "warm_up": (0.05, 0.2), "cool_down": 0.0},
     "standard": {},
-    "final": {"iterations": 30_000, "max_gaussians": 150_000, "points": 60_000},
+    "final": {"iterations": 30_000, "max_gaussians": 150_000, "init_points": 60_000},
 }
-KNOWN: dict[str, dict[str, Any]] = {"draft": {"iterations": 1200, "warm_up": ()}}
+WARM_START: dict[str, dict[str, Any]] = {"draft": {"iterations": 1200, "warm_up": ()}}
 """What a preset changes besides, where training begins with a model: places need not be found in small pictures."""
 PRESETS: dict[str, dict[str, Any]] = {**LENGTHS, "paper": PAPER, "stg": STG}
 """What each preset changes."""

@@ -13,7 +13,7 @@ VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
 """What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
 
 WARM = {"position": 1.0, "motion": 1.0, "scale": 0.5, "rotation": 0.5, "rotation_motion": 0.5}
-"""What is slower after a warm start: the power of `known_rate` by which its rate is multiplied."""
+"""What is slower after a warm start: the power of `warm_start_rate` by which its rate is multiplied."""
 
 
 def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
@@ -29,7 +29,7 @@ def learning_rates(settings, iteration: int, extent: float, depth: float, basis:
     and shapes want refining: steps by which they would be found would first destroy them.
     """
     done = min(iteration / max(settings.iterations, 1), 1.0)
-    first, last = settings.position_rate * (depth if settings.rate_unit == "reach" else extent), settings.position_rate_end * extent
+    first, last = settings.position_rate * (depth if settings.rate_unit == "depth" else extent), settings.position_rate_end * extent
     position = first * (last / first) ** done if first > 0 else 0.0
     motion = settings.motion_rate * extent * settings.motion_decay**done
     features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
@@ -52,7 +52,7 @@ def learning_rates(settings, iteration: int, extent: float, depth: float, basis:
              **{name: rate * fade for name, rate in others.items()}}
     if warm:
         for name, power in WARM.items():
-            rates[name] = rates[name] * settings.known_rate**power
+            rates[name] = rates[name] * settings.warm_start_rate**power
     rest = min((1 - done) / settings.cool_down, 1.0) if settings.cool_down else 1.0
     return {name: rate * rest for name, rate in rates.items()}
 

@@ -19,12 +19,12 @@ CHOICES = {
     "density": ("default", "mcmc"),
     "regulariser": ("mean", "group", "printed"),
     "loss": ("mixed", "sum"),
-    "rate_unit": ("reach", "extent"),
+    "rate_unit": ("depth", "extent"),
     "masks": ("auto", "cut", "weight", "only", "off"),
     "background": ("auto", "black", "white", "random"),
-    "copied_time": ("keep", "random"),
-    "start": ("auto", "triangulate", "file", "model", "random"),
-    "gradient": ("plain", "absolute"),
+    "densify_time": ("keep", "random"),
+    "init": ("auto", "triangulate", "file", "model", "random"),
+    "densify_gradient": ("plain", "absolute"),
     "exposures": ("auto", "on", "off"),
     "clocks": ("auto", "on", "off"),
     "poses": ("auto", "on", "off"),
@@ -60,10 +60,9 @@ class Settings:
       regulariser     reading of its norm: mean over the Gaussians; or one norm over all of them, divided by the root of their number
                       (group) or, as printed in eq. 8, not divided, and in the capture's own unit of length (printed)
       opaque_weight   weight of the mean transparency as a penalty, where the capture shows something in every pixel
-      masks           cut: what lies outside is transparent; weight: what lies inside counts foreground_weight times;
+      masks           cut: what lies outside is transparent; weight: what lies inside counts twice;
                       only: nothing else counts; off; auto: cut for pictures with alpha, weight for mask files that show
                       the foreground, only for those that say which pixels are valid
-      foreground_weight  see masks
       moving_weight   where there are no masks and cameras stand still: what moves counts so many times
       background      colour behind transparent parts while training; auto: random where pictures are cut, else black
 
@@ -79,47 +78,43 @@ class Settings:
       position_rate, position_rate_end   exponential decay from one to the other; the first in units of how far away is what the
                                          cameras film, which is the extent for a rig around its subject: a step is about a
                                          share of the focal length in pixels, 0.8 of a pixel where that is 500
-      rate_unit       unit of position_rate: reach, as just said, or extent, as published trainers have it
+      rate_unit       unit of position_rate: depth, as just said, or extent, as published trainers have it
       motion_rate     of frequency 1; divided by k for frequency k
-      known_rate      factor on both of these where training begins with a model (start_model, a bake); its root on those of shapes
+      warm_start_rate      factor on both of these where training begins with a model (init_model, a bake); its root on those of shapes
       motion_decay    end of the motion's rate, as a fraction of its beginning
       rotation_rate, turn_rate, scale_rate, opacity_rate, base_rate, direction_rate, time_rate, centre_rate, duration_rate, decoder_rate
       rate_decay      end of these last ones, as a fraction of their beginning: long steps first, so that Gaussians soon have their
                       shapes, short ones at the end, so that they come to rest
       cool_down       share of the run, its last part, in which all rates also fall to nothing in a straight line: what moves is seen in
                       few pictures, and goes to and fro with the latest ones until steps are short
-      free_centre     whether mu_tau also learns through motion, rotation and features (STG: only through opacity)
 
     Starting values
-      start           where the Gaussians come from: points triangulated from the pictures, the layout's point file, random points,
-                      or a model; auto: start_model, else the capture's own model, else the first of the others that gives points
-      start_model     a model, as a bake makes one, whose Gaussians are taken with their motion
-      points          most starting points
+      init            where the Gaussians come from: points triangulated from the pictures, the layout's point file, random points,
+                      or a model; auto: init_model, else the capture's own model, else the first of the others that gives points
+      init_model      a model, as a bake makes one, whose Gaussians are taken with their motion
+      init_points     most starting points
       backdrop        points far behind the scene, where pictures show none of these, as a share of them (backdrop.py)
-      backdrop_hold   pull to their first colours: 0.1 away from these it is as strong as the gradient of this many pixels (anchor.py)
-      start_opacity   opacity of the starting Gaussians
-      start_size      their size in distances to their three nearest neighbours
-      start_life      time over which a timed point's opacity falls to 1/e on either side
-      static_life     the same for points without a time
-      start_motion    whether timed points begin with the velocities that the moments beside theirs tell; else all are at rest
-      moving_life     as start_life, of points that begin with a velocity: they are right for longer
+      init_opacity    opacity of the starting Gaussians
+      init_scale      their size in distances to their three nearest neighbours
+      init_duration   time over which a timed point's opacity falls to 1/e on either side
+      init_duration_static  the same for points without a time
+      init_motion     whether timed points begin with the velocities that the moments beside theirs show; else all are at rest
 
     Density control
       density         default (clone, split, prune, opacity reset) or mcmc (relocation and noise)
       max_gaussians   never more than this
       densify_from, densify_until, densify_every   first and last step as fractions of the run, and steps between
-      gradient        absolute: the sum of the absolute gradients on the screen per pixel, which do not cancel where a Gaussian covers
+      densify_gradient   absolute: the sum of the absolute gradients on the screen per pixel, which do not cancel where a Gaussian covers
                       detail; or plain, their sum, as 3DGS
-      threshold       of that gradient: above it Gaussians are cloned or split; in units of half the image's size
-      dense_size      scale in extents: larger Gaussians are split, smaller ones cloned
-      grow            largest share of Gaussians that is added at once
-      growths         how often Gaussians are added at most, 0: until densify_until; transparent ones are removed until then anyway
+      densify_threshold  of that gradient: above it Gaussians are cloned or split; in units of half the image's size
+      densify_size    scale in extents: larger Gaussians are split, smaller ones cloned
+      densify_share   largest share of Gaussians that is added at once
+      densify_rounds  how often Gaussians are added at most, 0: until densify_until; transparent ones are removed until then anyway
+      densify_time    temporal centre of copies: the original's, or random
       prune_opacity   Gaussians below this opacity are removed
-      near_size       Gaussians larger than this times their distance to the nearest camera are removed too, those of the backdrop
+      prune_size      Gaussians larger than this times their distance to the nearest camera are removed too, those of the backdrop
                       made smaller
       reset_every     steps between opacity resets, 0: none
-      copied_time     temporal centre of copies: the original's, or random
-      noise, opacity_weight, scale_weight    mcmc: strength of the random moves; weights of the penalties on opacity and on scale
 
     Resolution
       warm_up         fractions of the run that see pictures at a quarter and at half the size end here
@@ -128,7 +123,7 @@ class Settings:
       segment_overlap frames that neighbouring segments share; 0: none, and they change over between two frames
 
     Bookkeeping (without influence on the result)
-      checkpoint_seconds, log_every, preview_every (0: none)
+      checkpoint_seconds, preview_every (0: none)
     """
 
     iterations: int = 7000
@@ -152,7 +147,6 @@ class Settings:
     regulariser: str = "mean"
     opaque_weight: float = 0.01
     masks: str = "auto"
-    foreground_weight: float = 2.0
     moving_weight: float = 2.0
     background: str = "auto"
 
@@ -160,12 +154,12 @@ class Settings:
     clocks: str = "auto"
     poses: str = "auto"
 
-    rate_unit: str = "reach"
+    rate_unit: str = "depth"
     position_rate: float = 1.6e-3
     position_rate_end: float = 1.6e-6
     motion_rate: float = 1e-3
     motion_decay: float = 0.1
-    known_rate: float = 0.1
+    warm_start_rate: float = 0.1
     rotation_rate: float = 1e-3
     turn_rate: float = 1e-3
     scale_rate: float = 3e-2
@@ -178,37 +172,31 @@ class Settings:
     decoder_rate: float = 1e-3
     rate_decay: float = 0.3
     cool_down: float = 0.1
-    free_centre: bool = False
 
     backdrop: float = 0.3
-    backdrop_hold: float = 100.0
-    start: str = "auto"
-    start_model: str = ""
-    points: int = 20_000
-    start_opacity: float = 0.5
-    start_size: float = 0.7
-    start_life: float = 0.06
-    static_life: float = 4.0
-    start_motion: bool = True
-    moving_life: float = 0.12
+    init: str = "auto"
+    init_model: str = ""
+    init_points: int = 20_000
+    init_opacity: float = 0.5
+    init_scale: float = 0.7
+    init_duration: float = 0.06
+    init_duration_static: float = 4.0
+    init_motion: bool = True
 
     density: str = "default"
     max_gaussians: int = 50_000
     densify_from: float = 0.05
     densify_until: float = 0.6
     densify_every: int = 100
-    gradient: str = "absolute"
-    threshold: float = 2e-4
-    dense_size: float = 0.01
-    grow: float = 0.15
-    growths: int = 0
+    densify_gradient: str = "absolute"
+    densify_threshold: float = 2e-4
+    densify_size: float = 0.01
+    densify_share: float = 0.15
+    densify_rounds: int = 0
     prune_opacity: float = 0.005
-    near_size: float = 0.3
+    prune_size: float = 0.3
     reset_every: int = 0
-    copied_time: str = "keep"
-    noise: float = 0.1
-    opacity_weight: float = 0.01
-    scale_weight: float = 0.01
+    densify_time: str = "keep"
 
     warm_up: tuple[float, ...] = (0.02, 0.08)
 
@@ -216,7 +204,6 @@ class Settings:
     segment_overlap: int = 8
 
     checkpoint_seconds: float = 15.0
-    log_every: int = 20
     preview_every: int = 500
 
     def __post_init__(self):
@@ -250,16 +237,14 @@ class Settings:
 
 LIMITS = (
     ("iterations", 1, 10**8), ("batch", 1, 1024), ("seed", 0, 2**63 - 1), ("order", 0, 64), ("rotation_degree", 0, 3), ("dssim", 0, 1),
-    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("foreground_weight", 0, 1e3), ("moving_weight", 0, 1e3),
-    ("points", 1, 10**8), ("backdrop", 0, 10),
-    ("backdrop_hold", 0, 1e6), ("max_gaussians", 1, 10**8),
-    ("start_opacity", 1e-4, 0.999), ("start_size", 1e-3, 1e3), ("start_life", 1e-4, 1e4), ("static_life", 1e-4, 1e4),
-    ("moving_life", 1e-4, 1e4),
-    ("densify_every", 1, 10**8), ("grow", 0, 100), ("growths", 0, 10**8), ("reset_every", 0, 10**8),
-    ("log_every", 1, 10**8), ("preview_every", 0, 10**8),
+    ("motion_weight", 0, 1e6), ("opaque_weight", 0, 1e3), ("moving_weight", 0, 1e3),
+    ("init_points", 1, 10**8), ("backdrop", 0, 10), ("max_gaussians", 1, 10**8),
+    ("init_opacity", 1e-4, 0.999), ("init_scale", 1e-3, 1e3), ("init_duration", 1e-4, 1e4), ("init_duration_static", 1e-4, 1e4),
+    ("densify_every", 1, 10**8), ("densify_share", 0, 100), ("densify_rounds", 0, 10**8), ("reset_every", 0, 10**8),
+    ("preview_every", 0, 10**8),
     ("segment_frames", 0, 10**8), ("segment_overlap", 0, 10**6),
     ("checkpoint_seconds", 0, 10**7), ("motion_decay", 0, 1),
-    ("known_rate", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
+    ("warm_start_rate", 0, 1), ("rate_decay", 0, 1), ("cool_down", 0, 1), ("position_rate", 0, 1),
     ("position_rate_end", 0, 1), ("motion_rate", 0, 1),
 )
 """Least and greatest value of options; rates and thresholds beyond reason only waste the user's own time."""

@@ -10,6 +10,8 @@ from ...cameras.camera import Camera
 from .schedule import BACKGROUND, generator
 
 FIXED = {"black": 0.0, "white": 1.0}
+FOREGROUND = 2.0
+"""How many times what a mask shows counts."""
 WHOLE = 0.99
 """Cover of a pixel from which on its colour is that of the subject alone."""
 
@@ -66,7 +68,7 @@ def target(capture, pixels, shot, settings, reduction: int, *key: int, moving: n
     elif FIXED.get(settings.background):
         background = np.full(3, FIXED[settings.background], np.float32)
     if use == "weight":
-        weight = 1 + (settings.foreground_weight - 1) * mask
+        weight = 1 + (FOREGROUND - 1) * mask
     elif use == "only":
         weight = mask
     elif use == "off" and moving is not None:

@@ -214,7 +214,7 @@ class Trainer:
         gradients = None
         for view in views:
             gradients = self.backend.backward(view.picture, view.loss.rgb, view.loss.alpha, into=gradients, statistics=statistics,
-                                              seen=seen, detach_time=not self.settings.free_centre)
+                                              seen=seen, detach_time=True)
         return gradients
 
     def _regularise(self, gradients: dict, rows) -> Any:
@@ -224,7 +224,7 @@ class Trainer:
         if s.motion_weight and self.template.basis.terms:
             scale = s.motion_weight * motion_factor(s.regulariser, len(self))
             penalty = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], scale, self.optimiser.waits(rows))
-        anchor(backend, arrays, gradients, rows, s.backdrop_hold, self.pixels // schedule.reduction(s, self.iteration) ** 2)
+        anchor(backend, arrays, gradients, rows, self.pixels // schedule.reduction(s, self.iteration) ** 2)
         self.strategy.penalise(backend, arrays, gradients)
         return penalty
 

@@ -28,12 +28,12 @@ COVER = 1.2
 
 
 def with_backdrop(capture, store, settings, points: Points) -> Points:
-    """The points, and up to settings.backdrop times settings.points more on a sphere around them, in directions where pictures show none
-    and near there.
+    """The points, and up to settings.backdrop times settings.init_points more on a sphere around them, in directions where pictures show
+    none and near there.
 
     Where pictures are cut out by masks there is no backdrop.
     """
-    count = int(settings.backdrop * settings.points)
+    count = int(settings.backdrop * settings.init_points)
     if not count:
         return points
     centre = capture.focus

@@ -49,14 +49,14 @@ agree on it for what belongs to all times."""
 
 
 def triangulated(capture, store, settings, progress=lambda done, of: None) -> tuple[Points, str, Any]:
-    """At most settings.points points, a clause about them, and the store with colours in which cameras agree on them; calls
+    """At most settings.init_points points, a clause about them, and the store with colours in which cameras agree on them; calls
     progress(done, of) for the moments whose features and whose surfaces are found, compared and followed.
 
     Raises FastGSError where the pictures give too few features.
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
-    of, done = len(some) + (4 if settings.start_motion else 3) * len(moments), count(1)
+    of, done = len(some) + (4 if settings.init_motion else 3) * len(moments), count(1)
 
     def tick():
         progress(next(done), of)
@@ -65,7 +65,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
     found, store = _features(capture, store, settings, some, tick)
     how = f"{len(found)} features triangulated"
     if not np.isfinite(found.t).all():
-        return evenly(found, settings.points), how, store
+        return evenly(found, settings.init_points), how, store
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
     few = few_cameras(moments)
@@ -85,7 +85,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t))
                   for xyz, rgb in sweep.surfaces(pictures[k], depths[k], witnesses)]
         swept += sum(map(len, clouds))
-        cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.points, settings.seed, k)
+        cloud = drawn(joined([found.take(found.t == shots[0].t), *clouds]), 2 * settings.init_points, settings.seed, k)
         agree, against = votes(cloud, pictures[k], depths[k], few)
         cloud = among_others(cloud.take(agree > 2 * against), centres)
         others = spread([i for i in range(len(moments)) if i != k], WITNESSES)
@@ -95,7 +95,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         still.append(cloud.take(steady))
         timed.append(cloud.take(~steady))
         tick()
-    if settings.start_motion:
+    if settings.init_motion:
         def seen(cloud, k):
             agree, against = votes(cloud, pictures[k], depths[k], few)
             return agree > against
@@ -104,8 +104,8 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         for k in range(len(at_rest)):
             timed.append(in_motion(at_rest, k, seen))
             tick()
-    still = evenly(among_others(joined(still), centres), settings.points // 2)
-    share = (settings.points - len(still)) // len(timed)
+    still = evenly(among_others(joined(still), centres), settings.init_points // 2)
+    share = (settings.init_points - len(still)) // len(timed)
     still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
     return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how, store

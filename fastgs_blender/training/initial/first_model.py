@@ -14,6 +14,8 @@ from .geometry import project, visible
 from .neighbours import neighbour_distance
 from .velocity import straight
 
+MOVING = 0.12
+"""init_duration of points that begin with a velocity: they are right for longer."""
 ENOUGH = 100
 """Points in pictures from which a distance is taken."""
 
@@ -37,7 +39,7 @@ def depth_of(points: Points, capture) -> float:
 def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: float) -> GaussianModel:
     """The model that training begins with: one Gaussian per point; a point with t = NaN is visible at all times.
 
-    Isotropic, as large as the point says, else start_size times the mean distance to the three nearest points of the same time
+    Isotropic, as large as the point says, else init_scale times the mean distance to the three nearest points of the same time
     (3DGS, 3.1 of the recipe).  A timed point with a velocity moves along a straight line while it is seen, others are at rest.
     """
     xyz = np.asarray(points.xyz, np.float32)
@@ -48,7 +50,7 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     for moment in np.unique(np.where(timed, time, -1.0)):
         rows = np.flatnonzero(np.where(timed, time, -1.0) == moment)
         size[rows] = neighbour_distance(xyz[rows], seed=settings.seed)
-    size = np.clip(np.where(np.isfinite(size), size, 0.01 * extent), 1e-5 * extent, 0.1 * extent) * settings.start_size
+    size = np.clip(np.where(np.isfinite(size), size, 0.01 * extent), 1e-5 * extent, 0.1 * extent) * settings.init_scale
     if points.size is not None:
         size = np.where(np.isfinite(points.size), points.size, size)
     empty = empty_model(settings, clip, axes)
@@ -56,17 +58,17 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     arrays["position"][:] = xyz
     arrays["rotation"][:, 0] = 1
     arrays["scale"][:] = np.log(size)[:, None]
-    arrays["opacity"][:] = np.log(settings.start_opacity / (1 - settings.start_opacity))
+    arrays["opacity"][:] = np.log(settings.init_opacity / (1 - settings.init_opacity))
     arrays["features"][:] = empty.appearance.features_of(np.asarray(points.rgb, np.float64))
     arrays["mu_tau"][:] = np.where(timed, time, 0.5)
     moving = timed & (False if points.velocity is None or not empty.basis.terms else np.any(points.velocity, axis=1))
     if isinstance(empty.temporal_kind, Radial):
-        life = np.where(moving, settings.moving_life, np.where(timed, settings.start_life, settings.static_life))
+        life = np.where(moving, MOVING, np.where(timed, settings.init_duration, settings.init_duration_static))
         arrays["temporal"][:, 0] = -2 * np.log(life)
     last = (clip.frame_count - 1) / clip.frame_count
     for moment in np.unique(time[moving]):
         rows = np.flatnonzero(moving & (time == moment))
-        motion = straight(empty.basis, moment, settings.moving_life, last)[:, None] * points.velocity[rows][:, None]
+        motion = straight(empty.basis, moment, MOVING, last)[:, None] * points.velocity[rows][:, None]
         arrays["motion"][rows] = motion
         arrays["position"][rows] -= np.einsum("k,nkd->nd", empty.basis.weights(0.0 if empty.basis.centred else moment), motion)
     return replace(empty, **arrays)

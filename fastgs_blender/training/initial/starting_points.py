@@ -19,20 +19,20 @@ SOURCES = {"triangulate": "triangulated features", "file": "the layout's point f
 
 
 def initial_points(capture, store, settings, say=print, progress=lambda done, of: None) -> tuple[Points, Any]:
-    """The points that training starts from, at most settings.points, and the store with colours in which cameras agree, where it is found
-    that they differ (CorrectedStore); t is NaN for points that are visible at all times.
+    """The points that training starts from, at most settings.init_points, and the store with colours in which cameras agree, where it is
+    found that they differ (CorrectedStore); t is NaN for points that are visible at all times.
 
-    settings.start  "auto": the first source that gives points, in SOURCES' order; or a source's name
+    settings.init  "auto": the first source that gives points, in SOURCES' order; or a source's name
     progress        called as progress(done, of)
     Raises FastGSError where the wanted source gives none.
     """
-    order = list(SOURCES) if settings.start == "auto" else [settings.start]
+    order = list(SOURCES) if settings.init == "auto" else [settings.init]
     refused = []
     for kind in order:
         try:
             points, how, seen = _MAKERS[kind](capture, store, settings, progress)
         except FastGSError as error:
-            if settings.start != "auto":
+            if settings.init != "auto":
                 raise
             refused.append(str(error))
             continue
@@ -42,7 +42,7 @@ def initial_points(capture, store, settings, say=print, progress=lambda done, of
     for reason in refused:
         say(f"no starting points from this source: {reason}")
     found = len(points)
-    points = thinned(points, settings.points, settings.seed)
+    points = thinned(points, settings.init_points, settings.seed)
     timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
     kept = f", {len(points)} kept" if len(points) < found else ""
     say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")
@@ -76,7 +76,7 @@ def random_points(capture, store, settings, progress):
     clouds = []
     for shot in shots:
         image, camera, inside = picture(capture, store, settings, shot, 256)
-        n = 4 * settings.points // len(shots) + 1
+        n = 4 * settings.init_points // len(shots) + 1
         places = rng.uniform(0, 1, (n, 2)) * (camera.width, camera.height)
         depth = 1 / rng.uniform(1 / far, 1 / near, n)
         good = np.ones(n, bool) if inside is None else sample(inside[..., None], places)[:, 0] > 0.5
@@ -84,7 +84,7 @@ def random_points(capture, store, settings, progress):
     xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
     seen = sum(visible(camera, xyz) for camera in cameras)
     common = seen >= seen.max(initial=0) / 2
-    return thinned(Points(xyz[common], rgb[common]), settings.points, settings.seed), "random, where several cameras look", store
+    return thinned(Points(xyz[common], rgb[common]), settings.init_points, settings.seed), "random, where several cameras look", store
 
 
 _MAKERS = {"triangulate": triangulated, "file": from_file, "random": random_points}

@@ -51,16 +51,16 @@ def known_model(capture, settings, say) -> GaussianModel | None:
 
     Raises FastGSError where the settings' one cannot be read; without the capture's one training begins with points.
     """
-    if settings.start not in ("auto", "model"):
+    if settings.init not in ("auto", "model"):
         return None
-    if settings.start_model:
-        return with_axes(formats.load(settings.start_model), capture.axes)
+    if settings.init_model:
+        return with_axes(formats.load(settings.init_model), capture.axes)
     if capture.model is not None:
         try:
             return with_axes(formats.load(capture.model), capture.axes)
         except FastGSError as error:
             say(f"no starting Gaussians from this source: {error}")
-    if settings.start == "model":
+    if settings.init == "model":
         raise FastGSError("no model to start from is named; give one with --init-model FILE.")
     return None
 
@@ -206,7 +206,7 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> Gaussia
     arrays["features"][:] = empty.appearance.features_of(rgb)
     sigma = np.stack([now.opacity for now in slices])
     peak = sigma.max(0)
-    opacity = np.clip(peak, settings.start_opacity, OPAQUE)
+    opacity = np.clip(peak, settings.init_opacity, OPAQUE)
     arrays["opacity"][:] = np.log(opacity / (1 - opacity))
     shown = sigma / np.maximum(peak, 1e-12)
     middle = (shown * t[:, None]).sum(0) / shown.sum(0)
@@ -218,7 +218,7 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> Gaussia
         arrays[constant][:], arrays[motion][:] = basis.recentred(*about_zero, arrays["mu_tau"].astype(np.float64))
     if isinstance(empty.temporal_kind, Radial):
         spread_of = np.sqrt(2 * (shown * (t[:, None] - middle) ** 2).sum(0) / shown.sum(0))
-        life = np.where(always, settings.static_life, np.maximum(spread_of, settings.start_life / 2))
+        life = np.where(always, settings.init_duration_static, np.maximum(spread_of, settings.init_duration / 2))
         arrays["temporal"][:, 0] = -2 * np.log(life)
     return replace(empty, **arrays)
 

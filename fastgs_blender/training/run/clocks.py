@@ -45,7 +45,7 @@ def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None 
     with tempfile.TemporaryDirectory() as folder:
         store = FrameStore(capture, folder=folder)
         store.fill()
-        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, points=POINTS, preview_every=0)
+        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, init_points=POINTS, preview_every=0)
         expected = expected_clocks(capture, store, chosen)
         if expected is None or not expected[:, 1].any():
             return first, tuple(lost)

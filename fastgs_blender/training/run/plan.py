@@ -17,7 +17,7 @@ from ...captures.capture import Capture
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ..core.presets import KNOWN
+from ..core.presets import WARM_START
 from ..core.settings import Settings, from_dict
 from . import checkpoint
 from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REFINED, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
@@ -146,7 +146,7 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
 
     if not begins_with_model(capture, settings):
         return settings
-    chosen = replace(settings, **{name: value for name, value in KNOWN.get(settings.preset, {}).items() if name not in named})
+    chosen = replace(settings, **{name: value for name, value in WARM_START.get(settings.preset, {}).items() if name not in named})
     cuts = spans(capture.clip.frame_count, chosen.segment_frames, chosen.segment_overlap)
     each = [following(capture.part(cut.first, cut.count), chosen) for cut in cuts]  # segments are joined, so all have the same motion
     freedom = {name: max(getattr(one, name) for one in each) for name in ("order", "rotation_degree") if name not in named}

@@ -24,6 +24,8 @@ from .plot import write_plot
 
 SMOOTHING = 0.98
 STATUS_SECONDS = 1.0
+LOG_EVERY = 20
+"""Steps between two lines of the log."""
 LARGEST_LOG = 2**30
 """Bytes of the log of an earlier part of the run."""
 UNTIMED_STEPS = 2
@@ -73,9 +75,9 @@ class Reporter(Silent):
     clock       gives the time in seconds from any beginning
     """
 
-    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False, log_every: int = 20,
+    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False,
                  clock=time.monotonic):
-        self.folder, self.iterations, self.log_every = Path(folder), iterations, log_every
+        self.folder, self.iterations = Path(folder), iterations
         self.clock = clock
         self.before, self.started, self.begin = elapsed, clock(), begin
         self.timed: tuple[int, float] | None = None
@@ -141,7 +143,7 @@ class Reporter(Silent):
                 self.smooth[name] = old + (1 - min(SMOOTHING, iteration / (iteration + 10))) * (values[name] - old)
         self.bar.note(f"loss {self.smooth['loss']:.4f}, {self.smooth['psnr']:.1f} dB, {values['gaussians']} Gaussians")
         self.bar.to(iteration)
-        if iteration % self.log_every == 0 or iteration == self.iterations:
+        if iteration % LOG_EVERY == 0 or iteration == self.iterations:
             row = {**values, "smooth_loss": self.smooth["loss"], "smooth_psnr": self.smooth["psnr"], "seconds": round(self.elapsed, 2)}
             self._log(row)
         if self.state != "training" or self.clock() - self.status_time > STATUS_SECONDS:  # the first step of every process is reported

@@ -61,7 +61,7 @@ def run(capture, store, plan: Plan, out, *, quiet: bool = False, reporter_type=R
     take(out)
     plans.write(out, plan)
     done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
-    reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet, settings.log_every)
+    reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet)
     reporter.device = describe_backend(backend)
     try:
         with StopFlag() as stop:

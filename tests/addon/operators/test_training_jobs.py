@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from held_runs import GUARD, Barrier, until
 
-FEW = ("--set", "points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "start=random")
+FEW = ("--set", "init_points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "init=random")
 
 
 @contextlib.contextmanager

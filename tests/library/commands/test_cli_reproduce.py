@@ -116,7 +116,7 @@ def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeyp
     assert row["measured"]["dssim1_skimage"] > row["measured"]["dssim2"]
     assert row["paper"]["psnr"] == 33.49 and row["stg"]["psnr"] == 33.30 and 5 < row["measured"]["psnr"] < 60
     plan = json.loads((tmp_path / "out" / "cook_spinach" / "run.json").read_text())
-    assert plan["settings"]["start"] == "file" and plan["settings"]["preset"] == "paper" and row["gaussians"] <= 9
+    assert plan["settings"]["init"] == "file" and plan["settings"]["preset"] == "paper" and row["gaussians"] <= 9
     assert json.loads((tmp_path / "out" / "reproduce.json").read_text())["rows"] == [row]
     monkeypatch.setattr("fastgs_blender.training.run.launch.launch", lambda *rest: pytest.fail("it was trained again"))
     assert cli.main(["reproduce", *loud]) == 0
@@ -130,12 +130,12 @@ def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeyp
 
 def test_immersive_has_a_row_for_each_view_of_the_paper(tmp_path, capsys):
     immersive(tmp_path / "data" / "02_Flames")
-    rows = reproduce(capsys, "immersive", tmp_path / "data", "--out", tmp_path / "out", "--set", "start=random", "--set", "points=60")
+    rows = reproduce(capsys, "immersive", tmp_path / "data", "--out", tmp_path / "out", "--set", "init=random", "--set", "init_points=60")
     assert [(row["view"], row["paper"]["psnr"]) for row in rows] == [("camera_0010", 30.56), ("camera_0037", 31.54)]
     assert all("psnr" in row["measured"] for row in rows)
     plan = json.loads((tmp_path / "out" / "02_Flames" / "run.json").read_text())
     assert plan["settings"]["activation"] == "none" and plan["settings"]["decode"] == "premultiplied", "STG's configuration of the scene"
-    assert plan["settings"]["copied_time"] == "keep", "densify 6 of train_imdist.py, which clones with densify_and_cloneim()"
+    assert plan["settings"]["densify_time"] == "keep", "densify 6 of train_imdist.py, which clones with densify_and_cloneim()"
     first, second = table(rows).splitlines()[2:6:3]
     assert first.split()[-3:] == ["146", "363", "40.6"] and second.split()[-3:] == ["-", "-", "-"], "the paper's second table"
     assert table(rows).splitlines()[3].split()[-3:] == ["154", "248", "34.2"]
@@ -146,7 +146,7 @@ def test_technicolor_trains_on_the_published_frames(tmp_path, capsys):
     row, = reproduce(capsys, "technicolor", tmp_path / "data", "--out", tmp_path / "out", "--preset", "stg", "--set", "segment_frames=0")
     assert row["view"] == "10" and row["paper"] == {}
     plan = json.loads((tmp_path / "out" / "Fabien" / "run.json").read_text())
-    assert plan["source"]["frames"] == [1, 51, 1] and plan["settings"]["start"] == "file" and plan["settings"]["motion"] == "polynomial"
+    assert plan["source"]["frames"] == [1, 51, 1] and plan["settings"]["init"] == "file" and plan["settings"]["motion"] == "polynomial"
 
 
 def test_long_films_are_cut_into_fragments_as_published():

@@ -62,14 +62,14 @@ def test_a_picture_through_the_protocol(rng, fake):
 
 
 @pytest.mark.parametrize(("density", "mask", "options"), [
-    ("default", False, {"backdrop_hold": 5.0, "motion_weight": 0.1}),
+    ("default", False, {"motion_weight": 0.1}),
     ("mcmc", True, {"batch": 2, "appearance": "rgb", "motion": "keyframes", "regulariser": "group", "masks": "weight"}),
 ])
 def test_training_through_the_protocol(fake, density, mask, options):
     """The same bytes as on the CPU; within a step nothing is brought back but a few numbers at its end, and pictures where the step looks
     at how cameras differ."""
     capture, store, points = toy_capture(frames=3, views=3, mask=mask)
-    chosen = settings.settings(iterations=12, densify_every=5, densify_from=0.0, densify_until=1.0, threshold=1e-6, reset_every=4,
+    chosen = settings.settings(iterations=12, densify_every=5, densify_from=0.0, densify_until=1.0, densify_threshold=1e-6, reset_every=4,
                                density=density, preview_every=0, **options)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
@@ -114,7 +114,7 @@ folder = Path(sys.argv[1])
 toy, run, again = (str(folder / name) for name in ("toy", "run", "again"))
 write_capture(folder / "toy", 2, 3)
 session.StopFlag.__call__ = lambda self: True
-assert cli.main(["train", toy, "--out", run, "--set", "start=file", *OPTIONS]) == 130
+assert cli.main(["train", toy, "--out", run, "--set", "init=file", *OPTIONS]) == 130
 session.StopFlag.__call__ = lambda self: self.asked
 assert cli.main(["train", "--resume", "--out", run, "--quiet", "--device", "cpu"]) == 0
 assert cli.main(["train", toy, "--out", again, "--init-model", run + "/model.safetensors", *OPTIONS]) == 0
@@ -132,6 +132,6 @@ def test_training_needs_no_torch_and_makes_the_same_model_without(tmp_path, monk
     result = subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     pytest.importorskip("torch")
-    assert cli.main(["train", str(tmp_path / "toy"), "--out", str(tmp_path / "other"), "--set", "start=file", *OPTIONS]) == 0
+    assert cli.main(["train", str(tmp_path / "toy"), "--out", str(tmp_path / "other"), "--set", "init=file", *OPTIONS]) == 0
     made, wanted = ((tmp_path / name / "model.safetensors").read_bytes() for name in ("run", "other"))
     assert made == wanted

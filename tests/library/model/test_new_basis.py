@@ -112,8 +112,8 @@ def test_speeds_and_accelerations_follow_from_the_weights():
     assert basis.curvature()[0, 0] == 0  # straight motion
 
 
-@pytest.mark.parametrize("copied_time", ["keep", "random"])
-def test_it_trains(copied_time):
+@pytest.mark.parametrize("densify_time", ["keep", "random"])
+def test_it_trains(densify_time):
     pytest.importorskip("torch")
     from toy_captures import toy_capture
 
@@ -123,8 +123,8 @@ def test_it_trains(copied_time):
     from fastgs_blender.training.initial.first_model import model_from_points
 
     capture, store, points = toy_capture()
-    chosen = settings(motion="chebyshev", order=3, iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1,
-                      warm_up=(), copied_time=copied_time, position_rate=1e-3, motion_rate=2e-3, start_opacity=0.1, preview_every=0)
+    chosen = settings(motion="chebyshev", order=3, iterations=60, init_points=80, max_gaussians=160, densify_every=10, densify_from=0.1,
+                      warm_up=(), densify_time=densify_time, position_rate=1e-3, motion_rate=2e-3, init_opacity=0.1, preview_every=0)
     trainer = Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
     losses = [trainer.step() for _ in range(60)]
     model = trainer.final_model({})

@@ -28,7 +28,7 @@ from fastgs_blender.training.run import checkpoint, plan, session, written  # no
 from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
 from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
 
-FEW = dict(iterations=40, points=20, max_gaussians=40, warm_up=(), densify_every=10, densify_from=0.1, preview_every=0, start_size=1.0)
+FEW = dict(iterations=40, init_points=20, max_gaussians=40, warm_up=(), densify_every=10, densify_from=0.1, preview_every=0, init_scale=1.0)
 
 
 @pytest.fixture(scope="module")

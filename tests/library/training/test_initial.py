@@ -112,7 +112,7 @@ def blank():
 @pytest.fixture(scope="module")
 def found(filmed):
     said, done = [], []
-    points = initial_points(*filmed, settings(points=4000), said.append, lambda *ticks: done.append(ticks))[0]
+    points = initial_points(*filmed, settings(init_points=4000), said.append, lambda *ticks: done.append(ticks))[0]
     assert done == [(k, done[0][1]) for k in range(done[0][1] + 1)] and len(done) > 2 * FRAMES, "progress goes on to its end"
     return points, said
 
@@ -165,7 +165,7 @@ def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_
     blind.pictures = {key: value for key, value in store.pictures.items() if key[0] != "cam03"}
     try:
         threads.set_threads(1)
-        again = initial_points(capture, blind, settings(points=4000), lambda text: None)[0]
+        again = initial_points(capture, blind, settings(init_points=4000), lambda text: None)[0]
     finally:
         threads.set_threads(0)
     for name in ("xyz", "rgb", "t"):
@@ -185,7 +185,7 @@ def test_few_cameras_and_small_pictures_give_points_too():
                for camera in rig()]
     small = [replace(shot, camera=quarter[int(shot.view[-1])]) for shot in shots() if shot.view in ("cam00", "cam01", "cam02", "cam04")]
     capture = Capture(Path("small"), "test", small, fg.Clip(FRAMES), scale=0.25)
-    points = initial_points(capture, Files(), settings(points=4000), lambda text: None)[0]
+    points = initial_points(capture, Files(), settings(init_points=4000), lambda text: None)[0]
     still = points.xyz[np.isnan(points.t)]
     assert len(still) > 300
     assert (off_planes(still) < 0.15).mean() > 0.8
@@ -204,7 +204,7 @@ def test_points_of_a_far_wall_are_no_strays_beside_a_near_thing(rng):
 def test_no_more_points_than_asked_for(filmed):
     capture, store = filmed
     one = replace(capture, shots=capture.at_frame(0))
-    assert 100 < len(initial_points(one, store, settings(points=300), lambda text: None)[0]) <= 300
+    assert 100 < len(initial_points(one, store, settings(init_points=300), lambda text: None)[0]) <= 300
 
 
 def test_without_features_the_layouts_points_are_next(blank, rng):
@@ -220,12 +220,12 @@ def test_without_features_the_layouts_points_are_next(blank, rng):
 def test_without_anything_points_are_random_where_cameras_look_together(blank):
     capture, store = blank
     said = []
-    points = initial_points(capture, store, settings(points=500), said.append)[0]
+    points = initial_points(capture, store, settings(init_points=500), said.append)[0]
     assert len(points) == 500
     assert "random" in said[-1]
     views = [visible(camera, points.xyz) for v, camera in enumerate(rig()) if v != 3]
     assert (np.sum(views, 0) >= 3).all()
-    other = initial_points(capture, store, settings(points=500, seed=1), lambda text: None)[0]
+    other = initial_points(capture, store, settings(init_points=500, seed=1), lambda text: None)[0]
     assert not np.array_equal(other.xyz, points.xyz)
 
 
@@ -244,7 +244,7 @@ def card(filmed, tmp_path_factory):
 def test_training_begins_with_a_known_model_as_it_moves_in_the_colours_of_the_pictures(filmed, card):
     capture, store = filmed
     said = []
-    chosen = settings(start_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial")
+    chosen = settings(init_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial")
     begun = start(capture, store, chosen, said.append)
     model = begun.model
     assert "4000" in said[-1] and str(len(model)) in said[-1]
@@ -268,7 +268,7 @@ def test_training_begins_with_a_known_model_as_it_moves_in_the_colours_of_the_pi
 def test_a_known_model_is_refined_and_not_lost(filmed, card):
     """Its first steps hardly move it; steps by which places are found would lose them.  A resumed run knows it too."""
     capture, store = filmed
-    chosen = settings(start_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial", warm_up=(), iterations=400)
+    chosen = settings(init_model=str(card), max_gaussians=1600, backdrop=0.0, motion="polynomial", warm_up=(), iterations=400)
     begun = start(capture, store, chosen, lambda text: None)
     assert begun.warm
 
@@ -288,23 +288,23 @@ def test_a_damaged_model_of_the_capture_is_told_and_points_begin_instead(blank, 
     capture, store = blank
     (tmp_path / "bake.safetensors").write_bytes(b"no model")
     said = []
-    begun = start(replace(capture, model=tmp_path / "bake.safetensors"), store, settings(points=500), said.append)
+    begun = start(replace(capture, model=tmp_path / "bake.safetensors"), store, settings(init_points=500), said.append)
     assert "bake.safetensors" in said[0] and "random" in said[-1] and len(begun.model) >= 500
     with pytest.raises(fg.FastGSError, match="bake.safetensors"):
-        start(capture, store, settings(start_model=str(tmp_path / "bake.safetensors")), said.append)
+        start(capture, store, settings(init_model=str(tmp_path / "bake.safetensors")), said.append)
 
 
 @pytest.mark.parametrize("source", ["triangulate", "file", "model"])
 def test_a_start_that_was_asked_for_and_fails_is_an_error(blank, source):
     with pytest.raises(fg.FastGSError):
-        start(*blank, settings(start=source), lambda text: None)
+        start(*blank, settings(init=source), lambda text: None)
 
 
 def test_a_camera_that_films_alone_gives_points_of_what_stands(filmed):
     capture, store = filmed
     path = [("cam00", 0), ("cam01", 1), ("cam02", 2), ("cam04", 3)]
     alone = replace(capture, shots=[shot for shot in capture.shots if (shot.view, shot.frame) in path])
-    points = initial_points(alone, store, settings(points=2000), lambda text: None)[0]
+    points = initial_points(alone, store, settings(init_points=2000), lambda text: None)[0]
     assert len(points) >= 30
     assert points.t is None or np.isnan(points.t).all()
 

@@ -51,7 +51,7 @@ def test_motion_that_is_known_is_followed(swinging):
     assert off(chosen) < 0.3 * off(usual) and chosen.order < 16
     still = replace(model, motion=np.zeros_like(model.motion))
     fg.save(still, capture.model.parent / "still.safetensors")
-    for options, given in ((dict(order=5), capture), (dict(start="random"), capture), ({}, replace(capture, model=None)),
+    for options, given in ((dict(order=5), capture), (dict(init="random"), capture), ({}, replace(capture, model=None)),
                            (dict(motion="paper"), capture), ({}, replace(capture, model=capture.model.parent / "still.safetensors"))):
         assert following(given, settings(**options)) == settings(**options)
 
@@ -69,7 +69,7 @@ def test_a_run_follows_its_capture_s_model_and_goes_on_without_it(swinging, tmp_
     parts = suited(settings(segment_frames=8, segment_overlap=2), opened)
     assert 0 < parts.order < chosen.order and parts.rotation_degree > 1
 
-    few = dict(iterations=3, max_gaussians=200, points=100, warm_up=(), preview_every=0, exposures="off", clocks="off", device="cpu")
+    few = dict(iterations=3, max_gaussians=200, init_points=100, warm_up=(), preview_every=0, exposures="off", clocks="off", device="cpu")
     model = fg.train(source, tmp_path / "run", preset="draft", **few)
     assert model.basis.terms == chosen.order and model.rotation_basis.degree == chosen.rotation_degree
     assert json.loads(model.provenance["settings"])["order"] == chosen.order

@@ -49,7 +49,7 @@ def moved(camera, turn):
 
 def trainer(made, **choices):
     capture, store, points, _ = made
-    chosen = settings(**{**dict(points=150, max_gaussians=150, warm_up=(), start_opacity=0.9, start_size=1.0, preview_every=0,
+    chosen = settings(**{**dict(init_points=150, max_gaussians=150, warm_up=(), init_opacity=0.9, init_scale=1.0, preview_every=0,
                                 appearance="rgb", motion="static", iterations=300), **choices})
     return Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
 

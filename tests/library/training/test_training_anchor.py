@@ -19,8 +19,8 @@ def test_the_pull_is_as_strong_as_so_many_pixels():
     features = np.array([[0.5, 0.5], [0.5, 0.5], [0.5, 0.5]], np.float32)
     arrays = {"features": features + np.float32(anchor.OFF), anchor.ANCHOR: anchor.anchor_features(features, np.array([1.0, np.nan, 1.0]))}
     gradients = {"features": np.ones((3, 2), np.float32)}
-    anchor.anchor(load_backend("cpu"), arrays, gradients, np.array([0, 1]), votes=30, pixels=1000)
-    np.testing.assert_allclose(gradients["features"], [[1 + 30 / 3000] * 2, [1, 1], [1, 1]], rtol=1e-6)
+    anchor.anchor(load_backend("cpu"), arrays, gradients, np.array([0, 1]), pixels=1000)
+    np.testing.assert_allclose(gradients["features"], [[1 + anchor.PIXELS / 3000] * 2, [1, 1], [1, 1]], rtol=1e-6)
 
 
 def trained(capture, store, points, **choices):
@@ -34,7 +34,7 @@ def trained(capture, store, points, **choices):
     return trainer
 
 
-def beside(votes):
+def beside():
     """How far the colours of large Gaussians went that stand beside the pictures, which show a fringe of them."""
     capture, store, points = toy_capture()
     around = np.linspace(0, 2 * np.pi, FRINGE, endpoint=False)
@@ -42,16 +42,17 @@ def beside(votes):
     sizes = np.concatenate([np.full(len(points), np.nan), np.full(FRINGE, 1.0)])
     rgb = np.concatenate([points.rgb, np.full((FRINGE, 3), 0.5)])
     points = Points(np.concatenate([points.xyz, xyz]).astype(np.float32), rgb, None, sizes)
-    after = trained(capture, store, points, backdrop_hold=votes).model()
+    after = trained(capture, store, points).model()
     return np.abs(after.features[-FRINGE:, :3] - 0.5).max()
 
 
-def test_colours_that_hardly_anything_speaks_for_stay():
-    assert beside(0) > 0.5
-    assert beside(5) < 0.15
+def test_colours_that_hardly_anything_speaks_for_stay(monkeypatch):
+    assert beside() < 0.15
+    monkeypatch.setattr(anchor, "PIXELS", 0.0)
+    assert beside() > 0.5
 
 
-def test_what_pictures_show_takes_their_colours():
+def test_what_pictures_show_takes_their_colours(monkeypatch):
     """A wall that fills all pictures, and was taken for another colour."""
     capture, store, _ = toy_capture()
     for key, pixels in store.pictures.items():
@@ -59,7 +60,8 @@ def test_what_pictures_show_takes_their_colours():
     grid = np.stack(np.meshgrid(np.linspace(-6, 6, 9), np.linspace(-5, 5, 7)), -1).reshape(-1, 2)
     xyz = np.concatenate([grid, np.full((len(grid), 1), 3.0)], 1).astype(np.float32)
     points = Points(xyz, np.full((len(xyz), 3), 0.3), None, np.full(len(xyz), 1.2))
-    trainer = trained(capture, store, points, backdrop_hold=5.0, appearance="rgb")  # a decoder could take their part
+    monkeypatch.setattr(anchor, "PIXELS", 5.0)
+    trainer = trained(capture, store, points, appearance="rgb")  # a decoder could take their part
     shot = capture.held_out[0]
     picture = fg.render(trainer.model(), shot.camera, shot.t)["rgb"]
     assert np.abs(picture - 0.6).mean() < 0.03
@@ -95,7 +97,7 @@ def test_a_trained_model_knows_its_backdrop_and_cameras():
 def test_density_control_leaves_the_backdrop_whole():
     """Its Gaussians fill the sky together: where one went, those beside it would grow until they were removed too."""
     capture, store, points = toy_capture()
-    chosen = settings.settings(near_size=0.2, prune_opacity=0.0, grow=0)
+    chosen = settings.settings(prune_size=0.2, prune_opacity=0.0, densify_share=0)
     around = np.linspace(0, 2 * np.pi, FRINGE, endpoint=False)
     xyz = np.concatenate([points.xyz, np.stack([9 * np.cos(around), 9 * np.sin(around), np.full(FRINGE, 5.0)], 1)]).astype(np.float32)
     sizes = np.concatenate([np.full(len(points), np.nan), np.full(FRINGE, 50.0)])

@@ -25,7 +25,7 @@ def filmed():
 
 def behind(filmed):
     capture, store, points = filmed
-    return backdrop.with_backdrop(capture, store, settings.settings(points=1000, backdrop=0.5), points)
+    return backdrop.with_backdrop(capture, store, settings.settings(init_points=1000, backdrop=0.5), points)
 
 
 def test_what_passes_by_is_not_the_sky(filmed):
@@ -59,7 +59,7 @@ def test_cameras_that_differ_agree_on_it(filmed):
         gain = gains[views.index(view)] if view in views else np.ones(3)
         store.pictures[view, frame] = Pixels(np.float32(np.clip(pixels.rgb * gain, 0, 1)))
     even = CameraResponse.initial(views, capture.clip.frame_count, settings.settings(), gains)
-    found = backdrop.with_backdrop(capture, CorrectedStore(store, even), settings.settings(points=1000, backdrop=0.5), points)
+    found = backdrop.with_backdrop(capture, CorrectedStore(store, even), settings.settings(init_points=1000, backdrop=0.5), points)
     assert len(found) > 20 and np.allclose(found.rgb, SKY, atol=0.02)
 
 
@@ -67,5 +67,5 @@ def test_cut_pictures_have_none(filmed):
     capture, store, points = filmed
     for key, pixels in store.pictures.items():
         store.pictures[key] = Pixels(pixels.rgb, mask=np.ones(pixels.rgb.shape[:2]))
-    chosen = settings.settings(points=1000, masks="cut")
+    chosen = settings.settings(init_points=1000, masks="cut")
     assert len(backdrop.with_backdrop(capture, store, chosen, points)) == 0

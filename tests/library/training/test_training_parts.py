@@ -2,7 +2,9 @@
 """The parts of training that need no picture: settings, starting model, schedule, density control, checkpoints."""
 import errno
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +13,12 @@ import pytest
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.captures.pixels.store import Pixels
+from fastgs_blender.commands.train import FLAGS
 from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
 from fastgs_blender.training.core.moving_pixels import MovingPixels
-from fastgs_blender.training.core.presets import SCENES
+from fastgs_blender.training.core.presets import PRESETS, SCENES
 from fastgs_blender.training.initial.first_model import depth_of, model_from_points
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
@@ -30,7 +33,7 @@ def test_settings_survive_json():
 
 @pytest.mark.parametrize("wrong", [
     {"motion": "wavelets"}, {"iterations": 0}, {"iterations": 2.5}, {"wings": 2}, {"batch": True}, {"dssim": float("nan")}, {"dssim": 2},
-    {"warm_up": (0.5, 0.1)}, {"warm_up": 3}, {"preset": "best"}, {"free_centre": 1},
+    {"warm_up": (0.5, 0.1)}, {"warm_up": 3}, {"preset": "best"}, {"decoder_place": 1},
 ])
 def test_settings_that_mean_nothing_are_told(wrong):
     with pytest.raises(fg.FastGSError):
@@ -66,6 +69,13 @@ def test_published_scenes_are_trained_as_published(data_set, scene, steps, scali
     assert (control.first, control.last) == (500, last)
 
 
+def test_every_option_is_told():
+    """A preset sets it, a flag does, or the page on training names it."""
+    page = (Path(__file__).parents[3] / "docs" / "training.md").read_text("utf-8")
+    known = {"preset", "init_model", *FLAGS, *(name for preset in PRESETS.values() for name in preset)}
+    assert [name for name in options.settings().to_dict() if name not in known and not re.search(rf"\b{name}\b", page)] == []
+
+
 def test_the_printed_loss_is_a_sum():
     """L1 + (1 - SSIM) is twice the mixture with d = 1/2."""
     mixed, printed = options.settings(dssim=0.3), options.settings(dssim=0.3, loss="sum")
@@ -83,13 +93,13 @@ def test_gaussians_are_added_so_often_and_no_more():
 
 @pytest.mark.parametrize(("text", "value"), [
     ("iterations=3e3", ("iterations", 3000)), ("dssim = 0.5", ("dssim", 0.5)), ("warm_up=", ("warm_up", ())), ("warm_up=0.1,0.2",
-     ("warm_up", (0.1, 0.2))), ("free_centre=yes", ("free_centre", True)), ("density=mcmc", ("density", "mcmc")),
+     ("warm_up", (0.1, 0.2))), ("decoder_place=yes", ("decoder_place", True)), ("density=mcmc", ("density", "mcmc")),
 ])
 def test_options_as_text(text, value):
     assert options.option_from_text(text) == value
 
 
-@pytest.mark.parametrize("text", ["iterations", "wings=2", "iterations=many", "free_centre=perhaps", "iterations=1e400"])
+@pytest.mark.parametrize("text", ["iterations", "wings=2", "iterations=many", "decoder_place=perhaps", "iterations=1e400"])
 def test_option_texts_that_mean_nothing_are_told(text):
     with pytest.raises(fg.FastGSError):
         options.option_from_text(text)
@@ -131,7 +141,7 @@ def test_one_point_has_no_neighbour():
 def test_the_first_model_shows_the_points(rng, appearance):
     points = Points(rng.uniform(-1, 1, (300, 3)), rng.uniform(0.1, 0.9, (300, 3)), np.where(np.arange(300) < 200, np.nan, 0.25),
                     np.where(np.arange(300) < 190, np.nan, 0.5))
-    chosen = options.settings(appearance=appearance, start_opacity=0.5, start_size=0.8, start_life=0.1)
+    chosen = options.settings(appearance=appearance, init_opacity=0.5, init_scale=0.8, init_duration=0.1)
     model = model_from_points(points, chosen, fg.Clip(20, 25.0, 3), "RUB", 20.0)
     assert model.axes == "RUB" and model.clip == fg.Clip(20, 25.0, 3) and len(model) == 300
     early, at = fg.slice_model(model, 0.0, cull=False), fg.slice_model(model, 0.25, cull=False)
@@ -172,8 +182,8 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
     pixels = Pixels(rgb, subject * alpha, alpha=alpha) if has_alpha else Pixels(rgb, subject)
     capture = SimpleNamespace(mask_means="foreground")
     shot = SimpleNamespace(mask="file", camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
-    found = targets.target(capture, pixels, shot, options.settings(foreground_weight=3.0, background="white"), 1)
-    np.testing.assert_allclose(found.weight, 1 + 2 * pixels.mask)
+    found = targets.target(capture, pixels, shot, options.settings(background="white"), 1)
+    np.testing.assert_allclose(found.weight, 1 + pixels.mask)
     np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
     assert found.opaque == (not has_alpha) and (found.background == 1).all()
 
@@ -220,7 +230,7 @@ def test_rates_fall_and_divide_by_the_frequency():
 
 def test_a_model_is_refined_with_shorter_steps():
     """Where training begins with a model its places and motions move less, its shapes a little less, and colours as ever."""
-    chosen = options.settings(known_rate=0.04)
+    chosen = options.settings(warm_start_rate=0.04)
     usual, refined = (schedule.learning_rates(chosen, 100, 2.0, 2.0, fg.Fourier(2), known) for known in (False, True))
     for names, factor in ((("position", "motion"), 0.04), (("scale", "rotation", "rotation_motion"), 0.2), (("opacity", "features"), 1.0)):
         for name in names:
@@ -279,14 +289,15 @@ class Gradients:
 
 
 def strategy(name, model, **choices):
-    chosen = options.settings(density=name, iterations=1000, densify_every=100, densify_from=0.0, densify_until=1.0, grow=0.5, **choices)
+    chosen = options.settings(density=name, iterations=1000, densify_every=100, densify_from=0.0, densify_until=1.0,
+                              densify_share=0.5, **choices)
     return density.STRATEGIES[name](chosen, 1.0, model)
 
 
 @pytest.mark.parametrize("name", density.STRATEGIES)
 def test_the_cap_holds_and_only_due_steps_change(rng, make_model, name):
     model = make_model(rng, 60, "cosine", "line", "radial", "sigmoid")
-    rows, control = Rows(model), strategy(name, model, max_gaussians=100, noise=0.0)
+    rows, control = Rows(model), strategy(name, model, max_gaussians=100)
     for iteration in range(95, 1001):
         before = len(rows.arrays["opacity"])
         changed = control.after_step(iteration, rows, Gradients(before), {"position": 1e-4})
@@ -333,7 +344,7 @@ def test_reborn_gaussians_leave_the_picture_alone(rng, make_model):
     model.scale[:] = np.log(0.3)
     model.opacity[:] = [1.0, -9, -9]
     rows = Rows(model)
-    strategy("mcmc", model, max_gaussians=3, noise=0.0).after_step(100, rows, Gradients(3), {"position": 1e-4})
+    strategy("mcmc", model, max_gaussians=3).after_step(100, rows, Gradients(3), {"position": 1e-4})
     camera = fg.Camera(32, 32, 40, 40, 16, 16, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
     before, after = (fg.render(m, camera)["alpha"] for m in (model, replace(model, **rows.arrays)))
     assert rows.arrays["opacity"].min() > -5

@@ -13,7 +13,7 @@ from fastgs_blender import cli
 from fastgs_blender.training.run.files import CHECKPOINT, MODEL, RUN
 from fastgs_blender.training.run.plan import Source, plan_from_dict, read_plan
 
-SHORT = ["--init", "file", "--quiet", *(text for option in ("iterations=6", "points=60", "preview_every=0", "warm_up=") for text in
+SHORT = ["--init", "file", "--quiet", *(text for option in ("iterations=6", "init_points=60", "preview_every=0", "warm_up=") for text in
                                         ("--set", option))]
 PART = ["--scale", "0.5", "--frames", "1:3", "--held-out", "cam01,cam03"]
 
@@ -110,7 +110,7 @@ def test_plans_that_make_no_sense(source):
 def test_training_from_python_gives_the_model(toy, tmp_path):
     from fastgs_blender.training.run.launch import train
 
-    model = train(toy, tmp_path / "run", scale=0.5, frames=slice(0, 2), start="file", iterations=3, points=50, preview_every=0)
+    model = train(toy, tmp_path / "run", scale=0.5, frames=slice(0, 2), init="file", iterations=3, init_points=50, preview_every=0)
     assert model.clip.frame_count == 2 and len(model) < 80
     with pytest.raises(fg.FastGSError, match="already"):
         train(toy, tmp_path / "run")

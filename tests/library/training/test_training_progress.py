@@ -50,7 +50,7 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch)
 @pytest.mark.parametrize("name", [progress.LOG, progress.STATUS, progress.PLOT])
 def test_a_pipe_in_the_folder_does_not_stop_a_run(tmp_path, clock, capsys, name):
     os.mkfifo(tmp_path / name)
-    reporter = progress.Reporter(tmp_path, 100, begin=2, log_every=1, clock=lambda: clock.now)
+    reporter = progress.Reporter(tmp_path, 100, begin=2, clock=lambda: clock.now)
     for iteration in (3, 4, 5):
         reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
     reporter.preview(5, np.zeros((2, 2, 3)), {})

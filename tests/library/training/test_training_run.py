@@ -26,8 +26,8 @@ from fastgs_blender.training.run import checkpoint, folder, plan, session  # noq
 from fastgs_blender.util import locks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
-FEW = dict(iterations=60, points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),
-           position_rate=1e-3, position_rate_end=1e-4, motion_rate=2e-3, start_opacity=0.1, start_size=1.0, start_life=0.25,
+FEW = dict(iterations=60, init_points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),
+           position_rate=1e-3, position_rate_end=1e-4, motion_rate=2e-3, init_opacity=0.1, init_scale=1.0, init_duration=0.25,
            preview_every=0)
 
 
@@ -48,9 +48,9 @@ def same(a, b):
 
 @pytest.mark.parametrize("choices", [
     {}, {"density": "mcmc"}, {"motion": "paper"}, {"motion": "fourier+linear", "batch": 2},
-    {"motion": "polynomial", "copied_time": "random"}, {"motion": "keyframes", "regulariser": "group"},
+    {"motion": "polynomial", "densify_time": "random"}, {"motion": "keyframes", "regulariser": "group"},
     {"motion": "paper", "loss": "sum", "regulariser": "printed", "motion_weight": 1e-3, "rate_unit": "extent"},
-    {"appearance": "rgb", "temporal": "always"}, {"appearance": "sh1", "gradient": "absolute"},
+    {"appearance": "rgb", "temporal": "always"}, {"appearance": "sh1", "densify_gradient": "absolute"},
 ], ids=str)
 def test_it_learns(choices):
     who = trainer(**choices)
@@ -63,7 +63,7 @@ def test_it_learns(choices):
 
 
 def test_transparent_parts_stay_transparent_before_any_background():
-    who = trainer(toy_capture(mask=True), masks="cut", start_opacity=0.5)
+    who = trainer(toy_capture(mask=True), masks="cut", init_opacity=0.5)
     steps(who, 120)
     shot = who.capture.held_out[0]
     alpha = fg.render(who.model(), shot.camera, shot.t)["alpha"]
@@ -293,10 +293,10 @@ def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsy
 @pytest.mark.parametrize("density", ["default", "mcmc"])
 def test_two_processes_are_one_with_twice_the_batch(files, tmp_path, density):
     one, two = tmp_path / "one", tmp_path / "two"
-    alone = fastgs(*arguments(files, one, "--density", density, "--batch", 2, "--set", "log_every=1"))
+    alone = fastgs(*arguments(files, one, "--density", density, "--batch", 2))
     assert alone.returncode == 0, alone.stderr
     script = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "fastgs_blender"]
-    both = subprocess.run([*script, *arguments(files, two, "--density", density, "--set", "log_every=1")], cwd=ROOT, capture_output=True,
+    both = subprocess.run([*script, *arguments(files, two, "--density", density)], cwd=ROOT, capture_output=True,
                           text=True, check=False, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1", "OMP_NUM_THREADS": "1"})
     assert both.returncode == 0, both.stderr
     logs = [[json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()] for out in (one, two)]

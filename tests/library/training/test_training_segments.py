@@ -83,7 +83,7 @@ def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
     capture, store, points = toy_capture(frames=14, views=3)
     monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
     options = dict(iterations=80, max_gaussians=120, warm_up=(), segment_frames=8, segment_overlap=3, backdrop=0.0, preview_every=0,
-                   position_rate=1e-3, motion_rate=2e-3, start_size=1.0, start_life=0.1)
+                   position_rate=1e-3, motion_rate=2e-3, init_scale=1.0, init_duration=0.1)
     chosen = plan.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
     report = session.run(capture, store, chosen, tmp_path, quiet=True)
     model = fg.load(tmp_path / "model.safetensors")

@@ -30,7 +30,7 @@ from fastgs_blender.training.initial.start import expected_clocks, start
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.util.backends import load_backend
 
-FEW = dict(points=80, max_gaussians=160, densify_every=10, warm_up=(), start_opacity=0.1, start_size=1.0, preview_every=0)
+FEW = dict(init_points=80, max_gaussians=160, densify_every=10, warm_up=(), init_opacity=0.1, init_scale=1.0, preview_every=0)
 VIEWS = ("a", "b", "c")
 
 
@@ -362,7 +362,7 @@ def test_exposures_that_change_while_cameras_film_are_found_and_taken_out():
     capture, _, points = toy_capture(frames=8, views=5)
     capture = replace(capture, points=points)
     rates = {"cam02": np.array([0.1, 0.12, 0.08]), "cam04": np.array([-0.04, -0.04, -0.04]), "cam03": np.array([0.005, 0.0, 0.0])}
-    store, chosen = Still(rates), settings(start="file", backdrop=0)
+    store, chosen = Still(rates), settings(init="file", backdrop=0)
     fades = fades_of(capture, store, chosen)
     assert fades == pytest.approx(np.array([np.zeros(3), rates["cam02"], np.zeros(3), rates["cam04"]]), abs=0.008)
     assert (fades[[0, 2]] == 0).all(), "steady cameras are left as they are"
@@ -379,7 +379,7 @@ def test_exposures_that_change_while_cameras_film_are_found_and_taken_out():
     assert change[0] > light + 0.15 and change[1] == pytest.approx(light, rel=0.02)
     model = SimpleNamespace(provenance=corrections_entry(found.facts()))
     assert "change over the clip, and were evened: cam02, cam04" in sentence(corrections(model))
-    off = start(capture, store, settings(start="file", backdrop=0, exposures="off"), said.append)
+    off = start(capture, store, settings(init="file", backdrop=0, exposures="off"), said.append)
     assert off.fades is None and start(capture, Still({}), chosen, said.append).fades is None
 
 

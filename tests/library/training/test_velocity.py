@@ -11,7 +11,7 @@ import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.model.slicing import slice_model
 from fastgs_blender.training.core.settings import settings
-from fastgs_blender.training.initial.first_model import model_from_points
+from fastgs_blender.training.initial.first_model import MOVING, model_from_points
 from fastgs_blender.training.initial.velocity import displacements, in_motion
 
 LAST = 11 / 12
@@ -71,7 +71,7 @@ def test_gaussians_begin_at_their_points_with_their_velocities(motion, moment):
     points = Points(np.array([[1.0, 2, 3], [4, 5, 6]]), np.full((2, 3), 0.5), np.full(2, moment), velocity=speed)
     model = model_from_points(points, settings("draft", motion=motion), CLIP, "RDF", 1.0)
     np.testing.assert_allclose(slice_model(model, moment, cull=False).position, points.xyz, atol=1e-5)
-    np.testing.assert_allclose(np.exp(-model.temporal[:, 0] / 2), [settings().moving_life, settings().start_life], rtol=1e-5)
+    np.testing.assert_allclose(np.exp(-model.temporal[:, 0] / 2), [MOVING, settings().init_duration], rtol=1e-5)
     for t in (moment - 0.04, moment + 0.04):
         moved = slice_model(model, t, cull=False).position - points.xyz
         np.testing.assert_allclose(moved, (t - moment) * speed, atol=0.35 * 0.04 * 2)

@@ -140,7 +140,7 @@ def test_a_run_ends_where_the_cpus_does(gpu, adapter):
 def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
     """Then the run goes on on the CPU from its last checkpoint (test_gpu_devices.py)."""
     capture, store, points = toy_capture(frames=2, views=3)
-    chosen = settings.settings(iterations=100, density="mcmc", densify_from=0.0, preview_every=0, motion_weight=0.1, backdrop_hold=1.0,
+    chosen = settings.settings(iterations=100, density="mcmc", densify_from=0.0, preview_every=0, motion_weight=0.1,
                                regulariser="group")
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     native, subgroups, pipelines, pipeline = gpu.device.native, gpu.device.subgroups, gpu.device._pipelines, Device._pipeline
@@ -207,8 +207,8 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
     """A run on the GPU is near the CPU's, and nothing is read back within a step.  Continued from its state in the middle, several steps
     ahead of their values and with tile lists that are guessed too short in every step, it gives the same bytes."""
     capture, store, points = toy_capture(frames=3, views=3)
-    chosen = settings.settings(iterations=8, densify_every=4, densify_from=0.0, densify_until=1.0, threshold=1e-6, preview_every=0,
-                               backdrop_hold=5.0, motion_weight=0.1, batch=2)
+    chosen = settings.settings(iterations=8, densify_every=4, densify_from=0.0, densify_until=1.0, densify_threshold=1e-6, preview_every=0,
+                               motion_weight=0.1, batch=2)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
     name = f"gpu:{adapter.name}"
