@@ -150,11 +150,12 @@ def _motion_columns(header: ply.Header, recorded: Basis | None) -> tuple[Basis, 
 
 
 def _activation(path: Path, settings: dict) -> str:
-    """The decoder's output activation; warns about an unknown one."""
-    function = settings.get("function", "sandwich")
+    """The decoder's output activation; warns about an unknown one, and where nothing says which it is."""
+    function = settings.get("function")
     if isinstance(function, str) and function in ACTIVATIONS:
         return ACTIVATIONS[function]
-    warnings.warn(LossWarning(f"{path}: its decoder's output function {shown(function)} is unknown, so sigmoid is used."), stacklevel=5)
+    told = "no cfg_args beside it says how its decoder ends" if function is None else f"its decoder's end {shown(function)} is unknown"
+    warnings.warn(LossWarning(f"{path}: {told}, so sigmoid is used. Models of Technicolor need their cfg_args."), stacklevel=5)
     return "sigmoid"
 
 
@@ -169,10 +170,10 @@ def _settings(path: Path) -> dict:
             settings["frames"] = said["duration"]
             if type(said["duration"]) is not int or not 1 <= said["duration"] <= 10_000_000:
                 raise FastGSError(f"{file} says a duration of {shown(said['duration'])}")
-        settings["function"] = said.get("rgbfunction", "sandwich")
+        settings["function"] = said.get("rgbfunction")
     except FastGSError as error:
         warnings.warn(LossWarning(f"{error}; {path.name} is taken to have {FRAMES} frames and the decoder of N3V."), stacklevel=5)
-        return {}
+        return {"function": "sandwich"}
     return settings
 
 
