@@ -130,7 +130,7 @@ def settled(path: Path, below: bool = True) -> Path:
         if os.path.isfile(meta):
             with reading(meta), open_file(meta) as stream:
                 return meta if known.sniff(stream.read(512), meta) else path
-    if not below or not path.is_dir() or any(map(_is_packed_frame, _names(path))):
+    if not below or not os.path.isdir(path) or any(map(_is_packed_frame, _names(path))):
         return path
     found = _models(_names_below(path))
     return path / found[0] if len(found) == 1 and SAVED.search(found[0]) else path
