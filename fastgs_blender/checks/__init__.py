@@ -15,7 +15,7 @@ from ..util.errors import FastGSError
 from .report import CheckReport, Section
 from .samples import Looked, look
 
-CHECKS = ("files", "calibration", "timing", "exposure", "sharpness", "coverage", "outlook", "cost")
+CHECKS = ("files", "calibration", "timing", "exposure", "sharpness", "coverage", "extrapolation", "cost")
 """Names of the checks, in the order in which they are made and shown."""
 WEIGHTS = {"reading pictures": (0.0, 0.4), "comparing pictures": (0.4, 0.75), "comparing clocks": (0.75, 0.95)}
 """Begin and end of the long stages, as shares of the whole."""

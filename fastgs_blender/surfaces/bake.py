@@ -18,7 +18,7 @@ from ..model.motion import Basis, Static
 from ..util import rotations
 from ..util.arguments import instance_of, listener, numbers, real, shown, whole
 from ..util.errors import FastGSError
-from .bends import settle, sunk
+from .bends import offset_paths, tangent_frames
 from .colours import Colours, Painted
 from .sampling import SurfaceSamples
 from .trajectories import PROBES, WIDTH, MovingSurface, choose_paths, fit_paths, fit_turning
@@ -189,16 +189,16 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     paths = fit_paths(surface, samples, t, 1 / frame_count, basis, tolerance, tail_tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
     turning = fit_turning(surface, samples, painted, t, not isinstance(paths.basis, Static), max_order,
                           lambda x: progress(0.65 + 0.25 * x))
-    lean, sink = settle(surface, samples, turning, t)
+    tilt, offset = tangent_frames(surface, samples, turning, t)
     progress(0.95)
-    position, motion = sunk(surface, samples, paths, sink, t)
+    position, motion = offset_paths(surface, samples, paths, offset, t)
     sigma = np.c_[turning.width, THICKNESS * turning.width.min(1)]
     alpha = OPAQUE * np.clip(painted.rgba[:, 3], 0, 1)
     closed = np.median(turning.width.prod(1)) > FULL * (WIDTH * samples.spacing) ** 2
     model = GaussianModel(
         position=position, motion=motion, basis=paths.basis,
-        rotation=rotations.multiply(turning.constant[turning.row], lean),
-        rotation_motion=rotations.multiply(turning.coefficients[turning.row], lean[:, None]),
+        rotation=rotations.multiply(turning.constant[turning.row], tilt),
+        rotation_motion=rotations.multiply(turning.coefficients[turning.row], tilt[:, None]),
         rotation_basis=turning.basis, scale=np.log(sigma), opacity=np.log(alpha / (1 - alpha)),
         features=painted.rgba[:, :3], raster=CLOSED if closed else SPECKLED, clip=Clip(frame_count, fps, start_frame), axes="RFU",
         provenance={"source": "baked mesh", **(provenance or {})},

@@ -23,12 +23,12 @@ UNEVEN = 1e-3
 """Height over a Gaussian, as a share of the samples' spacing, that a neighbour on the same surface may have although that does not bend."""
 
 
-def settle(surface: MovingSurface, samples: SurfaceSamples, turning: Turning, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(lean [N, 4], sink [N]): the turn in its own axes, and the way along its normal, that make each Gaussian the plane which fits the
-    surface under it best.
+def tangent_frames(surface: MovingSurface, samples: SurfaceSamples, turning: Turning, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(tilt [N, 4], normal offset [N]): the turn in its own axes, and the way along its normal, that make each Gaussian the plane which
+    fits the surface under it best.
 
     The surface is known by the samples that lie there: their mean normal and mean height count, weighted by the Gaussian's density.  These
-    are means over a few of the times t [S] as well, because a Gaussian keeps its lean and its sink.
+    are means over a few of the times t [S] as well, because a Gaussian keeps its tilt and its offset.
     """
     n, (position, normal) = len(samples), _places(surface, samples, surface.pose)
     near = _neighbours(position, normal, samples.spacing)
@@ -56,14 +56,15 @@ def settle(surface: MovingSurface, samples: SurfaceSamples, turning: Turning, t:
     return rotations.unit(np.stack([1 + z, -y, x, np.zeros(n)], 1)), centre[:, 2] + (x * centre[:, 0] + y * centre[:, 1]) / z
 
 
-def sunk(surface: MovingSurface, samples: SurfaceSamples, paths: Paths, sink: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def offset_paths(surface: MovingSurface, samples: SurfaceSamples, paths: Paths, offset: np.ndarray,
+                 t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The paths' constants [N, 3] and coefficients [N, K, 3] of samples that are so far along the normals of their triangles."""
     fit, constant, coefficients = Fit.of(paths.basis, t), paths.constant.copy(), paths.coefficients.copy()
 
     def piece(start, stop):
         used, row = np.unique(samples.triangle[start:stop], return_inverse=True)
         normal = np.moveaxis(fit.coefficients(_normals(surface.corners(used))), 0, 1)
-        moved = normal[row] * sink[start:stop, None, None]
+        moved = normal[row] * offset[start:stop, None, None]
         constant[start:stop] += moved[:, 0]
         coefficients[start:stop] += moved[:, 1:]
 

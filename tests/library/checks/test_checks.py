@@ -17,7 +17,7 @@ from fastgs_blender import cli
 from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import CHECKS, blur, check, page, timing
-from fastgs_blender.checks.outlook import _few
+from fastgs_blender.checks.extrapolation import _few
 from fastgs_blender.checks.report import Section
 from fastgs_blender.checks.samples import Looked
 from fastgs_blender.checks.space import Space
@@ -104,7 +104,7 @@ def test_all_cameras_changing_together_is_the_light(folder):
 def test_few_cameras_and_a_held_out_view_far_away(folder):
     """The check says beforehand that a view far from three cameras will be poor, and why, and shows what is seen from there."""
     report = check(write_room(folder / "few", 4, 3, spread=2.0, held_out=(3,), detail=1))
-    found = told(report, "outlook")
+    found = told(report, "extrapolation")
     assert set(found) == {"", "cam03"} and "3 training cameras are few" in found[""].sentence
     assert re.search(r"stands [2-4]\d degrees from the nearest training camera, cam02, and \d+% of its picture", found["cam03"].sentence)
     held = next(p for p in report.sections["coverage"].pictures if p.pixels is not None)
@@ -126,7 +126,7 @@ def test_cameras_that_agree_far_away_are_apart_for_what_is_near():
     angles = space.apart("a")
     assert space.angle("a", "b") < 8
     assert 15 < angles[angles.shape[0] // 2, angles.shape[1] // 2] < 30
-    section = Section("Outlook", "")
+    section = Section("View Extrapolation", "")
     _few(section, space, ["a", "b"])
     (finding,) = section.findings
     assert finding.severity == "poor" and "2 training cameras are few" in finding.sentence

@@ -24,8 +24,8 @@ MOVING = 2
 
 def run(looked: Looked) -> Section:
     """Measure the angles between cameras, seen from what they film, and predict the quality of views between and beside them."""
-    section = Section("Outlook", "How far each view is from the nearest training camera, in degrees seen from what it films: up to "
-                      f"{APART:.0f} a model holds, beyond {FAR:.0f} it has to guess.")
+    section = Section("View Extrapolation", "How far each view is from the nearest training camera, in degrees seen from what it films: "
+                      f"up to {APART:.0f} a model holds, beyond {FAR:.0f} it has to guess.")
     capture = looked.capture
     if not capture.posed or not looked.training:
         section.summary = "Without poses nothing can be said about views between the cameras yet."
