@@ -133,6 +133,11 @@ class Capture:
         return [shot for shot in self.shots if shot.held_out]
 
     @property
+    def training_views(self) -> list[str]:
+        """Names of the views with shots to train on."""
+        return list(dict.fromkeys(shot.view for shot in self.training))
+
+    @property
     def held_out_views(self) -> list[str]:
         """Names of the views with shots kept for evaluation."""
         return list(dict.fromkeys(shot.view for shot in self.held_out))

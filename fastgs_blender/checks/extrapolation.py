@@ -35,7 +35,7 @@ def run(looked: Looked) -> Section:
         section.summary = "The cameras move; views along their way will be good, others were not judged."
         return section
     space = space_of(looked)
-    count = len(capture.training and dict.fromkeys(shot.view for shot in capture.training))
+    count = len(capture.training_views)
     if count < 2:
         section.add("wrong", "There is one training camera: nothing says how far away anything is.", "Film with more cameras, or hold "
                                                                                                      "out fewer.")

@@ -85,8 +85,7 @@ def sentence(found: dict) -> str:
 
 def record(capture) -> dict[str, str]:
     """The provenance entry of a model that is trained on a capture."""
-    views = list(dict.fromkeys(shot.view for shot in capture.training))
-    return {KEY: json.dumps({"views": views, "scale": capture.scale})}
+    return {KEY: json.dumps({"views": capture.training_views, "scale": capture.scale})}
 
 
 def recorded(model) -> TrainingRecord | None:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...captures.capture import Shot
+from ...captures.capture import Capture
 from ...util.errors import FastGSError
 from . import camera_response, camera_turns
 from .camera_response import APART, CameraResponse
 from .camera_turns import CameraTurns
+from .start import Start
 
 Sums = dict[str, np.ndarray]
 """Statistics of one step, float64 by name, with a row for each camera."""
@@ -33,12 +34,11 @@ class CameraEstimates:
     iterations: int
 
     @classmethod
-    def initial(cls, shots: list[Shot], frame_count: int, settings, start=None) -> CameraEstimates:
-        """The estimates at the first step, with the priors of a Start, if given."""
-        views = tuple(dict.fromkeys(shot.view for shot in shots))
+    def initial(cls, capture: Capture, settings, start: Start | None = None) -> CameraEstimates:
+        """The estimates at the first step, with the priors of a start, if given."""
         priors = (None, None, None) if start is None else (start.gains, start.fades, start.clocks)
-        response = CameraResponse.initial(views, frame_count, settings, *priors)
-        return cls(response, CameraTurns.initial(shots, settings.poses), settings.iterations)
+        response = CameraResponse.initial(capture.training_views, capture.clip.frame_count, settings, *priors)
+        return cls(response, CameraTurns.initial(capture.training, settings.poses), settings.iterations)
 
     def measure(self, backend, iteration: int, views: list, splat) -> list:
         """Arrays of the backend from which accumulate() makes the step's statistics; splat(view, later) renders a view so much later."""

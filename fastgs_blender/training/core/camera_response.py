@@ -12,6 +12,7 @@ A change that all cameras share cannot be told from the model, so medians are fi
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,7 +96,7 @@ class CameraResponse:
     independent: np.ndarray | None = None
 
     @classmethod
-    def initial(cls, views: tuple[str, ...], frame_count: int, settings, gains: np.ndarray | None = None,
+    def initial(cls, views: Sequence[str], frame_count: int, settings, gains: np.ndarray | None = None,
                 fades: np.ndarray | None = None, offsets: np.ndarray | None = None) -> CameraResponse:
         """The state at the first step: no sums; equal exposures and clocks, but for these priors (None: none are known)."""
         v = len(views)
@@ -105,7 +106,7 @@ class CameraResponse:
         offsets = np.zeros((v, 2)) if offsets is None else np.array(offsets, np.float64)
         if clocks == "on":
             offsets[offsets[:, 1] == 0] = 0.0, PRIOR_CLOCK
-        made = cls(views, 1 / frame_count, exposures, clocks if frame_count > 1 else "off", np.where(gains > 0, gains, 1.0),
+        made = cls(tuple(views), 1 / frame_count, exposures, clocks if frame_count > 1 else "off", np.where(gains > 0, gains, 1.0),
                    np.zeros((v, 3)), np.zeros(v), gains, offsets, fades, np.zeros((v, 3, 5)), np.zeros((v, 4)))
         return replace(made, offsets=made._clock_range().mean(0))
 

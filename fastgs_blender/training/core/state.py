@@ -25,28 +25,19 @@ LARGEST_OFFSET = 1e6
 """Frames of a clock offset that is expected, and of its standard deviation."""
 LARGEST_COUNT = 2**31 - 2
 """Steps that fit in the optimiser's int32 counters."""
+LONGEST = 1e12
+"""Seconds."""
 ADVICE = "the checkpoint is damaged or of another run, so delete it to train from the beginning."
 
 
-def is_count(value) -> bool:
-    """Whether a JSON value is a number of steps."""
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= LARGEST_COUNT
-
-
-def is_duration(value) -> bool:
-    """Whether a JSON value is a number of seconds."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= 1e12
-
-
-def is_length(value) -> bool:
-    """Whether a JSON value is a length in the scene."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e30
+def is_number(value, low: float, high: float, kind: type | tuple = (int, float)) -> bool:
+    """Whether a JSON value is a number from low to high."""
+    return isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
 
 
 def _are_numbers(values, count: int, most: float) -> bool:
-    """Whether a JSON value is a list of so many numbers that are smaller than `most`."""
-    return isinstance(values, list) and len(values) == count and all(
-        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < most for v in values)
+    """Whether a JSON value is a list of so many numbers that are no larger than `most`."""
+    return isinstance(values, list) and len(values) == count and all(is_number(value, -most, most) for value in values)
 
 
 def checked_clip(values) -> Clip:
@@ -63,9 +54,9 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
     iterations  of the whole run
     """
     iteration = about.get("iteration")
-    if not is_count(iteration) or iteration > iterations:
+    if not is_number(iteration, 0, min(iterations, LARGEST_COUNT), int):
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
-    if not is_length(about.get("depth")):
+    if not is_number(about.get("depth"), 1e-30, 1e30):
         raise FastGSError(f"it does not say how far away the scene is; {ADVICE}")
     if not _are_numbers(about.get("around"), 4, LIMIT):
         raise FastGSError(f"it does not say what the cameras stand around; {ADVICE}")

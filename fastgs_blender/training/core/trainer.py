@@ -89,7 +89,7 @@ class Trainer:
         self.moving = MovingPixels(store, self.shots) if settings.moving_weight != 1 else None
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
         self.template = empty_model(settings, capture.clip, capture.axes)
-        self.delayed = DelayedStatistics(CameraEstimates.initial(self.shots, capture.clip.frame_count, settings, start))
+        self.delayed = DelayedStatistics(CameraEstimates.initial(capture, settings, start))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
         self.strategy = STRATEGIES[settings.density](settings, self.extent, self.template, capture.centres())
         self.depth, self.warm = self.extent, False

@@ -146,7 +146,7 @@ def response_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> Camera
     The logarithm of a colour is the point's plus that of the camera's gain: robust least squares over all points and cameras together.
     (Medians of ratios to the points' medians are too near 1, because a point that few cameras see has their own colours as its median.)
     """
-    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    views = capture.training_views
     place = {view: k for k, view in enumerate(views)}
     table = np.full((len(looks), len(views), 3), np.nan)
     for row, each in zip(table, looks):

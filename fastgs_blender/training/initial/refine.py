@@ -81,7 +81,7 @@ def kept(path, capture) -> dict | None:
 
 def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambda done, of: None) -> dict:
     """See refinement(); raises FastGSError where pycolmap is missing, or pictures cannot be read."""
-    shots = {view: [shot for shot in capture.training if shot.view == view] for view in dict.fromkeys(s.view for s in capture.training)}
+    shots = {view: [shot for shot in capture.training if shot.view == view] for view in capture.training_views}
     if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
         return NOTHING
     first = {view: each[0] for view, each in shots.items()}

@@ -43,7 +43,7 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
 def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
     """The clock offsets of the views trained on against the times of their shots, and their standard deviations [V, 2] in frames, as pairs
     of cameras show them (captures.clocks); a deviation of 0: unsure.  None where nothing can be compared, or nobody asks."""
-    views = tuple(dict.fromkeys(shot.view for shot in capture.training))
+    views = capture.training_views
     if settings.clocks == "off" or len(views) < 2:
         return None
 
@@ -67,7 +67,7 @@ def _steady(capture, store, settings, say):
     """The store with colours whose exposures do not change over time, and the fades that were taken out; or the store itself, and None."""
     if settings.exposures == "off":
         return store, None
-    fades, views = fades_of(capture, store, settings), tuple(dict.fromkeys(shot.view for shot in capture.training))
+    fades, views = fades_of(capture, store, settings), capture.training_views
     if not fades.any():
         return store, None
     say("exposures change over the clip, and are evened: " + ", ".join(

@@ -11,7 +11,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import reading
 from ...util.tensor_files import open_tensors, write_tensors
-from ..core.state import is_count, is_duration
+from ..core.state import LARGEST_COUNT, LONGEST, is_number
 from . import barrier
 from .files import CHECKPOINT
 
@@ -49,7 +49,7 @@ def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
             raise FastGSError(f"{path}: {ADVICE} ({str(error).removeprefix(f'{path}: ').rstrip('.')}).") from error
         if not isinstance(about, dict) or about.get("version") != VERSION:
             raise FastGSError(f"{path} was written by another version of FAST-GS; train from the beginning or use that version.")
-        if not is_count(about.get("iteration")) or not is_duration(about.get("elapsed", 0.0)):
+        if not is_number(about.get("iteration"), 0, LARGEST_COUNT, int) or not is_number(about.get("elapsed", 0.0), 0, LONGEST):
             raise FastGSError(f"{path}: it does not say how far the run is, so it is damaged; delete it to train from the beginning.")
     return arrays, about
 

@@ -32,48 +32,17 @@ UNTIMED_STEPS = 2
 """A process' first steps compile kernels, which takes many times as long as a step does: the time left is not estimated from them."""
 
 
-class Silent:
-    """Reports nothing: for programs that only want the result."""
-
-    iterations, elapsed = 0, 0.0
-    device = ""
-    """What trains, for people."""
-
-    def say(self, text):
-        """A remark; not shown where the run is quiet."""
-
-    def warn(self, text):
-        """Something that went wrong, and did not end the run; always shown."""
-
-    def fill(self, store, shots):
-        store.fill(shots=shots)
-
-    @contextlib.contextmanager
-    def stage(self, what, unit="moment"):
-        """Something long before the first step: gives report(done, of), which is called as it goes on."""
-        yield lambda done, of: None
-
-    def step(self, values):
-        pass
-
-    def status(self, state, **values):
-        pass
-
-    def preview(self, iteration, picture, values):
-        pass
-
-    def close(self):
-        pass
-
-
-class Reporter(Silent):
+class Reporter:
     """Reports to the terminal and to the run's folder.
 
     folder      where the files go
     iterations  of the whole run; begin: those already done, elapsed: the seconds that they took
     quiet       neither progress nor remarks; what goes wrong is told
     clock       gives the time in seconds from any beginning
+    device      what trains, for people
     """
+
+    device = ""
 
     def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False,
                  clock=time.monotonic):
@@ -104,10 +73,12 @@ class Reporter(Silent):
         return (self.last["iteration"] - iteration) / max(self.clock() - begun, 1e-9)
 
     def say(self, text):
+        """A remark; not shown where the run is quiet."""
         if not self.quiet:
             self.warn(text)
 
     def warn(self, text):
+        """Something that went wrong, and did not end the run; always shown."""
         self.bar.say(f"fastgs: {text}")
 
     def fill(self, store, shots):
@@ -121,7 +92,10 @@ class Reporter(Silent):
 
     @contextlib.contextmanager
     def stage(self, what, unit="moment"):
-        """As Silent.stage(): with a bar of its own, and in status.json as `stage` and `stage_share`."""
+        """Something long before the first step: gives report(done, of), which is called as it goes on.
+
+        It has a bar of its own, and is in status.json as `stage` and `stage_share`.
+        """
         with progress(1, unit, what, quiet=self.quiet, clock=self.clock) as bar:
 
             def report(done, of):

@@ -26,7 +26,7 @@ from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..core.measure import measure
 from ..core.processes import Processes
-from ..core.state import is_duration
+from ..core.state import LONGEST, is_number
 from ..core.trainer import Trainer
 from ..initial.refine import refinement
 from ..initial.start import start
@@ -243,7 +243,7 @@ def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, flo
             done += iterations
             with contextlib.suppress(FastGSError):
                 about = read_json(folder / SEGMENT_DONE)
-                if isinstance(about, dict) and is_duration(about.get("elapsed")):
+                if isinstance(about, dict) and is_number(about.get("elapsed"), 0, LONGEST):
                     elapsed = about["elapsed"]
         elif (found := checkpoint.load(folder)) is not None:
             done, elapsed = done + found[1]["iteration"], found[1].get("elapsed", 0.0)

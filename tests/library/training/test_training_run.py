@@ -23,6 +23,7 @@ from fastgs_blender.training.core.start import Start  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, folder, plan, session  # noqa: E402
+from fastgs_blender.training.run.progress import Reporter  # noqa: E402
 from fastgs_blender.util import locks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -98,13 +99,12 @@ def test_another_capture_is_refused(tmp_path):
         Trainer(capture, store, settings.settings(**FEW)).restore(*checkpoint.load(tmp_path))
 
 
-def test_a_run_that_is_asked_to_stop_saves_and_stops():
+def test_a_run_that_is_asked_to_stop_saves_and_stops(tmp_path):
     who, saved = trainer(), []
-    from fastgs_blender.training.run.progress import Silent
-
-    assert not session.take_steps(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: who.iteration >= 5)
+    reporter = Reporter(tmp_path, 60, quiet=True)
+    assert not session.take_steps(who, reporter, lambda last: saved.append((who.iteration, last)), lambda: who.iteration >= 5)
     assert who.iteration == 5 and saved[-1] == (5, True)
-    assert session.take_steps(who, Silent(), lambda last: saved.append((who.iteration, last)), lambda: False)
+    assert session.take_steps(who, reporter, lambda last: saved.append((who.iteration, last)), lambda: False)
     assert saved[-1] == (60, True)
 
 
