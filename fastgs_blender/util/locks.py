@@ -35,7 +35,7 @@ def hold(path, patience: float = 0.0) -> BinaryIO | None:
     """
     until = time.monotonic() + patience
     while True:
-        file = os.fdopen(regular_file(path, FLAGS), "a+b")
+        file = open(path, "a+b", opener=lambda name, _: regular_file(name, FLAGS))  # noqa: SIM115 (it is what is returned)
         try:
             if _lock(file) and _is_at(file, path):
                 return file

@@ -26,6 +26,7 @@ from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, plan, session, written  # noqa: E402
 from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
+from fastgs_blender.training.run.folder import release  # noqa: E402
 from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
 
 FEW = dict(iterations=40, init_points=20, max_gaussians=40, warm_up=(), densify_every=10, densify_from=0.1, preview_every=0, init_scale=1.0)
@@ -251,7 +252,7 @@ def test_mutations_of_the_small_files(tmp_path, monkeypatch):
             Reporter(folder, 100, 60, quiet=True).close()
             write_plot(folder / "plot.png", folder / "log.jsonl")
         finally:
-            folder.release(str(folder.resolve()))
+            release(str(folder.resolve()))
 
     mutations.campaign("run", read, {"run": files}, tmp_path / "damaged", fixed=[f"segments/000/{SEGMENT_MODEL}"])
     assert not (tmp_path / REPORT).exists()
