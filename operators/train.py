@@ -12,6 +12,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..fastgs_blender.jobs import checks
+from ..fastgs_blender.training.core import costs
 from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import devices
@@ -103,8 +104,8 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
             self.start_frame = scene.frame_start
         python, capture = installation.python(), self._capture(context, place)
         pixels, views, frames = checks.picture_size(capture)
-        size = checks.size_of(self.preset, self.iterations, self.max_gaussians)
-        _, memory = checks.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
+        size = costs.size_of(self.preset, self.iterations, self.max_gaussians)
+        _, memory = costs.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
         for remark in checks.before_start(place.out, memory):
             self.report({'WARNING'}, sentence(remark))
         resumed = place.existing == "--resume"

@@ -8,6 +8,7 @@ import bpy
 
 from ..fastgs_blender.jobs import capture_check, checks
 from ..fastgs_blender.jobs.places import Place
+from ..fastgs_blender.training.core import costs
 from ..scene.filming import progress
 from ..scene.settings import EXTENSION
 from ..scene.training import folders, installation, plates, readiness, results, watch
@@ -31,8 +32,8 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
         pixels, pictures = found.width * found.height, found.views * found.frames
     if not pixels:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
-    iterations, gaussians = checks.size_of(settings.preset, settings.iterations, settings.max_gaussians)
-    seconds, memory = checks.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
+    iterations, gaussians = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians)
+    seconds, memory = costs.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
     if settings.source == 'SCENE':
         rows.append(("Filming", f"{results.duration(filming)} of it"))

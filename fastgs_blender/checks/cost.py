@@ -9,6 +9,7 @@ from ..captures.pixels.bounds import most_bytes
 from ..captures.pixels.framefiles import default_folder
 from ..captures.pixels.store import RESERVE
 from ..jobs import checks
+from ..training.core import costs
 from ..training.core.presets import LENGTHS
 from ..util.errors import FastGSError
 from .report import Section
@@ -47,7 +48,7 @@ def run(looked: Looked) -> Section:
     memory = checks.available_memory()
     rows = {}
     for preset in LENGTHS:
-        seconds, needed = checks.estimate(pixels, *checks.size_of(preset), len(capture))
+        seconds, needed = costs.estimate(pixels, *costs.size_of(preset), len(capture))
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "

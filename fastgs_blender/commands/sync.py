@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..util.errors import FastGSError
-from ..util.progress import progress
+from ..util.progress import estimated, progress
 from ..util.screen import screen
 from .shared import note, print_json, say_table, use_threads
 
@@ -58,9 +58,11 @@ def run(args):
             note(f"{error} The training begins with equal clocks.")
             clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0) | dict(first), {}, "training"), None
     if refine:
-        from ..training.run.clocks import STEPS, refined
+        from ..training.core.costs import estimate
+        from ..training.run.clocks import GAUSSIANS, SIDE, STEPS, refined
 
-        with progress(STEPS, "step", "refining", quiet=args.quiet) as bar:
+        with (estimated("refining", estimate(SIDE * SIDE, STEPS, GAUSSIANS)[0], note),
+              progress(STEPS, "step", "refining", quiet=args.quiet) as bar):
 
             def starting(done: int, of: int) -> None:
                 bar.note(f"finding starting points, {done} of {of}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks before a run starts: the training Python, the capture, disk and memory; and estimates of the run's time and memory."""
+"""Checks before a run starts: the training Python, the capture, disk and memory; and how long filming will take."""
 from __future__ import annotations
 
 import json
@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..captures.layouts import fastgs
-from ..training.core.presets import PRESETS
-from ..training.core.settings import Settings
+from ..training.core.costs import BASE_MEMORY, CORES
 from ..util.errors import FastGSError
 from ..util.reading import read_json, reading
 from . import causes
@@ -20,10 +19,6 @@ from . import environment as pythons
 
 LEAST_DISK = 500 << 20
 """Bytes that a run's folder should have free: a checkpoint, its successor, the model, pictures."""
-BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
-STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
-"""Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
-CORES = 2
 PICTURE, SAMPLE = 0.5, 1.5e-6
 """Seconds to render a picture of a filmed scene, and more for each pixel and sample, on two cores: of a simple scene in Cycles."""
 
@@ -121,24 +116,6 @@ def available_memory() -> int | None:
     except (OSError, ValueError):
         pass
     return None
-
-
-def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0) -> tuple[int, int]:
-    """Number of steps and maximum number of Gaussians of a run."""
-    chosen = PRESETS[preset.lower()]
-    return (iterations or chosen.get("iterations", Settings.iterations),
-            max_gaussians or chosen.get("max_gaussians", Settings.max_gaussians))
-
-
-def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) -> tuple[float, float]:
-    """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures.
-
-    pixels    of a picture; pictures: how many there are, 0: very many
-    """
-    cores = max(os.cpu_count() or 1, 1)
-    seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
-    held = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
-    return seconds, BASE_MEMORY + held + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
 
 
 def filming(work: int, pictures: int) -> float:

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import time
+from pathlib import Path
 from typing import BinaryIO
 
 from .reading import regular_file
@@ -48,14 +49,14 @@ def hold(path, patience: float = 0.0) -> BinaryIO | None:
         time.sleep(0.02)
 
 
-def let_go(file: BinaryIO, remove: bool = False) -> None:
-    """End a hold; with `remove` the file goes too, unless another process has taken it meanwhile."""
+def let_go(file: BinaryIO, remove: Path | None = None) -> None:
+    """End a hold; `remove` is its path where the file goes too, unless another process has taken it meanwhile."""
     if remove and os.name != "nt":  # before another process can hold it: that one then finds that the file is no longer there
-        os.unlink(file.name)
+        remove.unlink()
     file.close()
     if remove and os.name == "nt":
         with contextlib.suppress(OSError):  # an open file cannot be removed there
-            os.unlink(file.name)
+            remove.unlink()
 
 
 def inherited() -> BinaryIO | None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from .screen import tell
 
 SECONDS = 20.0
 """Seconds between two plain lines."""
+LONG = 60.0
+"""Seconds of work that is announced."""
 
 
 class Progress:
@@ -120,6 +123,17 @@ def progress(total: int, unit: str, what: str, *, quiet: bool = False, done: int
     else:
         kind = Bar if sys.stderr is not None and sys.stderr.isatty() else Lines
     return kind(total, unit, what, done, rate, clock)
+
+
+@contextmanager
+def estimated(what: str, seconds: float, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
+    """Say how long work of a minute or more will take and, when it has ended, how right that was."""
+    begun = clock()
+    if seconds >= LONG:
+        say(f"{what} will take about {clock_text(seconds)} on this machine, by a rough estimate.")
+    yield
+    if seconds >= LONG:
+        say(f"{what} took {clock_text(clock() - begun)}, and {clock_text(seconds)} were estimated.")
 
 
 def clock_text(seconds: float) -> str:

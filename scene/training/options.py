@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ...fastgs_blender.jobs import checks
+from ...fastgs_blender.training.core import costs
 from ...fastgs_blender.training.core.presets import PRESETS
 from ...fastgs_blender.training.core.settings import Settings
 from ..filming.options import CaptureOptions
@@ -41,7 +41,7 @@ class TrainingOptions:
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
         items=tuple((name.upper(), TITLES.get(name, name.capitalize()),
-                     "{:,} steps, at most {:,} Gaussians".format(*checks.size_of(name)), number)
+                     "{:,} steps, at most {:,} Gaussians".format(*costs.size_of(name)), number)
                     for number, name in enumerate(PRESETS)), default='STANDARD')
     iterations: IntProperty(name="Steps", description="Number of training steps; 0: as in the preset", default=0, min=0)
     max_gaussians: IntProperty(
@@ -76,7 +76,7 @@ class FASTGS_PG_training(CaptureOptions, TrainingOptions, bpy.types.PropertyGrou
 
 def arguments(options) -> list[str]:
     """The options as `fastgs train` takes them."""
-    steps, _ = checks.size_of(options.preset, options.iterations)
+    steps, _ = costs.size_of(options.preset, options.iterations)
     chosen = ["--preset", options.preset.lower(), "--set", f"preview_every={max(steps // PREVIEWS, 1)}"]
     if abs(options.motion_weight - Settings.motion_weight) > 1e-9:  # else the preset's
         chosen += ["--motion-weight", f"{options.motion_weight:.6g}"]

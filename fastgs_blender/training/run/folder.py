@@ -60,7 +60,7 @@ def release(out: str | Path) -> None:
         return
     begun = any((out / name).exists() for name in (RUN, STATUS))
     if held.lock is not None:
-        locks.let_go(held.lock, remove=held.owns and not begun)
+        locks.let_go(held.lock, out / LOCK if held.owns and not begun else None)
     if not begun:
         _remove(held.made)
 

@@ -16,6 +16,7 @@ from ...util.errors import FastGSError
 from .files import MODEL, RUN
 
 if TYPE_CHECKING:
+    from ...captures.capture import Capture
     from .plan import Source
 
 
@@ -69,6 +70,7 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     """
     from ...captures.pixels.checks import check
     from ...captures.pixels.store import FrameStore
+    from ...util.progress import estimated
     from ..core.processes import joined
     from ..core.settings import settings
     from ..initial.calibrate import with_poses
@@ -95,7 +97,18 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             if about:
                 note(about)
             capture = with_poses(capture, FrameStore(capture, session.MEMORY), out, note)
-            return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,
-                               backend="cpu" if backend == "auto" else backend)
+            backend = "cpu" if backend == "auto" else backend
+            with estimated("training", _seconds(capture, plan.settings) if backend == "cpu" and not resume else 0.0, note):
+                return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,
+                                   backend=backend)
         finally:
             release(out)
+
+
+def _seconds(capture: Capture, settings: Settings) -> float:
+    """How long a run on this capture will take on the processor, roughly."""
+    from ..core.costs import estimate
+    from .forecast import steps_of
+
+    pixels = max((shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None), default=0)
+    return estimate(pixels, steps_of(capture, settings), settings.max_gaussians)[0]

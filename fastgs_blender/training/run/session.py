@@ -24,6 +24,7 @@ from ...model.gaussians import GaussianModel
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.reading import read_json
+from ..core import camera_response, camera_turns
 from ..core.measure import measure
 from ..core.processes import Processes
 from ..core.state import LONGEST, is_number
@@ -181,12 +182,23 @@ class _Session:
         if found:
             report["corrections"] = found
             reporter.say(training_record.sentence(found))
+        for text in at_limits(found):
+            reporter.warn(text)
         if capture.held_out:
             whole, foreground, _ = measure(model, capture, store, settings, capture.held_out, fit_colours="exposures" in found)
             report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
         checkpoint.write_json(out / REPORT, report)
         reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
         return report
+
+
+def at_limits(found: dict) -> list[str]:
+    """Warnings of what training_record.corrections() gave and training stopped at a limit: the truth lies beyond it."""
+    turns = {view: float(np.linalg.norm(np.radians(turn))) for view, turn in found.get("poses", {}).items()}
+    pairs = (("pose", "turn by more than 2 degrees", "calibrate again", turns, 0.99 * camera_turns.FARTHEST),
+             ("clock", "differ by more than 1.5 frames", "run fastgs sync", found.get("clocks", {}), 0.99 * camera_response.FARTHEST))
+    return [f"warning: the {what} of {', '.join(far)} may {how}, which is the most that training corrects; {remedy}, then train again."
+            for what, how, remedy, values, most in pairs if (far := [view for view, value in values.items() if abs(value) >= most])]
 
 
 def take_steps(trainer: Trainer, reporter, save: Callable[[bool], None], stop: Callable[[], bool], preview=(), before: int = 0) -> bool:

@@ -151,9 +151,9 @@ def test_the_panel_shows_runs(module, scene, monkeypatch, kind, words):
 
 
 def test_estimates_grow_with_the_work(module):
-    checks = module("fastgs_blender.jobs.checks")
-    assert checks.size_of('DRAFT') == (2500, 20_000) and checks.size_of('FINAL', 10, 20) == (10, 20)
-    small, large = checks.estimate(320 * 240, 2500, 20_000), checks.estimate(1920 * 1080, 30_000, 150_000)
+    costs = module("fastgs_blender.training.core.costs")
+    assert costs.size_of('DRAFT') == (2500, 20_000) and costs.size_of('FINAL', 10, 20) == (10, 20)
+    small, large = costs.estimate(320 * 240, 2500, 20_000), costs.estimate(1920 * 1080, 30_000, 150_000)
     assert 30 < small[0] < large[0] and small[1] < large[1]
 
 
@@ -164,7 +164,8 @@ def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
         checks.before_start(str(tmp_path / "new" / "run"))
     monkeypatch.setattr(checks.shutil, "disk_usage", lambda path: SimpleNamespace(free=10 << 30))
     monkeypatch.setattr(checks, "available_memory", lambda: 2**31)
-    few, many = (checks.estimate(640 * 480, 100, gaussians, 100)[1] for gaussians in (20_000, 2_000_000))
+    estimate = module("fastgs_blender.training.core.costs").estimate
+    few, many = (estimate(640 * 480, 100, gaussians, 100)[1] for gaussians in (20_000, 2_000_000))
     assert not checks.before_start(str(tmp_path), few)
     remark, = checks.before_start(str(tmp_path), many)
     assert "memory" in remark and f"{many / 1e9:.1f} GB" in remark
@@ -185,7 +186,7 @@ def test_the_memory_that_a_run_takes_is_known_before_it_starts(module, capture, 
     monkeypatch.setattr(store, "python", lambda: "python")
     with pytest.raises(RuntimeError, match="Enough"):
         bpy.ops.fastgs.train(capture=str(capture), out=str(tmp_path / "run"), max_gaussians=1000)
-    assert told[0] == checks.estimate(1200, 1, 1000, 6)[1]
+    assert told[0] == module("fastgs_blender.training.core.costs").estimate(1200, 1, 1000, 6)[1]
 
 
 @pytest.mark.parametrize(("posed", "missing", "told"), [

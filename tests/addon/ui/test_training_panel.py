@@ -100,8 +100,8 @@ def test_the_estimate_includes_filming_and_learns_from_it(settings, scene, modul
     assert "dance" in words and "Filming 4 %, 10 min left" in words and "5 of 120" in words and "Esc interrupts" in words
     monkeypatch.setattr(progress, "current", None)
     words, _ = drawn("FASTGS_PT_training")
-    checks = module("fastgs_blender.jobs.checks")
-    training, _ = checks.estimate(640 * 480, *checks.size_of(settings.preset), 120)
+    costs = module("fastgs_blender.training.core.costs")
+    training, _ = costs.estimate(640 * 480, *costs.size_of(settings.preset), 120)
     assert f"about {results.duration(600 + training)}" in words and "10 min of it" in words
 
 

@@ -21,6 +21,7 @@ from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import checkpoint
+from fastgs_blender.training.run.session import at_limits
 from fastgs_blender.util.backends import load_backend
 
 FOCAL = 90.0
@@ -88,6 +89,13 @@ def test_what_all_cameras_turn_by_is_not_told():
     for _ in range(12):
         found.update(new)
     assert found.turns[2, 1] == pytest.approx(0.03, rel=0.05) and np.abs(np.delete(found.turns, 2, 0)).max() < 1.5e-3
+
+
+def test_what_stopped_at_its_limit_is_a_warning():
+    facts = {"poses": {"a": [1.2, 0, 0], "b": [0, 1.6, 1.2]}, "clocks": {"c": -1.5, "d": 1.4}}
+    pose, clock = at_limits(facts)
+    assert "pose of b may" in pose and "calibrate" in pose and "clock of c may" in clock and "fastgs sync" in clock
+    assert at_limits({"poses": {"a": [1.2, 0, 0]}, "exposures": {}}) == []
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,7 @@ from fastgs_blender.training.core.start import Start  # noqa: E402
 from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
 from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
 from fastgs_blender.training.run import checkpoint, folder, plan, session  # noqa: E402
+from fastgs_blender.training.run.launch import launch, source_of  # noqa: E402
 from fastgs_blender.training.run.progress import Reporter  # noqa: E402
 from fastgs_blender.util import locks  # noqa: E402
 
@@ -146,6 +147,14 @@ def test_the_command_leaves_a_model_and_its_history(finished):
     assert not list(out.glob(".fastgs-*"))
 
 
+def test_a_long_run_says_how_long_it_takes_and_how_right_that_was(files, tmp_path, monkeypatch):
+    monkeypatch.setattr("fastgs_blender.training.core.costs.estimate", lambda pixels, steps, most: (pixels * steps / 96, 0))
+    said = []
+    wanted = {**FEW, "init": "file", "iterations": 5}
+    launch(source_of(files, None, None, None, None), tmp_path / "run", wanted, False, False, True, said.append, "cpu")
+    assert "training will take about 1:30" in said[-2] and "1:30 were estimated" in said[-1]
+
+
 def test_what_is_there_is_not_overwritten(files, finished):
     out, _ = finished
     before = (out / "model.safetensors").read_bytes()
@@ -265,7 +274,7 @@ def test_a_lock_whose_file_was_removed_is_taken_anew(tmp_path):
     first = locks.hold(path)
     waiting = threading.Thread(target=lambda: found.append(locks.hold(path, 10.0)))
     waiting.start()
-    locks.let_go(first, remove=True)
+    locks.let_go(first, path)
     waiting.join()
     assert found[0] is not None and locks.is_held(path)
     locks.let_go(found[0])

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work of minutes is announced, and measured against what was said."""
+from __future__ import annotations
+
+import pytest
+
+from fastgs_blender.util.progress import estimated
+
+
+def test_long_work_is_announced_and_measured():
+    said, times = [], iter([10.0, 160.0])
+    with estimated("training", 90.0, said.append, lambda: next(times)):
+        assert len(said) == 1 and "training will take about 1:30" in said[0]
+    assert said[1] == "training took 2:30, and 1:30 were estimated."
+
+
+def test_short_and_interrupted_work_says_nothing_afterwards():
+    said = []
+    with estimated("training", 20.0, said.append):
+        pass
+    with pytest.raises(KeyboardInterrupt), estimated("training", 90.0, said.append):
+        raise KeyboardInterrupt
+    assert len(said) == 1
