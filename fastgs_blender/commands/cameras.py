@@ -43,7 +43,7 @@ def add_arguments(parser):
 def run(args):
     from ..cameras.cameras_json import View, resized, save_cameras
     from ..cameras.paths import format_named, save_path
-    from ..cameras.paths.base import CameraPath
+    from ..cameras.paths.base import CameraPath, warn_of_rate
     from .sight import sight
 
     out = Path(args.out)
@@ -57,11 +57,12 @@ def run(args):
     if args.move:
         views = [View(f"{i:05d}", camera) for i, camera in enumerate(_moved(args, seen, [view.camera for view in views]))]
     views = [View(view.name, resized(view.camera, *size)) for view in views] if size else views
-    if args.format == "cameras.json":
+    path = CameraPath([view.camera for view in views], seen.fps, 1, seen.axes, names=() if moving else [view.name for view in views])
+    if args.format == "cameras.json":  # which names the frames of a move, too
+        warn_of_rate(path, args.format)
         save_cameras(views, out)
     else:
-        save_path(CameraPath([view.camera for view in views], seen.fps, 1, seen.axes,
-                             names=() if moving else [view.name for view in views]), out, args.format)
+        save_path(path, out, args.format)
     if args.json:
         print_json({"file": str(out), "cameras": len(views), "names": [view.name for view in views]})
     elif not args.quiet:

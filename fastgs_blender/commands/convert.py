@@ -65,7 +65,8 @@ def run(args):
                 if args.prune is not None:
                     result = pruned(result, args.prune)
                 if args.antialias:
-                    result = _sampled(result, args.input, target)
+                    with _collected(losses):
+                        result = _sampled(result, args.input, target)
                 _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
                 with _collected(losses, str(target), args.output):
                     formats.save(result, target, args.compress, lambda share, done=done: bar.to(int((done + share) * PARTS)))
@@ -97,6 +98,9 @@ def _sampled(model, source: str, target: Path):
         raise FastGSError(f"{target} cannot say that it is antialiased; write .ply, .compressed.ply, .spz or .sog.")
     if model.basis.terms or model.rotation_basis.terms:
         raise FastGSError(f"{source} changes over time; --antialias is for static models, so choose a frame with --at.")
+    if not model.raster.antialiased:
+        warnings.warn(LossWarning("with --antialias, pictures of the training's own size become a bit softer; docs/passes.md says more."),
+                      stacklevel=2)
     return sampled(model, captured)
 
 

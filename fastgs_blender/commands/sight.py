@@ -46,6 +46,7 @@ class Sight:
 
 def sight(path: str | Path) -> Sight:
     """The cameras at a path: a capture, a training run, a model, or a camera file of any program, told apart by content."""
+    from .. import formats
     from ..captures import recognised
 
     path = Path(path)
@@ -58,8 +59,13 @@ def sight(path: str | Path) -> Sight:
             with contextlib.suppress(FastGSError):  # cameras without their pictures
                 return _sight_of_file(path)
             raise
-    if path.suffix.lower() in (".json", ".ssproj", ".txt", ".bin"):
-        return _sight_of_file(path)
+    try:
+        formats.identify(path)
+    except FastGSError as no_model:
+        try:
+            return _sight_of_file(path)
+        except FastGSError as no_path:
+            raise no_path if path.suffix.lower() in (".json", ".ssproj", ".txt", ".bin") else no_model from None
     return _sight_of_model(path)
 
 

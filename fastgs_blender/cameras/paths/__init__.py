@@ -28,7 +28,7 @@ def load_path(file, picture: Picture | None = None) -> CameraPath:
     """
     path, picture = Path(os.fsdecode(file)), picture or Picture()
     with reading(path):
-        folder = colmap.folder_of(path) if path.suffix.lower() != ".json" else None
+        folder = colmap.folder_of(path)
         if folder is not None:
             return colmap.load(folder, None, picture)
         if not path.exists():

@@ -17,13 +17,15 @@ from .base import CameraPath, frame_names, pinholes, refuse_orthographic, warn_o
 
 name, label = "colmap", "COLMAP model (folder)"
 PLACES = ("", "sparse/0", "sparse")
+PARTS = tuple(f"{part}{ending}" for part in ("cameras", "images", "points3d", "frames", "rigs") for ending in (".txt", ".bin"))
+"""The files of a model, in small letters."""
 FILES = (".json", ".txt", ".bin", ".zip", ".ssproj")
 """Endings of files' names."""
 
 
 def folder_of(path: Path) -> Path | None:
     """The folder of a model, where `path` is one, one of its files, or a project's folder."""
-    path = path if path.is_dir() else path.parent
+    path = path.parent if path.name.lower() in PARTS and not path.is_dir() else path
     return next((path / place for place in PLACES if has_model(path / place)), None)
 
 

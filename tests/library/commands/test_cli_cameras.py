@@ -115,6 +115,28 @@ def test_cameras_without_pictures_are_a_source_too(run, capture, tmp_path, kind,
         np.testing.assert_allclose(view.camera.world_to_camera, truth.world_to_camera, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["cameras.json", "fastgs", "nerfstudio", "instant-ngp", "supersplat", "transforms.json"])
+def test_a_path_under_any_name_is_known_by_its_content(kind, run, capture, tmp_path):
+    """Beside a COLMAP model, too, whose files have names of their own; and what cannot be read is said of the file that it is."""
+    assert cli.main(["cameras", str(capture), "--format", "colmap", "--out", str(tmp_path / "model")]) == 0
+    move = ["--move", "orbit", "--frames", "4", "--format", kind]
+    assert cli.main(["cameras", str(capture), *move, "--out", str(tmp_path / "model" / "shot.txt.old")]) == 0
+    assert len(run(tmp_path / "model" / "shot.txt.old")) == 4
+    (tmp_path / "cut.json").write_text('{"frames": [')
+    (tmp_path / "cut.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
+    assert "JSON" in run(tmp_path / "cut.json", code=2) and "not a Gaussian model" in run(tmp_path / "cut.ply", code=2)
+
+
+@pytest.mark.parametrize(("options", "told"), [(["--move", "orbit", "--distance", "4"], True), (["--view", "cam01"], True), ([], False)])
+def test_a_lost_frame_rate_is_told(options, told, tmp_path, capsys):
+    """As COLMAP does: of a camera that moves, and not of those of a rig."""
+    tiny_captures.fastgs(tmp_path)
+    (tmp_path / "out").mkdir()
+    for kind in ("cameras.json", "colmap"):
+        assert cli.main(["cameras", str(tmp_path), *options, "--format", kind, "--out", str(tmp_path / "out" / kind.split(".")[0])]) == 0
+        assert ("24 frames a second" in capsys.readouterr().err) == told
+
+
 def test_frames_of_a_camera_that_moves_have_times(tmp_path):
     tiny_captures.fastgs(tmp_path)
     out = tmp_path / "out" / "transforms.json"
