@@ -50,9 +50,8 @@ class Strategy:
         times = (self.growing - iteration) // s.densify_every + 1
         return min(-(-(s.max_gaussians - count) // times), int(s.densify_share * count) + 1)
 
-    def acts(self, iteration: int) -> bool:
-        """Whether after_step() must be called after this step (counted from 1)."""
-        return self.due(iteration)
+    acts = due
+    """Whether after_step() must be called after this step."""
 
     def after_step(self, iteration: int, optimiser, statistics, rates) -> bool:
         """Change the optimiser's Rows; returns whether statistics must be begun anew.
@@ -64,7 +63,7 @@ class Strategy:
     def penalise(self, backend, arrays: dict, gradients: dict) -> None:
         """Add the gradients of penalties that depend on no view; called at every step, with arrays and gradients of the backend."""
 
-    def shake(self, backend, iteration: int, arrays: dict, rates: dict) -> None:
+    def add_noise(self, backend, iteration: int, arrays: dict, rates: dict) -> None:
         """Move the backend's arrays at random after every step (counted from 1)."""
 
 
@@ -141,13 +140,8 @@ class Default(Strategy):
             for name in ("position", "scale"):
                 optimiser.reset(name, split)
         if s.densify_time == "random":
-            self._move_in_time(born, rng)
+            shift(born, rng.uniform(0, 1, len(born["mu_tau"])).astype(np.float32), self.template)
         optimiser.append(born)
-
-    def _move_in_time(self, born, rng):
-        """Draw new temporal centres for copies; their motion is re-expanded about these, so that their trajectories stay the same."""
-        new = rng.uniform(0, 1, len(born["mu_tau"])).astype(np.float32)
-        shift(born, new, self.template)
 
 
 class MCMC(Strategy):
@@ -164,18 +158,14 @@ class MCMC(Strategy):
         backend.shrink(arrays, gradients, *WEIGHTS, self.extent)
 
     def after_step(self, iteration, optimiser, statistics, rates):
-        s, arrays = self.settings, optimiser.arrays
-        changed = False
-        if self.due(iteration):
-            rng = generator(s.seed, DENSITY, iteration)
-            opacity = sigmoid(arrays["opacity"])
-            dead = np.flatnonzero(opacity <= s.prune_opacity)
-            alive = np.flatnonzero(opacity > s.prune_opacity)
-            if len(alive):
-                self._relocate(optimiser, dead, alive, rng)
-                self._add(iteration, optimiser, rng)
-            changed = True
-        return changed
+        if not self.due(iteration):
+            return False
+        rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"])
+        dead, alive = (np.flatnonzero((opacity <= self.settings.prune_opacity) == gone) for gone in (True, False))
+        if len(alive):
+            self._relocate(optimiser, dead, alive, rng)
+            self._add(iteration, optimiser, rng)
+        return True
 
     def _relocate(self, optimiser, dead, alive, rng):
         arrays = optimiser.arrays
@@ -213,7 +203,7 @@ class MCMC(Strategy):
             if _per_gaussian(name):
                 optimiser.reset(name, rows)
 
-    def shake(self, backend, iteration, arrays, rates):
+    def add_noise(self, backend, iteration, arrays, rates):
         if iteration <= self.last:
             strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
             backend.shake(arrays, strength, (self.settings.seed, NOISE, iteration))
@@ -235,15 +225,11 @@ def shift(arrays, centre, template):
         arrays["features"][:, 6:9] = 0
 
 
-def _axes(arrays, rows):
-    """Rotation matrices [M, 3, 3] of Gaussians, float64."""
-    return rotations.to_matrices(rotations.unit(arrays["rotation"][rows].astype(np.float64)))
-
-
 def _inside(arrays, rows, rng):
     """Random steps [M, 3] float32 with the distribution of each Gaussian."""
     local = rng.standard_normal((len(rows), 3)) * np.exp(arrays["scale"][rows].astype(np.float64))
-    return np.einsum("nij,nj->ni", _axes(arrays, rows), local).astype(np.float32)
+    axes = rotations.to_matrices(rotations.unit(arrays["rotation"][rows].astype(np.float64)))
+    return np.einsum("nij,nj->ni", axes, local).astype(np.float32)
 
 
 def _spread(opacity, count):

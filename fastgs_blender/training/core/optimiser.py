@@ -87,7 +87,7 @@ class Optimiser:
         yield rows
         self._hand_over(rows)
 
-    def waits(self, rows):
+    def steps_since_update(self, rows):
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.waits(rows, self.moved, self.steps + 1)
 

@@ -222,8 +222,8 @@ class Trainer:
         s, backend, arrays = self.settings, self.backend, self.optimiser.arrays
         penalty = backend.zeros((1,), np.float64)
         if s.motion_weight and self.template.basis.terms:
-            scale = s.motion_weight * motion_factor(s.regulariser, len(self))
-            penalty = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], scale, self.optimiser.waits(rows))
+            scale, since = s.motion_weight * motion_factor(s.regulariser, len(self)), self.optimiser.steps_since_update(rows)
+            penalty = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], scale, since)
         anchor(backend, arrays, gradients, rows, self.pixels // schedule.reduction(s, self.iteration) ** 2)
         self.strategy.penalise(backend, arrays, gradients)
         return penalty
@@ -235,7 +235,7 @@ class Trainer:
                 changed = self.strategy.after_step(self.iteration, rows, self.statistics.on_host(self.backend), rates)
             if changed:
                 self.statistics = Statistics.empty(self.backend, len(self))
-        self.strategy.shake(self.backend, self.iteration, self.optimiser.arrays, rates)
+        self.strategy.add_noise(self.backend, self.iteration, self.optimiser.arrays, rates)
 
     def model(self, provenance: dict[str, str] | None = None) -> GaussianModel:
         """The model as it is now; its arrays are the trained ones, not copies."""

@@ -65,11 +65,12 @@ def test_it_knows_how_long_a_row_has_waited(rng):
     optimiser = Optimiser(arrays(rng, 3))
     for rows in ([0, 1], [0], [0]):
         optimiser.step(gradients(rng, optimiser), np.array(rows), RATES)
-    assert optimiser.waits(np.arange(3)).tolist() == [1, 3, 4] and optimiser.waits(np.array([1])).tolist() == [0, 3, 0]
+    since = optimiser.steps_since_update
+    assert since(np.arange(3)).tolist() == [1, 3, 4] and since(np.array([1])).tolist() == [0, 3, 0]
     with optimiser.on_host() as host:
         host.append({name: host.arrays[name][:1] for name in SHAPES})
         host.take(np.array([3, 1]))
-    assert optimiser.waits(np.arange(2)).tolist() == [1, 3]
+    assert optimiser.steps_since_update(np.arange(2)).tolist() == [1, 3]
 
 
 def test_what_is_no_number_moves_nothing(rng):
