@@ -22,6 +22,9 @@ from .limits import check_size
 MOST_FRAMES = 1_000_000
 MOST_PIXELS_A_BYTE = 1 << 13
 """A video of a few black frames has some 3000."""
+TORN = 16
+"""Frames at the end of a film among which some may be missing: a cut, or a file that ends early, takes away what comes last in the file,
+which is not what is shown last.  Those behind the first gap are left out."""
 MARGIN = 1 << 16
 """Pixels beyond its size that a decoder may need for whole blocks at the edges: codecs round a side up to 64 or 128."""
 OPTIONS = {"format_whitelist": "mov,matroska,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v", "protocol_whitelist": "file"}
@@ -77,6 +80,9 @@ def _timed(stamps: list, base, rate, size) -> Index:
         return Index(len(stamps), *size, float(rate or 30), 0.0, True, None)
     stamps.sort()
     gaps = np.diff(np.array(stamps, np.float64)) * float(base)
+    wide = np.flatnonzero(gaps > 1.5 * np.median(gaps)) if len(gaps) else np.zeros(0, int)
+    if len(wide) and wide[0] >= max(len(gaps) - TORN, 1):  # all before it are even
+        stamps, gaps = stamps[:wide[0] + 1], gaps[:wide[0]]
     fps = 1 / gaps.mean() if len(gaps) else float(rate or 30)
     if rate and abs(gaps.sum() - len(gaps) / float(rate)) <= 2 * float(base) + 0.001 * gaps.sum():  # stamps are rounded
         fps = float(rate)

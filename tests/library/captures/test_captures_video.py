@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from fractions import Fraction
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -132,3 +133,18 @@ def test_a_video_cut_short_tells_it(tmp_path):
     found = video.index(short)
     assert 0 < found.count < COUNT
     assert [number_in(rgb) for _, rgb in video.frames(short, range(found.count - 2))] == list(range(found.count - 2))
+
+
+@pytest.mark.parametrize("packets", [20, 21, 22, 23])
+def test_a_film_that_was_cut_without_decoding_has_no_torn_end(tmp_path, packets):
+    """Packets lie in the order of decoding: the last ones of a cut film are shown after frames that are gone."""
+    write(tmp_path / "whole.mp4", codec="mpeg4", count=40, bf="2", g="12", **{"q:v": "2"})
+    with av.open(str(tmp_path / "whole.mp4")) as source, av.open(str(tmp_path / "cut.mp4"), "w") as container:
+        stream = container.add_stream_from_template(source.streams.video[0])
+        for packet in islice((each for each in source.demux(video=0) if each.dts is not None), packets):
+            packet.stream = stream
+            container.mux(packet)
+    known = video.index(tmp_path / "cut.mp4")
+    assert packets - 5 <= known.count <= packets and known.constant and known.fps == 25
+    shown = [(number, number_in(rgb)) for number, rgb in video.frames(tmp_path / "cut.mp4", range(known.count))]
+    assert shown == [(number, number) for number in range(known.count)]
