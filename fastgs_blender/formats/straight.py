@@ -31,11 +31,11 @@ class Timeline:
         return (np.asarray(time, np.float64) - self.zero) / self.length
 
 
-def straight(position, velocity, centre, ln_sigma, timeline: Timeline = Timeline(), window=None, closed: bool = False) -> dict:
+def straight(position, velocity, centre, ln_sigma, timeline: Timeline = Timeline(), window=None) -> dict:
     """Keyword arguments for GaussianModel: position, motion, mu_tau, temporal and their kinds.
 
     position [N, 3]; velocity [N, 3] or None; centre [N]; ln_sigma [N], inf: no fading; window (begin, end), each [N] or a number,
-    with Gaussians seen at begin <= T < end, or, if closed, at begin <= T <= end.  All in the file's unit of time.
+    with Gaussians seen at begin <= T < end.  All in the file's unit of time.
     """
     position, centre = np.asarray(position, np.float64), np.asarray(centre, np.float64)
     with np.errstate(all="ignore"):  # what is no number is found by usable()
@@ -45,8 +45,7 @@ def straight(position, velocity, centre, ln_sigma, timeline: Timeline = Timeline
             arrays |= {"motion": timeline.length * np.asarray(velocity, np.float64)[:, None], "basis": Polynomial(1)}
         if window is None:
             return _narrow(arrays) | {"temporal_kind": Radial()}
-        slack = (-SLACK, SLACK if closed else -SLACK)
-        ends = [np.clip(np.broadcast_to(timeline.t(end), len(position)) + s, -1e6, 1e6) for end, s in zip(window, slack)]
+        ends = [np.clip(np.broadcast_to(timeline.t(end), len(position)) - SLACK, -1e6, 1e6) for end in window]
         flank = np.full(len(position), -STEEP)
         arrays["temporal"] = np.stack([arrays["temporal"][:, 0], *ends, flank], -1)
         return _narrow(arrays) | {"temporal_kind": WindowedRadial()}
