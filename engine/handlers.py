@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import composite, model_space, notices, objects, paths, point_edits, proxies, updates
-from ..scene.splats import bodies, feeding, guard, moving, native, proxy_nodes
+from ..scene import composite, notices, objects, point_edits, proxies, updates
+from ..scene.splats import bodies, feeding, guard, moving, native
 from . import compiling
 
 
@@ -26,27 +26,6 @@ def _forget_objects(*_):
 
 
 @persistent
-def _upgrade(*_):
-    paths.upgrade()
-    proxy_nodes.upgrade()
-    proxies.update()
-    _upgrade_meshes()
-
-
-@persistent
-def _upgrade_appended(context, *_):
-    paths.after_import(context)
-    proxies.update()
-    _upgrade_meshes()
-
-
-def _upgrade_meshes():
-    for obj in bpy.data.objects:
-        if objects.is_splat(obj):
-            model_space.upgrade(obj)
-
-
-@persistent
 def _compile_for_splats(*_):
     if any(objects.is_splat(obj) for obj in bpy.data.objects):
         compiling.start_on_first_use()
@@ -57,7 +36,7 @@ HANDLERS = (
     (bpy.app.handlers.load_pre, _forget_models),
     (bpy.app.handlers.load_pre, _forget_objects),
     (bpy.app.handlers.load_post, _compile_for_splats),
-    (bpy.app.handlers.load_post, _upgrade),
+    (bpy.app.handlers.load_post, proxies.update),
     (bpy.app.handlers.frame_change_pre, bodies.rest),
     (bpy.app.handlers.frame_change_pre, feeding.before),
     (bpy.app.handlers.frame_change_post, feeding.after),
@@ -77,7 +56,7 @@ HANDLERS = (
     (bpy.app.handlers.load_post, native.fill),
 )
 if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3 and later
-    HANDLERS += ((bpy.app.handlers.blend_import_post, _upgrade_appended),)
+    HANDLERS += ((bpy.app.handlers.blend_import_post, proxies.update),)
 
 
 def register():

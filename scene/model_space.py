@@ -25,7 +25,7 @@ _known: dict[int, np.ndarray] = {}
 
 
 def model_matrix(obj) -> np.ndarray:
-    """[4, 4] float64 from the model's space to the object's; the identity where a mesh does not know (older files, meshes of one's own)."""
+    """[4, 4] float64 from the model's space to the object's; the identity where a mesh does not know (meshes of one's own)."""
     mesh = obj.original.data
     if obj.type != 'MESH' or mesh is None:
         return np.eye(4)
@@ -65,15 +65,6 @@ def set_model_matrix(obj, matrix: np.ndarray) -> None:
     if pairs is not None:
         write(obj.data, pairs[0], matrix)
         obj.data.update()
-
-
-def upgrade(obj) -> None:
-    """Let a splat object of an earlier version, whose points lie in the model's space, know that they do."""
-    mesh = obj.data
-    if obj.type == 'MESH' and mesh.is_editable and len(mesh.vertices) and PLACE not in mesh.attributes:
-        at = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", at)
-        write(mesh, at.reshape(-1, 3), np.eye(4))
 
 
 def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -17,8 +17,6 @@ from ..fastgs_blender.formats.sequences import numbered_files, stands_for_many
 from ..fastgs_blender.formats.streamed_sog import parted
 from ..fastgs_blender.util.errors import FastGSError
 
-KEY = "filepath"
-"""Where earlier versions stored the path, in the object's own property."""
 SEQUENCE = "fastgs_sequence"
 """Custom property of a cache file that names the first file of a sequence: the pattern in that file's folder, or FOLDER; as bytes."""
 FOLDER = "."
@@ -26,7 +24,7 @@ FOLDER = "."
 
 def get(settings) -> str:
     """The path that an object's settings (FASTGS_PG_object) hold; "" where there is none."""
-    return _path_of(settings.file) if settings.file is not None else _earlier(settings)
+    return "" if settings.file is None else _path_of(settings.file)
 
 
 def shown(settings) -> str:
@@ -44,33 +42,7 @@ def put(settings, path: str) -> None:
         settings.file = _of(path) if path else None
         if before is not None and not before.users and before.library is None:
             bpy.data.batch_remove([before])
-    _forget_earlier(settings)
     settings.id_data.update_tag()
-
-
-def upgrade() -> None:
-    """Take over the paths that an earlier version stored in the open .blend."""
-    import bpy
-
-    for obj in bpy.data.objects:
-        _take_over(obj, None)
-
-
-def after_import(context, _=None) -> None:
-    """The same for what was appended: a path beginning with // is one beside the .blend that it comes from."""
-    import bpy
-
-    for item in context.import_items:
-        if isinstance(item.id, bpy.types.Object) and item.source_library:
-            _take_over(item.id, bpy.path.abspath(item.source_library.filepath))
-
-
-def _take_over(obj, source):
-    import bpy
-
-    path = _earlier(obj.fastgs) if obj.is_editable and obj.fastgs.file is None else ""
-    if path:
-        put(obj.fastgs, path if source is None else os.path.normpath(bpy.path.abspath(path, start=os.path.dirname(source))))
 
 
 def _of(path: str):
@@ -125,18 +97,3 @@ def _parted(path: str) -> tuple[str, str]:
     """The folder, with what divides it from the name, and the name; // at the beginning stays whole on every system."""
     end = max(path.rfind("/"), path.rfind("\\")) + 1
     return path[:end], path[end:]
-
-
-def _stored(settings):
-    return settings.bl_system_properties_get() if hasattr(settings, "bl_system_properties_get") else settings
-
-
-def _earlier(settings) -> str:
-    stored = _stored(settings)
-    return "" if stored is None else stored.get(KEY, "")
-
-
-def _forget_earlier(settings):
-    stored = _stored(settings)
-    if stored is not None and KEY in stored:
-        del stored[KEY]

@@ -8,6 +8,7 @@ not what has been drawn so far: points never stand in for splats that are still 
 from __future__ import annotations
 
 import bpy
+from bpy.app.handlers import persistent
 
 GROUP = "FAST-GS Proxy"
 STILL = f"{GROUP} (Still)"
@@ -23,6 +24,7 @@ def wanted_hidden() -> bool:
     return not bpy.app.background and bool(scenes) and all(scene.fastgs.show_splats for scene in scenes)
 
 
+@persistent
 def update(*_) -> None:
     """Hide or show the points as the windows' scenes have it.  To be called where Blender's data may be written."""
     hide(wanted_hidden())

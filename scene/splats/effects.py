@@ -14,7 +14,7 @@ from .. import point_edits
 from .proxy_nodes import find_socket, keep_last, modifier_of
 
 VERSION = 1
-VERSION_KEY = "fastgs_version"
+"""Of the effects: the file of the asset library is named by it."""
 SPACING = 180, 260
 """Distance of the nodes in the editor, in x and in y; so many columns make a row."""
 COLUMNS = 8
@@ -225,10 +225,10 @@ EFFECTS = {
 
 
 def group(key: str) -> bpy.types.NodeTree:
-    """An effect's node group in this .blend; made where it is missing, or where an older version of the extension made it."""
+    """An effect's node group in this .blend; made where it is missing."""
     effect = EFFECTS[key]
     found = next((tree for tree in bpy.data.node_groups if tree.name == effect.name and tree.library is None), None)
-    if found is None or found.get(VERSION_KEY) != VERSION:
+    if found is None:
         found = build(effect)
         found.name = effect.name
     return found
@@ -246,7 +246,6 @@ def build(effect: Effect) -> bpy.types.NodeTree:
             setattr(item, setting, value)
     builder = Builder(tree)
     builder.node('NodeGroupOutput', (effect.build(builder),))
-    tree[VERSION_KEY] = VERSION
     return tree
 
 

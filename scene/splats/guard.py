@@ -157,7 +157,7 @@ def _being_edited(path: str) -> bool:
 def _trouble(mesh, points) -> str | None:
     """The sentence that describes what is wrong with a splat object's mesh; None where it is a proxy."""
     made_with = mesh.get(proxy.POINTS)
-    if points is None:  # an older version's, or made without an importer
+    if points is None:  # made without an importer
         return CONVERTED if len(mesh.edges) else None
     here = int(points.sum())
     if here < len(points) or (made_with is not None and here > made_with):

@@ -28,8 +28,6 @@ LARGER = "fastgs_larger"
 """Custom property of the mesh: how much larger than their Gaussians points are, because few stand for many."""
 LEVELS = 3
 """Of each channel in the palette."""
-VERSION = 4
-VERSION_KEY = "fastgs_version"
 
 
 def give_modifier(obj: bpy.types.Object) -> None:
@@ -57,26 +55,16 @@ def _own(collection, name: str, kind: str | None = None):
 
 
 def group(name: str = NAME) -> bpy.types.NodeTree:
-    """The group NAME or STILL of this .blend; made where it is missing, and made anew where an older version of the extension made it."""
+    """The group NAME or STILL of this .blend; made where it is missing."""
     found = _own(bpy.data.node_groups, name, 'GeometryNodeTree')
     if found is None:
         found = bpy.data.node_groups.new(name, 'GeometryNodeTree')
         found.interface.new_socket("Geometry", in_out='INPUT', socket_type='NodeSocketGeometry')
         found.interface.new_socket("Geometry", in_out='OUTPUT', socket_type='NodeSocketGeometry')
-    if found.get(VERSION_KEY) != VERSION:
-        found.nodes.clear()
         _build(found)
         if name == NAME:  # what depends on the time is evaluated on each frame, so that moving.py finds it as it was made
             found.nodes.new('GeometryNodeInputSceneTime').location = 0, -200
-        found[VERSION_KEY] = VERSION
     return found
-
-
-def upgrade() -> None:
-    """Make the groups of a .blend anew where an older version of the extension made them."""
-    for name in (NAME, STILL):
-        if _own(bpy.data.node_groups, name, 'GeometryNodeTree') is not None:
-            group(name)
 
 
 def _build(tree):

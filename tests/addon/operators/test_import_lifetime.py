@@ -109,48 +109,6 @@ def test_one_datablock_holds_the_path_of_a_file(imported, objects):
     assert not objects.is_splat(second) and len(bpy.data.cache_files) == 1
 
 
-def test_files_of_earlier_versions_look_as_they_did(make_model, model_file, objects, module, tmp_path, splat_object):
-    """They turned the object, not its points, and stored the path in a property."""
-    upright = objects.axes_matrix("RDF")
-    path = model_file(make_model(axes="RDF"))
-    bpy.ops.import_scene.fastgs(filepath=path, orientation='KEEP')
-    obj = bpy.context.object
-    obj.matrix_world = upright
-    bpy.context.view_layer.update()
-    settings, mesh = obj.fastgs, obj.data
-    mesh.attributes.remove(mesh.attributes["Model Position"])
-    mesh.attributes.remove(mesh.attributes["Gaussian"])
-    for key in [key for key in list(mesh.keys()) if key.startswith("fastgs")]:
-        del mesh[key]
-    settings.filepath = ""
-    stored = settings.bl_system_properties_get(do_create=True) if bpy.app.version >= (5, 0, 0) else settings
-    stored["filepath"] = "//model.safetensors"
-    bpy.data.node_groups["FAST-GS Proxy"].nodes.clear()
-    del bpy.data.node_groups["FAST-GS Proxy"]["fastgs_version"]
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
-    obj = bpy.context.object
-    placement = module("scene.model_space").placement
-    assert obj.fastgs.filepath == "//model.safetensors" and obj.fastgs.file is not None and shown(objects, obj) == 40
-    np.testing.assert_allclose(placement(obj), upright, atol=1e-6)
-    assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons) == 8 * 40
-    obj.select_set(True)
-    bpy.ops.object.transform_apply()
-    np.testing.assert_allclose(placement(obj), upright, atol=1e-5)
-
-
-def test_groups_of_earlier_versions_are_made_anew(imported, module):
-    """In a file that has the palette's materials already."""
-    obj = imported()
-    for name in ("FAST-GS Proxy", "FAST-GS Proxy (Still)"):
-        tree = module("scene.splats.proxy_nodes").group(name)
-        tree["fastgs_version"] = 1
-        tree.nodes.remove(tree.nodes["Hide Points in Viewports"])
-    module("scene.splats.proxy_nodes").upgrade()
-    assert all("Hide Points in Viewports" in tree.nodes for tree in bpy.data.node_groups) and module("scene.proxies").up_to_date()
-    assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons) == 8 * 40
-
-
 def test_a_failed_save_changes_no_path(imported, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
     obj = imported()
