@@ -27,6 +27,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 import capture_scenes as scenes  # noqa: E402
 import room_scene  # noqa: E402
 
+from fastgs_blender.cameras.poses import look_at  # noqa: E402
 from fastgs_blender.captures import generated  # noqa: E402
 from fastgs_blender.rendering import colour  # noqa: E402
 from fastgs_blender.util.outputs import replacing  # noqa: E402
@@ -65,7 +66,7 @@ def main():
         eyes, centre = room_scene.rig(options.cameras)
     else:
         eyes = centre + distance * generated.directions(options.cameras, options.rig)
-    poses = {f"cam{k:02}": generated.look_at(eye, centre) for k, eye in enumerate(eyes)}
+    poses = {f"cam{k:02}": look_at(eye, centre) for k, eye in enumerate(eyes)}
     write_description(options, poses, (width, height, focal), scene.render.fps / step)
     render(options, set_up(scene, width, height, focal, options), poses, times, {o.name for o in subject})
 

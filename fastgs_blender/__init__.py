@@ -17,34 +17,81 @@ What goes wrong raises FastGSError, whose message is one sentence; what is lost 
 from .util import stopping as stopping  # first: signals may come while the rest is imported
 
 # isort: split
-from .cameras.camera import Camera
-from .cameras.cameras_json import View, load_cameras, save_cameras
-from .cameras.moving import dolly, orbit, through
-from .captures import Capture, open_capture
-from .captures.clocks.files import Clocks, write_clocks
-from .captures.clocks.find import find_offsets
-from .checks import check
-from .checks.report import CheckReport
-from .evaluation.evaluate import evaluate
-from .formats import load, open_source, save
-from .model.appearance import RGB, SH, Changing, Features
-from .model.gaussians import Clip, GaussianModel, Raster
-from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
-from .model.sequence import Sequence
-from .model.slicing import Slice, freeze, slice_model
-from .model.surroundings import Backdrop, Surroundings, Viewpoint
-from .model.temporal import Always, Radial, Window, WindowedRadial
-from .rendering.api import render
-from .surfaces.bake import BakeReport, bake
-from .training.run.launch import train
+import importlib
+import importlib.util
+from typing import TYPE_CHECKING, Any
+
 from .util.errors import FastGSError, LossWarning
 from .util.version import VERSION
 
+if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
+    from .cameras.camera import Camera
+    from .cameras.cameras_json import View, load_cameras, save_cameras
+    from .cameras.moving import dolly, orbit, through
+    from .cameras.poses import look_at
+    from .captures import Capture, open_capture
+    from .captures.clocks.files import Clocks, write_clocks
+    from .captures.clocks.find import find_offsets
+    from .checks import check
+    from .checks.report import CheckReport
+    from .evaluation.evaluate import evaluate
+    from .evaluation.metrics import psnr
+    from .formats import load, open_source, save
+    from .model.appearance import RGB, SH, Changing, Features
+    from .model.edits import Edit
+    from .model.gaussians import Clip, GaussianModel, Raster
+    from .model.joining import concatenate
+    from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
+    from .model.sequence import Sequence
+    from .model.slicing import Slice, freeze, slice_model
+    from .model.surroundings import Backdrop, Surroundings, Viewpoint
+    from .model.temporal import Always, Radial, Window, WindowedRadial
+    from .rendering.api import render
+    from .rendering.crops import Crop
+    from .rendering.exposure import Aperture, Exposure
+    from .rendering.images import save_image
+    from .rendering.instances import Instance, ObjectSettings
+    from .rendering.passes import PassSettings
+    from .surfaces.bake import BakeReport, bake
+    from .training.run.launch import train
+
+PLACES = {
+    "cameras.camera": "Camera", "cameras.cameras_json": "View load_cameras save_cameras", "cameras.moving": "dolly orbit through",
+    "cameras.poses": "look_at", "captures": "Capture open_capture", "captures.clocks.files": "Clocks write_clocks",
+    "captures.clocks.find": "find_offsets", "checks": "check", "checks.report": "CheckReport", "evaluation.evaluate": "evaluate",
+    "evaluation.metrics": "psnr", "formats": "load open_source save", "model.appearance": "RGB SH Changing Features", "model.edits": "Edit",
+    "model.gaussians": "Clip GaussianModel Raster", "model.joining": "concatenate",
+    "model.motion": "Cosine Fourier Keyframes Polynomial Static", "model.sequence": "Sequence",
+    "model.slicing": "Slice freeze slice_model", "model.surroundings": "Backdrop Surroundings Viewpoint",
+    "model.temporal": "Always Radial Window WindowedRadial", "rendering.api": "render", "rendering.crops": "Crop",
+    "rendering.exposure": "Aperture Exposure", "rendering.images": "save_image", "rendering.instances": "Instance ObjectSettings",
+    "rendering.passes": "PassSettings", "surfaces.bake": "BakeReport bake", "training.run.launch": "train",
+}
+"""The modules that define the public names; each is imported when one of its names is used first."""
+_place_of = {name: place for place, names in PLACES.items() for name in names.split()}
+
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Always", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Clip", "Clocks", "Cosine",
-    "FastGSError", "Features", "Fourier", "GaussianModel", "Keyframes", "LossWarning", "Polynomial", "Radial", "Raster", "Sequence",
-    "Slice", "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "bake", "check", "dolly", "evaluate",
-    "find_offsets", "freeze", "load", "load_cameras", "open_capture", "open_source", "orbit", "render", "save", "save_cameras",
+    "RGB", "SH", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Clip", "Clocks",
+    "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Instance", "Keyframes", "LossWarning",
+    "ObjectSettings", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "Surroundings", "View",
+    "Viewpoint", "Window", "WindowedRadial", "bake", "check", "concatenate", "dolly", "evaluate", "find_offsets", "freeze", "load",
+    "load_cameras", "look_at", "open_capture", "open_source", "orbit", "psnr", "render", "save", "save_cameras", "save_image",
     "slice_model", "through", "train", "write_clocks",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, or one of the library's rooms, imported now (PEP 562)."""
+    if name in _place_of:
+        found = getattr(importlib.import_module(f".{_place_of[name]}", __name__), name)
+    elif not name.startswith("_") and importlib.util.find_spec(f"{__name__}.{name}"):
+        return importlib.import_module(f".{name}", __name__)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

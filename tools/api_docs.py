@@ -11,12 +11,13 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "api.md"
 GROUPS = {
     "Files": ("load", "save", "open_source"),
-    "Pictures": ("render",),
-    "Cameras": ("Camera", "View", "load_cameras", "save_cameras", "orbit", "dolly", "through"),
+    "Pictures": ("render", "save_image", "psnr", "Instance", "ObjectSettings", "Crop", "Exposure", "Aperture", "PassSettings"),
+    "Cameras": ("Camera", "View", "look_at", "load_cameras", "save_cameras", "orbit", "dolly", "through"),
     "Captures and training": ("open_capture", "Capture", "check", "CheckReport", "find_offsets", "Clocks", "write_clocks",
                               "train", "evaluate"),
     "Baking": ("bake", "BakeReport"),
-    "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze"),
+    "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze",
+               "concatenate", "Edit"),
     "How Gaussians move": ("Static", "Fourier", "Cosine", "Polynomial", "Keyframes"),
     "How they come and go": ("Always", "Radial", "Window", "WindowedRadial"),
     "How they look": ("RGB", "SH", "Features", "Changing"),

@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.cameras.cameras_json import View, save_cameras  # noqa: E402
-from fastgs_blender.captures.generated import look_at  # noqa: E402
+from fastgs_blender.cameras.poses import look_at  # noqa: E402
 from fastgs_blender.formats.rate import HELD_OUT  # noqa: E402
 
 MODEL = ROOT / "examples" / "fireside.safetensors"

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers and poses from files, checked: every function raises FastGSError with `where` (file and place) in front."""
+"""look_at(); numbers and poses from files, checked: those functions raise FastGSError with `where` (file and place) in front."""
 from __future__ import annotations
 
 from collections.abc import Iterable
 from reprlib import repr as shortened
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util import rotations
 from ..util.errors import FastGSError
@@ -16,6 +17,28 @@ FARTHEST = 1e12
 """Largest coordinate of a camera's place: beyond it sums and products of poses lose all digits."""
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes x right, y up, z backwards to OpenCV's."""
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """World-to-camera [4, 4] of an upright camera at a point `eye` [3] that looks at another, `target` [3].
+
+    up  [3] what points up in the world: (0, 0, 1) in Blender's, (0, -1, 0) where a model's axes are RDF
+    Raises FastGSError where both points are one, or the camera would look straight up or down.
+
+    Example:
+        camera = fg.Camera(640, 360, 500, 500, 320, 180, fg.look_at((2, -3, 1), (0, 0, 0.5)))
+    """
+    place = np.asarray(eye, np.float64)
+    forward = np.asarray(target, np.float64) - place
+    forward /= max(float(np.linalg.norm(forward)), 1e-300)
+    right = np.cross(forward, np.asarray(up, np.float64))
+    length = np.linalg.norm(right)
+    if not length > 1e-9 * np.linalg.norm(up):
+        raise FastGSError("a camera needs a point to look at that is not its own, nor straight above or below it.")
+    matrix = np.eye(4)
+    matrix[:3, :3] = right / length, np.cross(forward, right / length), forward
+    matrix[:3, 3] = -matrix[:3, :3] @ place
+    return matrix
 
 
 def table(value, where: str) -> dict:

@@ -30,17 +30,6 @@ def directions(count: int, rig: str = "dome") -> np.ndarray:
     return np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)], 1)
 
 
-def look_at(eye, target) -> np.ndarray:
-    """World-to-camera [4, 4] in OpenCV axes of a camera that stands upright (z is up) at eye and looks at target."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, (0, 0, 1))
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ eye
-    return matrix
-
-
 def cover(planes: dict[str, np.ndarray], manifest: str | bytes, names: Iterable[str]) -> np.ndarray:
     """The share of each pixel [h, w] that the objects of these names cover, read from Cryptomatte.
 

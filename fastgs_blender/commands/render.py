@@ -10,9 +10,13 @@ R, G, B, A and every other pass as a layer of 32-bit floats (Depth.Z, 1e10 where
 
 Of several cameras --view picks one by name or number.  Without it, as many cameras as frames are a camera path: each frame takes the
 next camera.  With --path they are one for any frames: frame f takes camera f.  Else the first camera is used.
+
+--out - writes the PNGs one after another to standard output, for a program that makes a film of them:
+    fastgs render model.safetensors --camera path.json --out - | ffmpeg -f image2pipe -framerate 30 -i - film.mp4
 """
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 
@@ -22,6 +26,8 @@ from .shared import add_backend, chosen_backend, image_size, model_file, note, n
 
 OWN = "own"
 """The background that a model's decoder shows; a model without one shows black."""
+STREAM = "-"
+"""The folder that stands for standard output."""
 NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
@@ -30,7 +36,7 @@ def add_arguments(parser):
     parser.add_argument("--camera", required=True, metavar="CAMERAS", help="a cameras.json, a camera path of another program, "
                         "or a capture")
     parser.add_argument("--frames", metavar="A:B", help="frames to render (default: the whole clip)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the frames, 0000.png and so on; - for standard output")
     parser.add_argument("--format", default="png", choices=("png", "exr"), help="file format (default: png)")
     parser.add_argument("--passes", metavar="P,P", help="EXR: the passes to write (default: all that a model has without meshes)")
     parser.add_argument("--size", metavar="WxH", help="image size (default: the camera's); the horizontal field of view stays the same")
@@ -81,10 +87,14 @@ def run(args):
     cameras = _cameras(views, frames, args, size)
     note_frames_outside(model, frames)
 
+    times = [model.clip.t_of_frame(float(frame)) for frame in frames]
+    if args.out == STREAM:
+        _render_all(args, backend, model, name.stem, cameras, times, list(range(len(times))), _to_stream(model.colour_space), passes,
+                    background, exposure)
+        return
     out = Path(args.out)
     _make_folder(out)
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
-    times = [model.clip.t_of_frame(float(frame)) for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
     drawing = ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
     drawing |= {"film": "opaque"} if own else {}
@@ -119,6 +129,17 @@ def run(args):
         })
 
 
+def _to_stream(colour_space: str):
+    """A function of a frame's number and its image that writes it to standard output as a PNG."""
+    from ..rendering.images import png
+
+    def write(_, image):
+        sys.stdout.buffer.write(png(image, colour_space))
+        sys.stdout.buffer.flush()
+
+    return write
+
+
 def _render_all(args, backend, model, name, cameras, times, todo, write, passes, background, exposure):
     import numpy as np
 
@@ -140,8 +161,8 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
                 bar.to(done + 1)
         except KeyboardInterrupt:
             bar.close()
-            rest = f"stopped; {bar.n} of {len(todo)} frames are written to {args.out}, and the same command continues from there."
-            raise KeyboardInterrupt(rest) from None
+            rest = "." if args.out == STREAM else f" to {args.out}, and the same command continues from there."
+            raise KeyboardInterrupt(f"stopped; {bar.n} of {len(todo)} frames are written{rest}") from None
 
 
 def _exposure(args):
@@ -159,6 +180,8 @@ def _exposure(args):
 def _passes(args) -> tuple[str, ...]:
     from ..rendering.passes import PASSES
 
+    if args.out == STREAM and (args.format != "png" or args.json):
+        raise FastGSError("frames go to standard output as PNG, and nothing else does; leave out --format exr and --json.")
     if args.format == "png":
         if args.passes is not None:
             raise FastGSError("a PNG holds colour and alpha only; --passes needs --format exr.")

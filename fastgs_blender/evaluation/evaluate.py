@@ -276,8 +276,8 @@ def _measures(picture: np.ndarray, truth: np.ndarray, foreground: np.ndarray | N
     values = dict.fromkeys(MEASURES)
     values["psnr"] = metrics.psnr(picture, truth, valid)
     if fitted:
-        values["psnr_right"] = metrics.psnr(*(None if image is None else image[:, halves.middle(picture):]
-                                              for image in (picture, truth, valid)))
+        right = np.s_[:, halves.middle(picture):]
+        values["psnr_right"] = metrics.psnr(picture[right], truth[right], None if valid is None else valid[right])
     if foreground is not None:
         values["psnr_foreground"] = metrics.psnr(picture, truth, foreground)
     values |= {name: getattr(metrics, name)(picture, truth, valid) for name in ("dssim1", "dssim1_skimage", "dssim2")}
@@ -318,7 +318,7 @@ class _Gallery:
             psnr = "" if row["psnr"] is None else f"  {row['psnr']:.2f} dB"
             sheet = comparison(truth, picture, label + psnr, error=True)
             path = self._folder / f"{self._name}-{shot.frame:04d}.png"
-            write_png(path, {"rgb": np.float32(sheet) / 255, "alpha": np.ones(sheet.shape[:2], np.float32)}, "srgb")
+            write_png(path, {"rgb": sheet.astype(np.float32) / 255, "alpha": np.ones(sheet.shape[:2], np.float32)}, "srgb")
             self._files.append(path)
         if self._filming:
             sheet = comparison(truth, picture, label, error=False)

@@ -6,6 +6,7 @@ Pictures are [h, w, 3], display-referred, 0..1; what lies outside is clipped fir
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 
@@ -16,10 +17,14 @@ FOREGROUND = 0.5
 """Pixels whose mask is at least this are foreground."""
 
 
-def psnr(picture, truth, mask=None) -> float:
-    """Peak signal-to-noise ratio in dB, range 1; with a mask [h, w], over its foreground pixels only.
+def psnr(picture: ArrayLike, truth: ArrayLike, mask: ArrayLike | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of a picture [h, w, 3], range 1; with a mask [h, w], over its foreground pixels only.
 
+    truth  [h, w, 3], to which the picture is compared
     inf for equal pictures; nan where the mask has no foreground.
+
+    Example:
+        decibels = fg.psnr(fg.render(model, camera, 0.5)["rgb"], fg.render(model, camera, 0.6)["rgb"])
     """
     picture, truth = _pair(picture, truth)
     error = np.square(picture - truth)

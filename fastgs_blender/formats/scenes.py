@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model import surroundings
-from ..model.appearance import SH, SH_C0, Features
+from ..model.appearance import SH_C0, Features
 from ..model.gaussians import GaussianModel
+from ..model.joining import concatenate
 from ..model.slicing import freeze, sigmoid
 from ..rendering.crops import crop_share
 from ..rendering.instances import Instance
@@ -114,11 +114,5 @@ def together(models: list[GaussianModel]) -> GaussianModel:
     """
     if len({m.colour_space for m in models}) > 1:
         models = [in_colour_space(m, "srgb") for m in models]
-    degree = max(m.appearance.degree for m in models)
-    width = SH(degree).width
-    features = [np.pad(m.features, ((0, 0), (0, width - m.features.shape[1]))) for m in models]
-    arrays = {name: np.concatenate([getattr(m, name) for m in models]) for name in ("position", "rotation", "scale", "opacity")}
-    # the sphere of one model's backdrop says nothing of another's Gaussians
-    around = models[0].surroundings if len(models) == 1 else replace(surroundings.together([m.surroundings for m in models]), backdrop=None)
-    return replace(models[0], **arrays, features=np.concatenate(features), mu_tau=None, motion=None, rotation_motion=None, temporal=None,
-                   appearance=SH(degree), surroundings=around)
+    first = models[0]
+    return concatenate([replace(m, axes=first.axes, raster=first.raster) for m in models])

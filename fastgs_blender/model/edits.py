@@ -79,7 +79,7 @@ class Edit:
     deform    [N, 3, 3]  linear maps by which the Gaussians are turned and stretched about their centres
 
     Example:
-        edit = Edit(0.5, opacity=np.full(len(model), 0.25))
+        edit = fg.Edit(0.5, opacity=np.full(len(model), 0.25))
         picture = fg.render(edit.applied(model), camera)
     """
 

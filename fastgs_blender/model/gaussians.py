@@ -2,7 +2,7 @@
 """GaussianModel: 4D Gaussians as a struct of arrays, and everything else that a file must record of them."""
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import Any, ClassVar
 from weakref import WeakSet
@@ -187,9 +187,12 @@ class GaussianModel:
                               f" {shown(index)}.") from error
 
     def __repr__(self) -> str:
-        kinds = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)
-                          if f.name in ("basis", "rotation_basis", "temporal_kind", "appearance", "clip"))
-        return f"GaussianModel(N={len(self)}, {kinds})"
+        """Two lines: its size and its kinds."""
+        motion, turn = (f"{basis.name} ({basis.terms} terms)" for basis in (self.basis, self.rotation_basis))
+        return (f"GaussianModel: {len(self)} Gaussians, {self.nbytes / 1e6:.1f} MB, axes {self.axes}, {self.colour_space}, "
+                f"{self.clip.frame_count} frames at {self.clip.fps:g} fps\n"
+                f"    motion {motion}, rotation {turn}, opacity {self.temporal_kind.name}, appearance {self.appearance.name} "
+                f"({self.appearance.width} numbers)")
 
 
 _unchanging: WeakSet[GaussianModel] = WeakSet()

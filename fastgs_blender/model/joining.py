@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Joining the segments of a long capture into one ordinary model.
+"""Several models as one: concatenate() puts their Gaussians side by side, join() makes one clip of the segments of a long capture.
 
 Every segment was trained in its own time u in [0, 1], and lies at t = begin + length * u of the whole.  Nothing is fitted: each
 basis of time (motion.py) writes the same motion in t, where it can.  What the segments share, the decoder above all, must be the
@@ -7,19 +7,72 @@ same in all of them.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..util.errors import FastGSError
-from .appearance import Changing, Features
+from .appearance import RGB, SH, SH_C0, Appearance, Changing, Features
 from .gaussians import Clip, GaussianModel
-from .motion import Basis
+from .motion import Basis, Static
 from .surroundings import together
-from .temporal import Always, Radial, WindowedRadial
+from .temporal import Always, Radial, Window, WindowedRadial
 
 FLAT = -40.0
 """ln s_tau of a Gaussian that does not fade."""
+FOREVER = 1e6
+ALWAYS: dict[type, tuple[float, ...]] = {
+    Radial: (FLAT,), Window: (-FOREVER, FOREVER, 0.0, 0.0), WindowedRadial: (FLAT, -FOREVER, FOREVER, 0.0)}
+"""The parameters with which Gaussians of a kind are always there."""
+
+
+def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
+    """One model with the Gaussians of several, in their order; its clip and provenance are the first one's.
+
+    A model has one basis of motion and of rotation, one temporal opacity and one appearance.  So these must be the same in all models, but
+    for what stands still, what is always there, RGB, and SH of a lower degree, which fit beside any other (SH).  Axes, colour space and the
+    rasteriser's constants must be the same, too.  Raises FastGSError for other models; render() shows any models in one picture.
+
+    Example:
+        both = fg.concatenate([model, fg.freeze(model, 0.5)])
+    """
+    if not models:
+        raise FastGSError("there are no models to put together; give one at least.")
+    first = models[0]
+    looks = [m.appearance for m in models]
+    if any(isinstance(look, SH) for look in looks) and all(isinstance(look, (RGB, SH)) for look in looks):
+        degree = max(look.degree for look in looks if isinstance(look, SH))
+        models = [_with_harmonics(m, degree) for m in models]
+    kinds: dict[str, Any] = {"appearance": models[0].appearance}
+    for name, poor in (("basis", Static), ("rotation_basis", Static), ("temporal_kind", Always)):
+        kinds[name] = next((kind for m in models if not isinstance(kind := getattr(m, name), poor)), getattr(first, name))
+    for m in models:
+        differing = [name for name in ("axes", "colour_space", "raster") if getattr(m, name) != getattr(first, name)]
+        differing += [name for name in ("basis", "rotation_basis", "temporal_kind")
+                      if not isinstance(getattr(m, name), (Static, Always)) and getattr(m, name) != kinds[name]]
+        differing += [] if _same_look(m.appearance, models[0].appearance) else ["appearance"]
+        if differing:
+            raise FastGSError(f"the models cannot become one: their {differing[0].replace('_', ' ')} differs; render() shows them all.")
+    widths = {"motion": kinds["basis"].terms, "rotation_motion": kinds["rotation_basis"].terms, "temporal": kinds["temporal_kind"].width}
+    filling = {"temporal": ALWAYS.get(type(kinds["temporal_kind"]), ())}
+    arrays: dict[str, list[np.ndarray]] = {name: [] for name in first.arrays}
+    for m in models:
+        for name, array in m.arrays.items():
+            if name in widths and array.shape[1] != widths[name]:
+                array = np.broadcast_to(np.array(filling.get(name, 0), np.float32), (len(m), widths[name], *array.shape[2:]))
+            arrays[name].append(array)
+    around = first.surroundings
+    if len(models) > 1:  # the sphere of one model's backdrop says nothing of another's Gaussians
+        around = replace(together([m.surroundings for m in models]), backdrop=None)
+    return replace(first, **{name: np.concatenate(parts) for name, parts in arrays.items()}, **kinds, surroundings=around)
+
+
+def _with_harmonics(model: GaussianModel, degree: int) -> GaussianModel:
+    features = (model.features.astype(np.float64) - 0.5) / SH_C0 if isinstance(model.appearance, RGB) else model.features
+    look = SH(degree)
+    return replace(model, features=np.pad(features, ((0, 0), (0, look.width - features.shape[1]))), appearance=look)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +115,18 @@ def _same(first: GaussianModel, other: GaussianModel):
         raise FastGSError("the segments cannot be joined: their appearance, rasteriser constants, axes or colour space differ.")
     if isinstance(look, Changing):
         raise FastGSError("the segments cannot be joined: their colours change in time.")
-    if isinstance(look, Features):
-        same = np.array_equal(look.w1, its.w1) and np.array_equal(look.w2, its.w2) and (
-            look.activation, look.decode) == (its.activation, its.decode)
-    else:
-        same = look == its
-    if not same:
+    if not _same_look(look, its):
         raise FastGSError("the segments cannot be joined: they need one appearance in common, with the same decoder.")
     if not isinstance(other.temporal_kind, (Always, Radial)):
         raise FastGSError(f"the segments cannot be joined: their temporal opacity is {other.temporal_kind.name}, not radial.")
+
+
+def _same_look(look: Appearance, other: Appearance) -> bool:
+    """Whether two appearances are the same, weights included."""
+    if not (isinstance(look, Features) and isinstance(other, Features)):
+        return look == other
+    return np.array_equal(look.w1, other.w1) and np.array_equal(look.w2, other.w2) and (
+        look.activation, look.decode) == (other.activation, other.decode)
 
 
 def _common(bases: list[Basis], segments: list[Segment]) -> Basis:
@@ -93,6 +149,6 @@ def _in_whole_time(segment: Segment, number: int, segments, moving: Basis, turni
         arrays[constant], arrays[motion] = basis.retimed(joined, segment.begin, length, arrays[constant], arrays[motion])
     arrays["mu_tau"] = segment.begin + length * arrays["mu_tau"]
     bell = arrays["temporal"][:, 0] - 2 * np.log(length) if isinstance(model.temporal_kind, Radial) else np.full(n, FLAT)
-    begin, end = (sign * 1e6 if edge is None else edge for edge, sign in zip(segment.shown, (-1, 1)))
+    begin, end = (sign * FOREVER if edge is None else edge for edge, sign in zip(segment.shown, (-1, 1)))
     arrays["temporal"] = np.stack([bell, *(np.full(n, v) for v in (begin, end, np.log(segment.fade)))], -1)
     return arrays

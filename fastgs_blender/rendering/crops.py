@@ -25,6 +25,9 @@ class Crop:
     remove  whether its inside is removed, rather than kept
     shape   "BOX", "SPHERE" (the ellipsoid within the bounds), or the Volume of a closed mesh
     soft    depth within the shape, by half of its extent, over which it begins to count: 0 is a sharp edge
+
+    Example:
+        look = fg.ObjectSettings(crops=(fg.Crop(np.eye(4), remove=True, shape="SPHERE"),))
     """
 
     matrix: np.ndarray

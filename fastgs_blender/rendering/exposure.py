@@ -31,6 +31,9 @@ class Aperture:
     blades    edges of the opening, 0 for a round one; rotation of these, in radians
     ratio     height over width of the opening (Blender: 2 is an anamorphic lens)
     samples   points of the lens through which the scene is seen at the most; a power of two, and one more, is used
+
+    Example:
+        lens = fg.Aperture(radius=0.02, distance=3.0, samples=4)
     """
 
     radius: float
@@ -59,7 +62,7 @@ class Aperture:
             xy = np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], 1)
         return r[:, None] * xy * (self.radius / self.ratio, self.radius)
 
-    def through(self, camera: Camera, point) -> Camera:
+    def through(self, camera: Camera, point: tuple[float, float]) -> Camera:
         """The pinhole camera at a point of the lens: what lies in the plane of focus stays where it is."""
         x, y = point
         shift = np.eye(4)
@@ -96,6 +99,9 @@ class Exposure:
     curve        how far the shutter is open, evenly spread from open to close
     steps        into which the time is divided at the most; a power of two is used
     aperture     the lens, or None for a pinhole
+
+    Example:
+        picture = fg.render(model, camera, 0.5, exposure=fg.Exposure(-0.25, 0.25, steps=4))
     """
 
     open: float = 0.0
@@ -157,7 +163,8 @@ class Exposure:
         y = np.interp(x, np.linspace(0, 1, len(self.curve)), self.curve)
         return float((y * np.maximum(1 - np.abs(x * count - node) / step, 0)).sum() / y.sum())
 
-    def scene(self, instances: list[ViewedInstance], camera: Camera, time: float, point) -> tuple[list[ViewedInstance], Camera]:
+    def scene(self, instances: list[ViewedInstance], camera: Camera, time: float, point: tuple[float, float]
+              ) -> tuple[list[ViewedInstance], Camera]:
         """The picture's instances, and its camera, in one sample."""
         moved = [self._at(instance, time) for instance in instances]
         if len(self.moments) > 1:
@@ -168,14 +175,15 @@ class Exposure:
 
     def middle(self, instances: list[ViewedInstance], camera: Camera,
                given: np.ndarray | None) -> tuple[list[ViewedInstance], Camera, np.ndarray | None]:
-        """The scene for the passes that are not averaged: the instances, the camera and the holdout's triangles in the middle of the
-        time, through the middle of the lens."""
+        """The scene for the passes that are not averaged: the instances, the camera and the holdout's triangles [T, 3, 3] in the middle
+        of the time, through the middle of the lens; given: the triangles [T, 3, 3] at the picture's own time."""
         if not self.moves:
             return instances, camera, given
         return *replace(self, aperture=None).scene(instances, camera, 0.5, (0.0, 0.0)), self.holdout(given, 0.5)
 
     def holdout(self, given: np.ndarray | None, time: float) -> np.ndarray | None:
-        """The triangles of a holdout in one sample; given: those at the picture's own time, which stand still where no moment has any."""
+        """The triangles [T, 3, 3] of a holdout in one sample; given: those [T, 3, 3] at the picture's own time, which stand still where no
+        moment has any."""
         if all(moment.holdout is None for moment in self.moments):
             return given
         before, after, share = self._between(time)

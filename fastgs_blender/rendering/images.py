@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +16,37 @@ from . import colour
 from .passes import PASSES
 
 
-def write_png(path, image: dict, colour_space: str):
+def save_image(image: Mapping[str, np.ndarray], path: str | os.PathLike, colour_space: str = "srgb") -> None:
+    """Write what render() returns: .png (8-bit sRGB with straight alpha), or .exr (all passes, 32-bit floats, scene-linear).
+
+    image         {pass: [h, w] or [h, w, channels]}, with "rgb" and "alpha"
+    colour_space  of the model: GaussianModel.colour_space
+    Raises FastGSError.
+
+    Example:
+        fg.save_image(fg.render(model, camera, 0.25), "frame.png", model.colour_space)
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".png", ".exr") or "rgb" not in image or "alpha" not in image:
+        raise FastGSError(f"{path}: a picture with the passes rgb and alpha is written as .png or .exr; choose one of them.")
+    (write_png if path.suffix.lower() == ".png" else write_exr)(path, image, colour_space)
+
+
+def write_png(path: str | os.PathLike, image: Mapping[str, np.ndarray], colour_space: str) -> None:
     """image["rgb"] and ["alpha"], as render() returns them, as 8-bit sRGB with straight alpha."""
+    with _written_aside(path) as part:
+        part.write_bytes(png(image, colour_space))
+
+
+def png(image: Mapping[str, np.ndarray], colour_space: str) -> bytes:
+    """The bytes of that file."""
     rgb = colour.display(image["rgb"], image["alpha"], colour_space)
     rgba = np.concatenate([rgb, image["alpha"][..., None]], -1)
-    pixels = np.floor(np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
-    with _written_aside(path) as part:
-        picture_files.write_png(part, pixels)
+    return picture_files.png(np.floor(np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8))
 
 
-def write_exr(path, image: dict, colour_space: str, passes=None, texts: dict[str, str] | None = None):
+def write_exr(path: str | os.PathLike, image: Mapping[str, np.ndarray], colour_space: str, passes: Iterable[str] | None = None,
+              texts: dict[str, str] | None = None) -> None:
     """The passes (default: all in image) as 32-bit float channels, named so that Blender finds its passes again.
 
     rgb and alpha are R, G, B, A: premultiplied, scene-linear, Rec. 709 primaries.  Every other pass is a layer, such as Depth.Z and
@@ -35,7 +58,7 @@ def write_exr(path, image: dict, colour_space: str, passes=None, texts: dict[str
         picture_files.write_exr(part, planes, texts)
 
 
-def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
+def _channels(image: Mapping[str, np.ndarray], colour_space: str, passes: Iterable[str]) -> dict[str, np.ndarray]:
     planes = {}
     for entry in (PASSES[name] for name in passes):
         values = entry.shown(image[entry.name])
@@ -46,7 +69,7 @@ def _channels(image, colour_space, passes) -> dict[str, np.ndarray]:
 
 
 @contextlib.contextmanager
-def _written_aside(path):
+def _written_aside(path: str | os.PathLike) -> Iterator[Path]:
     """Gives the file to write, which becomes `path` at the end; raises FastGSError where the system cannot write."""
     try:
         with replacing([Path(path)]) as (part,):

@@ -59,6 +59,10 @@ class ObjectSettings:
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
+
+    Example:
+        look = fg.ObjectSettings(exposure=0.5, saturation=0.8, opacity=0.6)
+        picture = fg.render([fg.Instance(model, np.eye(4), 0.2, look)], camera)
     """
 
     crops: tuple[Crop, ...] = ()
@@ -134,6 +138,9 @@ class Instance:
     rows       which of the origin's Gaussians, [len(model)]; None: all, in their order
 
     Raises FastGSError where the placement or the time is not finite.
+
+    Example:
+        picture = fg.render([fg.Instance(model, np.eye(4), 0.2), fg.Instance(model, np.diag([2, 2, 2, 1]), 0.8)], camera)
     """
 
     model: GaussianModel

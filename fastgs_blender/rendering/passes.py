@@ -5,7 +5,7 @@ A new pass is one entry of PASSES.  render(), `fastgs render`, the EXR writer an
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,6 +38,9 @@ class PassSettings:
                    features there; "transparent": that is left out, and alpha says what can be put behind.  Other models are the same
 
     Raises FastGSError for another sorting or film.
+
+    Example:
+        picture = fg.render(model, camera, settings=fg.PassSettings(sorting="pixel"))
     """
 
     mist: Mist = field(default_factory=Mist)
@@ -56,7 +59,7 @@ class PassSettings:
         """Whether each pixel sorts its splats for itself."""
         return self.sorting == "pixel"
 
-    def quantities(self, names, instances: list[ViewedInstance]) -> dict[str, Quantity]:
+    def quantities(self, names: Iterable[str], instances: list[ViewedInstance]) -> dict[str, Quantity]:
         """Those quantities, of all that passes may need, whose names are given."""
         table = {
             "mist": self.mist.quantity, "normal": lambda: NORMAL,

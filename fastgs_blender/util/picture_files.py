@@ -6,6 +6,7 @@ EXR as its specification has it (openexr.com, "OpenEXR File Layout"): scan lines
 """
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Mapping
@@ -31,8 +32,13 @@ LARGEST = 2 << 30
 """Bytes of an EXR that is read."""
 
 
-def write_png(path, pixels: np.ndarray) -> None:
+def write_png(path: str | os.PathLike, pixels: np.ndarray) -> None:
     """Write pixels [h, w] or [h, w, 3 or 4] uint8 as a PNG; raises OSError."""
+    Path(path).write_bytes(png(pixels))
+
+
+def png(pixels: np.ndarray) -> bytes:
+    """The bytes of that file."""
     pixels = np.ascontiguousarray(pixels, np.uint8)
     height, width = pixels.shape[:2]
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
@@ -47,7 +53,7 @@ def write_png(path, pixels: np.ndarray) -> None:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, {1: 0, 3: 2, 4: 6}[channels], 0, 0, 0)
-    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", stream) + chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", stream) + chunk(b"IEND", b"")
 
 
 def _deflated(rows: np.ndarray, start: int, stop: int, channels: int, last: bool) -> tuple[bytes, np.ndarray]:

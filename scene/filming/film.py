@@ -109,7 +109,7 @@ def _rig(plan, subject) -> dict[str, list[fg.Camera]]:
     views = {}
     for k, eye in enumerate(eyes):
         camera = fg.Camera(plan.width, plan.height, focal, focal, plan.width / 2, plan.height / 2,
-                           generated.look_at(eye, subject.centre), near=max(1e-3 * distance, 1e-4))
+                           fg.look_at(eye, subject.centre), near=max(1e-3 * distance, 1e-4))
         views[f"cam{k:0{digits}}"] = [camera] * len(plan.frames)
     return views
 

@@ -7,7 +7,7 @@ import pytest
 from conftest import read_png
 from PIL import Image
 
-from fastgs_blender.captures import generated
+import fastgs_blender as fg
 from fastgs_blender.captures.layouts import fastgs
 
 FRAMES = 6
@@ -27,7 +27,7 @@ def capture(user):
             if k == 0:
                 picture[:, :80, 3] = 0
             Image.fromarray(picture if k == 0 else picture[..., :3]).save(folder / name / f"{f + 1:04}.png")
-        pose = generated.look_at(np.array(eye), np.zeros(3))
+        pose = fg.look_at(eye, np.zeros(3))
         entries.append(dict(name=name, width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0, world_to_camera=pose,
                             distortion={"model": "opencv", "k1": -0.02}))
     fastgs.write_cameras(folder, entries, frame_count=FRAMES, fps=30, start_frame=1, axes="RFU")

@@ -2,11 +2,14 @@
 """The library's public face: all of it is described, with an example that runs, and docs/api.md says the same."""
 from __future__ import annotations
 
+import ast
 import importlib.util
 import inspect
 import pydoc
 import re
 import shutil
+import subprocess
+import sys
 import textwrap
 import warnings
 from pathlib import Path
@@ -31,6 +34,26 @@ def api_docs():
 
 def example(name: str) -> str:
     return textwrap.dedent(inspect.getdoc(getattr(fg, name)).partition("\n\nExample:\n")[2]).strip()
+
+
+def test_every_public_name_has_its_place():
+    """The three lists of the face are one: __all__, the modules that __getattr__ imports, and what type checkers see."""
+    tree = ast.parse((ROOT / "fastgs_blender" / "__init__.py").read_text("utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    shown = {node.module: {alias.name for alias in node.names} for node in block.body}
+    assert shown == {module: set(names.split()) for module, names in fg.PLACES.items()}
+    assert sorted(fg.__all__) == sorted({*(name for names in shown.values() for name in names), "FastGSError", "LossWarning"})
+    assert all(getattr(fg, name) for name in fg.__all__) and set(fg.__all__) <= set(dir(fg))
+    with pytest.raises(AttributeError, match="nonsense"):
+        fg.nonsense  # noqa: B018
+
+
+def test_importing_the_library_imports_no_room_of_it():
+    """Neither NumPy nor any module but those that the command line needs first; a name or a room is imported when it is used."""
+    code = ("import sys, fastgs_blender as fg; assert 'numpy' not in sys.modules; "
+            "print(*(name for name in sys.modules if name.startswith('fastgs_blender.') and not name.startswith('fastgs_blender.util'))); "
+            "assert fg.formats.readable() and fg.Clip(3).frame_count == 3")
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""
 
 
 def test_the_page_is_current(api_docs):

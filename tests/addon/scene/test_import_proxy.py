@@ -121,11 +121,10 @@ def test_a_backdrop_is_no_part_of_the_proxy(module, make_model, model_file):
 def test_the_room_around_a_subject_is_shown_and_not_framed(module, fg, make_model, model_file):
     """Cameras look at a subject of 1 in a room of 4: other engines show both, Home, Numpad-period and camera moves go by the subject."""
     around, views = module("fastgs_blender.model.surroundings"), module("fastgs_blender.cameras.viewpoints")
-    look_at = module("fastgs_blender.captures.generated").look_at
     rng = np.random.default_rng(0)
     position = np.concatenate([rng.uniform(-0.5, 0.5, (200, 3)), 4 * np.sign(rng.normal(size=(400, 3)))])
     eyes = [3 * np.array([np.cos(a), np.sin(a), 0]) for a in np.arange(8)]
-    cameras = [views.viewpoint_of(fg.Camera(48, 40, 40, 40, 24, 20, look_at(eye, np.zeros(3))), "", 3.0) for eye in eyes]
+    cameras = [views.viewpoint_of(fg.Camera(48, 40, 40, 40, 24, 20, fg.look_at(eye, np.zeros(3))), "", 3.0) for eye in eyes]
     model = replace(make_model(600, position=position), surroundings=around.Surroundings(cameras=tuple(cameras)))
     bpy.ops.import_scene.fastgs(filepath=model_file(model))
     obj = bpy.context.object

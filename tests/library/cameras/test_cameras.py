@@ -132,3 +132,18 @@ def test_any_value_is_read_or_refused(tmp_path_factory, key, value):
     except fg.FastGSError:
         return
     assert np.isfinite(view.camera.world_to_camera).all()
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0)])
+def test_a_camera_looks_at_a_point_upright(up):
+    eye, target = np.array([2.0, -3, 1.5]), np.array([0.5, 0.2, -1])
+    matrix = fg.look_at(eye, target, up)
+    turn = matrix[:3, :3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1)
+    np.testing.assert_allclose(matrix @ [*eye, 1], [0, 0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(matrix @ [*target, 1], [0, 0, np.linalg.norm(target - eye), 1], atol=1e-12)
+    assert turn[0] @ up == pytest.approx(0) and turn[1] @ up < 0, "x stays level, and y is down"
+    for wrong in (eye, eye + 2 * np.array(up)):
+        with pytest.raises(fg.FastGSError, match="look at"):
+            fg.look_at(eye, wrong, up)

@@ -378,3 +378,17 @@ def test_a_disk_that_takes_no_more_is_one_sentence(work, start, kind):
     assert len(err.strip().splitlines()) == 1
     assert "could not be written" in err
     assert names(work) == []
+
+
+def test_frames_go_to_standard_output_for_ffmpeg(work, capsysbinary):
+    """The same bytes as in files, one PNG after another."""
+    command = ["render", str(work / "m.safetensors"), "--camera", str(work / "cameras.json"), "--backend", "reference", "--frames", "2:4"]
+    assert cli.main([*command, "--out", str(work / "out")]) == 0
+    capsysbinary.readouterr()
+    assert cli.main([*command, "--out", "-", "--quiet"]) == 0
+    files = [(work / "out" / f"{frame:04d}.png").read_bytes() for frame in (2, 3, 4)]
+    assert capsysbinary.readouterr().out == b"".join(files)
+    for more in (["--format", "exr"], ["--json"]):
+        assert cli.main([*command, "--out", "-", *more]) == cli.FAILED
+        printed = capsysbinary.readouterr()
+        assert not printed.out and more[0].encode() in printed.err

@@ -10,8 +10,8 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender import formats
+from fastgs_blender.cameras.poses import look_at
 from fastgs_blender.cameras.viewpoints import viewpoint_of
-from fastgs_blender.captures.generated import look_at
 from fastgs_blender.formats.scenes import as_seen
 from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering.instances import Instance, ObjectSettings

@@ -68,3 +68,9 @@ def test_numbers_out_of_range_are_refused(make):
 
 def test_whole_numbers_may_be_numpys():
     assert fg.SH(np.int64(2)).width == 27 and fg.Fourier(np.int32(3)).terms == 6 and fg.Clip(np.int64(4)).frame_count == 4
+
+
+def test_a_model_is_described_in_two_lines(rng, make_model):
+    for appearance in ("sigmoid", "sh3"):
+        lines = repr(make_model(rng, 7, "keys", "line", "radial", appearance)).splitlines()
+        assert len(lines) == 2 and max(map(len, lines)) <= 140 and "7 Gaussians" in lines[0] and "radial" in lines[1]

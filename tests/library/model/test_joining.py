@@ -80,3 +80,38 @@ def test_what_does_not_fit_together_is_told(rng, change, sentence):
     parts = segments(rng)
     with pytest.raises(fg.FastGSError, match=sentence):
         join([parts[0], change(parts[1])], fg.Clip(10))
+
+
+@pytest.mark.parametrize(("basis", "turn", "temporal", "appearance"), [
+    ("paper", "line", "radial", "sh2"), ("cubic", "static", "window", "rgb"), ("keys", "line", "radial-window", "sh1"),
+    ("static", "static", "always", "sigmoid")])
+def test_models_put_together_look_as_they_did(rng, basis, turn, temporal, appearance):
+    """Also beside one that stands still, is always there and has plainer colours; whatever the time."""
+    first = random_model(rng, 9, basis, turn, temporal, appearance)
+    look = first.appearance if appearance == "sigmoid" else "rgb" if appearance == "rgb" else "sh0"
+    still = random_model(rng, 5, "static", "static", "always", look)
+    if appearance == "sh2":
+        still = replace(still, appearance=fg.RGB(), features=np.abs(still.features))
+    for models in ([first, still], [still, first, still]):
+        both = fg.concatenate(models)
+        for t in (-0.2, 0.35, 1.1):
+            now, parts = fg.slice_model(both, t, cull=False), [fg.slice_model(m, t, cull=False) for m in models]
+            for name in ("position", "scale", "opacity"):
+                np.testing.assert_allclose(getattr(now, name), np.concatenate([getattr(p, name) for p in parts]), atol=1e-6)
+        camera = random_camera(rng)
+        for i, m in enumerate(models):
+            mine = both.take(slice(sum(map(len, models[:i])), sum(map(len, models[:i + 1]))))
+            seen = [fg.render(each, camera, 0.4, backend="reference")["rgb"] for each in (mine, m)]
+            np.testing.assert_allclose(*seen, atol=1e-5)
+
+
+def test_models_of_other_kinds_are_not_put_together(rng):
+    first = random_model(rng, 4, "paper", "line", "radial", "sh1")
+    for other, said in ((random_model(rng, 4, "cubic", "line", "radial", "sh1"), "basis"), (replace(first, axes="RFU"), "axes"),
+                        (random_model(rng, 4, "paper", "line", "window", "sh1"), "temporal"),
+                        (replace(first, colour_space="linear"), "colour"),
+                        (random_model(rng, 4, "paper", "line", "radial", "sigmoid"), "appearance")):
+        with pytest.raises(fg.FastGSError, match=said):
+            fg.concatenate([first, other])
+    with pytest.raises(fg.FastGSError):
+        fg.concatenate([])

@@ -11,8 +11,8 @@ from random_models import random_model
 from toy_captures import write_capture
 
 import fastgs_blender as fg
+from fastgs_blender.cameras.poses import look_at
 from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
-from fastgs_blender.captures.generated import look_at
 from fastgs_blender.cli import main
 from fastgs_blender.formats.annotate import annotate
 from fastgs_blender.formats.scenes import placed

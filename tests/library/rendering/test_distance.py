@@ -11,8 +11,8 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.panorama import FACES, Panorama
+from fastgs_blender.cameras.poses import look_at
 from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
-from fastgs_blender.captures.generated import look_at
 from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering import distance
 from fastgs_blender.rendering.exposure import Aperture, Exposure

@@ -120,3 +120,18 @@ def test_a_folder_that_is_gone_is_one_sentence(picture, tmp_path, write):
     with pytest.raises(fg.FastGSError, match="could not be written") as error:
         write(path, picture[0], "srgb")
     assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_save_image_writes_by_the_names_ending(picture, tmp_path, kind):
+    image, _ = picture
+    fg.save_image(image, tmp_path / f"a.{kind}", "linear")
+    (images.write_png if kind == "png" else images.write_exr)(tmp_path / f"b.{kind}", image, "linear")
+    assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+
+
+def test_save_image_refuses_other_pictures(picture, tmp_path):
+    image, _ = picture
+    for wrong, name in ((image, "a.jpg"), ({"depth": image["depth"]}, "a.png")):
+        with pytest.raises(fg.FastGSError, match=name):
+            fg.save_image(wrong, tmp_path / name)

@@ -11,8 +11,8 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.lens import Intrinsics, Lens
+from fastgs_blender.cameras.poses import look_at
 from fastgs_blender.captures.capture import Capture, Shot
-from fastgs_blender.captures.generated import look_at
 from fastgs_blender.captures.refined import refined
 from fastgs_blender.captures.sources import Source
 from fastgs_blender.training.core.settings import settings

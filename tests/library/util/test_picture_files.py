@@ -98,7 +98,7 @@ def test_other_exrs_and_cut_ones_are_refused(tmp_path):
 def test_rigs_look_at_the_middle_from_different_places(rig):
     eyes = np.array([1, 2, 3]) + 4 * generated.directions(12, rig)
     for eye in eyes:
-        matrix = generated.look_at(eye, np.array([1, 2, 3]))
+        matrix = fg.look_at(eye, np.array([1, 2, 3]))
         assert np.allclose(matrix @ [1, 2, 3, 1], [0, 0, 4, 1]) and np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3))
         assert matrix[1, 2] < 0, "up in the picture is up in the world"
     apart = np.linalg.norm(eyes[:, None] - eyes[None], axis=2)[~np.eye(12, dtype=bool)]
@@ -115,7 +115,7 @@ def test_cover_and_points(tmp_path):
     share = generated.cover(planes, json.dumps({"Ball": "3f001234", "Floor": "00000009"}), {"Ball"})
     assert share[0, 1] == 0.75 and np.count_nonzero(share) == 1
 
-    camera = fg.Camera(3, 2, 4.0, 5.0, 1.4, 1.1, generated.look_at(np.array([3.0, -2, 1]), np.zeros(3)))
+    camera = fg.Camera(3, 2, 4.0, 5.0, 1.4, 1.1, fg.look_at(np.array([3.0, -2, 1]), np.zeros(3)))
     xyz = generated.unproject(camera, zero + 2.5, np.array([0, 1]), np.array([2, 0]))
     seen = np.c_[xyz, np.ones(2)] @ camera.world_to_camera.T
     assert np.allclose(seen[:, 2], 2.5)

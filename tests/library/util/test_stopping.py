@@ -38,7 +38,7 @@ def ended(command, number, place, tmp_path):
 
 
 @pytest.mark.parametrize("number", stopping.SIGNALS)
-@pytest.mark.parametrize("place", ["numpy", "fastgs_blender.training.run.launch", "fastgs_blender.cli", "numba"])
+@pytest.mark.parametrize("place", ["numpy", "fastgs_blender.commands.render", "fastgs_blender.cli", "numba"])
 def test_a_signal_while_modules_are_imported(number, place, tmp_path):
     """render imports numba when it has begun."""
     command = [sys.executable, "-m", "fastgs_blender", "render", str(ROOT / "examples" / "fireside.safetensors"), "--camera",
