@@ -12,11 +12,9 @@ from ..fastgs_blender.jobs import capture_check
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import installation, watch
-from .stepwise import Stepwise
+from .stepwise import Stepwise, watched
 
 TEXT = "FAST-GS Check"
-PAUSE = 0.05
-"""Seconds between two looks at the process."""
 MOST = 3
 """Findings that are reported by themselves."""
 
@@ -55,11 +53,7 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
     def _work(self, context):
         """A generator that waits for the process; closing it ends the process."""
         settings = context.scene.fastgs.training
-        path = bpy.path.abspath(self.capture or settings.capture).rstrip("/\\")
-        if not path:
-            raise FastGSError("no capture is chosen; choose its folder.")
-        if not Path(path).exists():
-            raise FastGSError(f"{path}: there is no such capture; check the folder.")
+        path = installation.capture_path(self.capture or settings.capture)
         options = []
         if settings.scale:
             options += ["--scale", f"{settings.scale:.6g}"]
@@ -67,7 +61,7 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
             if value.strip():
                 options += [flag, ",".join(part.strip() for part in value.split(",") if part.strip())]
         running = capture_check.CaptureCheck(installation.python(), path, self._folder(path), options)
-        return self._steps_of(running)
+        return watched(running, lambda: running.progress)
 
     def _folder(self, path: str) -> str:
         """Where the page goes: as asked, beside the capture (""), or into the extension's folder where nothing can be written there."""
@@ -75,18 +69,6 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
             return bpy.path.abspath(self.out)
         parent = Path(path).resolve().parent
         return "" if os.access(parent, os.W_OK) else str(installation.folder("checks") / Path(path).name)
-
-    @staticmethod
-    def _steps_of(running):
-        try:
-            while not running.wait(PAUSE):
-                stage, share = running.progress
-                yield share, 1, stage
-        finally:
-            running.stop()
-        if running.values is None:
-            raise FastGSError(running.trouble)
-        return running.values
 
     def finish(self, context, values):
         text = bpy.data.texts.get(TEXT) or bpy.data.texts.new(TEXT)

@@ -15,6 +15,8 @@ VIEW = ({'MOUSEMOVE', 'INBETWEEN_MOUSEMOVE', 'MIDDLEMOUSE', 'WHEELUPMOUSE', 'WHE
 """Events that turn and move the view."""
 BUDGET = 0.1
 """Seconds of work between two looks at the keyboard."""
+PAUSE = 0.05
+"""Seconds between two looks at a process."""
 REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
 
@@ -112,3 +114,17 @@ class Stepwise:
     def _fail(self, error):
         self.report({'ERROR'}, sentence(error))
         return {'CANCELLED'}
+
+
+def watched(command, progress):
+    """Work for begin() that waits for a jobs.command.Command and returns its values; closing it ends the process.
+
+    progress  () -> (what it is doing, the share of the whole that is done)
+    """
+    try:
+        while not command.wait(PAUSE):
+            stage, share = progress()
+            yield share, 1, stage
+    finally:
+        command.stop()
+    return command.result()

@@ -122,12 +122,7 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
             raise FastGSError("Capture the scene first, with fastgs.capture_scene, and train on its folder.")
         if self.source == 'CAMERAS':
             return plates.write_capture(context, Path(place.out) / "capture")
-        capture = bpy.path.abspath(self.capture).rstrip("/\\")
-        if not capture:
-            raise FastGSError("no capture is chosen; choose its folder.")
-        if not Path(capture).exists():
-            raise FastGSError(f"{capture}: there is no such capture; check the folder.")
-        return capture
+        return installation.capture_path(self.capture)
 
     def _run(self, context, job):
         """Start the job at once and wait until it has ended."""

@@ -2,10 +2,8 @@
 """Checks before a run starts: the training Python, the capture, disk and memory; and how long filming will take."""
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import subprocess
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +12,9 @@ from ..captures.layouts import fastgs
 from ..training.core.costs import BASE_MEMORY, CORES
 from ..util.errors import FastGSError
 from ..util.reading import read_json, reading
-from . import causes
 from . import environment as pythons
+from .capture_check import PROBLEMS
+from .command import Command
 
 LEAST_DISK = 500 << 20
 """Bytes that a run's folder should have free: a checkpoint, its successor, the model, pictures."""
@@ -54,20 +53,15 @@ def inspect(python: str, capture: str) -> Facts:
         raise FastGSError(report.sentence)
     if not capture:
         raise FastGSError("no capture is chosen; choose its folder.")
-    here = Path(__file__).resolve()
-    command = [python, str(here.with_name("child.py")), str(here.parents[2]), "", "", "info", capture, "--json"]
-    done = subprocess.run(command, env=pythons.environment(python), stdin=subprocess.DEVNULL, capture_output=True, check=False)
-    try:
-        values = json.loads(done.stdout)
-        first = next((view for view in values["views"] if view["width"] or view["file_width"]), None) or {}
-        latest = Facts(capture, len(values["views"]), values["clip"]["frame_count"], first.get("width") or first.get("file_width") or 0,
-                       first.get("height") or first.get("file_height") or 0, values["layout"], values["posed"], values["problems"])
-        if not latest.posed and "pycolmap" in report.missing:
-            latest.problems.append(f"the capture does not say where its cameras are, and {python} lacks pycolmap, which finds that; make "
-                                   "an environment for training in the preferences, or choose one that has it.")
-    except (ValueError, KeyError, TypeError) as error:
-        printed = done.stderr.decode(errors="replace")
-        raise FastGSError(causes.sentence(None, printed, done.returncode, capture, "reading the capture")) from error
+    looking = Command(python, ["info", capture], "reading the capture", capture, (0, PROBLEMS))
+    looking.wait()
+    values = looking.result()
+    first = next((view for view in values["views"] if view["width"] or view["file_width"]), None) or {}
+    latest = Facts(capture, len(values["views"]), values["clip"]["frame_count"], first.get("width") or first.get("file_width") or 0,
+                   first.get("height") or first.get("file_height") or 0, values["layout"], values["posed"], values["problems"])
+    if not latest.posed and "pycolmap" in report.missing:
+        latest.problems.append(f"the capture does not say where its cameras are, and {python} lacks pycolmap, which finds that; make an "
+                               "environment for training in the preferences, or choose one that has it.")
     return latest
 
 

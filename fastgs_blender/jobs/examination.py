@@ -2,14 +2,11 @@
 """Tests this machine's GPUs in a process of its own, so that a driver that crashes ends that process alone.  No bpy here."""
 from __future__ import annotations
 
-import contextlib
-import json
-import subprocess
 import sys
 import threading
-from pathlib import Path
 
-from .environment import end, environment, hidden
+from ..util.errors import FastGSError
+from .command import Command
 
 TRIES = 4
 """Processes that are begun before it is given up.  A GPU that has ended one is not tested again by the next."""
@@ -20,22 +17,23 @@ class Examination:
 
     part   of the names of the GPUs that are tested, "": all
     again  also those that have been tested before
-    line   what it is doing
     found  what describe_devices() gives, when it has ended; None where it could not
     trouble  why it could not, in a sentence, or ""
     """
 
     def __init__(self, part: str = "", again: bool = False, python: str = sys.executable):
-        self.line, self.trouble = "looking for GPUs", ""
+        self.trouble = ""
         self.found: dict | None = None
-        here = Path(__file__).resolve()
-        self._command = [python, str(here.with_name("child.py")), str(here.parents[2]), "", "", "info", "--devices", "--json",
-                         *(["--device", part] if part else [])]
-        self._again, self._environment = again, environment(python)
-        self._process: subprocess.Popen | None = None
+        self._python, self._again, self._arguments = python, again, ["info", "--devices", *(["--device", part] if part else [])]
+        self._command: Command | None = None
         self._stopped = False
         self._thread = threading.Thread(target=self._run, name="FAST-GS GPUs", daemon=True)
         self._thread.start()
+
+    @property
+    def line(self) -> str:
+        """What it is doing."""
+        return (self._command.line if self._command else "") or "looking for GPUs"
 
     @property
     def done(self) -> bool:
@@ -50,35 +48,20 @@ class Examination:
     def stop(self) -> None:
         """End it."""
         self._stopped = True
-        if self._process is not None:
-            end(self._process)
+        if self._command is not None:
+            self._command.stop()
         self._thread.join()
 
-    def _run(self):
+    def _run(self) -> None:
         for number in range(TRIES):
             try:
-                text = self._once(self._command + ["--again"] * (self._again and not number))
-            except OSError as error:
-                self.trouble = f"the GPUs could not be tested ({error.strerror or error})."
+                self._command = Command(self._python, [*self._arguments, *["--again"] * (self._again and not number)],
+                                        "the test of the GPUs", "this machine")
+            except FastGSError as error:
+                self.trouble = str(error)
                 return
-            with contextlib.suppress(ValueError):
-                self.found = json.loads(text)
+            self._command.wait()
+            self.found = self._command.values
             if self.found is not None or self._stopped:
                 return
         self.trouble = f"the GPUs could not be tested ({self.line})."
-
-    def _once(self, command: list[str]) -> str:
-        """The standard output of one process.  While it runs, `line` is its last remark."""
-        self._process = subprocess.Popen(command, env=self._environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                                         stderr=subprocess.PIPE, encoding="utf-8", errors="replace", **hidden())
-        with self._process as process:
-            reader = threading.Thread(target=self._read, args=(process.stderr,), daemon=True)
-            reader.start()
-            text = process.stdout.read()
-            reader.join()
-        return text
-
-    def _read(self, stream):
-        for line in stream:
-            if line.strip():
-                self.line = line.strip().removeprefix("fastgs: ")

@@ -31,6 +31,7 @@ from ..util.errors import FastGSError, printable_lines
 from ..util.outputs import appending, replacing
 from ..util.reading import open_file
 from . import causes
+from .command import command_line
 from .environment import environment
 from .job import ENDED, LATEST, RUNNING, Job, State, job_values, read_job, read_status
 from .places import place_for
@@ -195,9 +196,8 @@ class Jobs:
 
     def command(self, job: Job, more=()) -> list[str]:
         """The command line of its process."""
-        here = Path(__file__).resolve()  # one place for the kernels that numba keeps by path
-        return [job.python, str(here.with_name("child.py")), str(here.parents[2]), str(self._file(job.id, ".lock")),
-                str(self._file(job.id, ".stop")), "train", job.capture, "--out", job.out, *job.options, *more]
+        return command_line(job.python, ["train", job.capture, "--out", job.out, *job.options, *more], str(self._file(job.id, ".lock")),
+                            str(self._file(job.id, ".stop")))
 
     def _start(self, job: Job) -> None:
         if self.alive(job):

@@ -33,6 +33,16 @@ def jobs() -> Jobs:
     return Jobs(folder("training/jobs"))
 
 
+def capture_path(path: str) -> str:
+    """The path of a capture that a user chose, absolute; raises FastGSError where none is chosen or nothing is there."""
+    path = bpy.path.abspath(path).rstrip("/\\")
+    if not path:
+        raise FastGSError("no capture is chosen; choose its folder.")
+    if not Path(path).exists():
+        raise FastGSError(f"{path}: there is no such capture; check the folder.")
+    return path
+
+
 def made_environment() -> Path:
     """The folder of the environment for training that the preferences' button makes."""
     return folder("training/environment")

@@ -2,12 +2,11 @@
 """Checks before a run is started whether it can be started; reads no pictures, so that a panel can ask at each redraw."""
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 
+from ...fastgs_blender.util.errors import FastGSError
 from ..filming import progress
-from . import plates
+from . import installation, plates
 
 
 def source_trouble(context: bpy.types.Context) -> str:
@@ -19,10 +18,11 @@ def source_trouble(context: bpy.types.Context) -> str:
         count = plates.count(context.scene)
         return "" if count > 1 else (f"{count or 'none'} of the scene's cameras has a film or an image sequence as background, and "
                                      "training needs several; import a capture's cameras, or give the cameras background images.")
-    capture = bpy.path.abspath(settings.capture).rstrip("/\\")
-    if not capture:
-        return "no capture is chosen; choose its folder."
-    return "" if Path(capture).exists() else f"{capture}: there is no such capture; check the folder."
+    try:
+        installation.capture_path(settings.capture)
+    except FastGSError as error:
+        return str(error)
+    return ""
 
 
 def filming_trouble(context: bpy.types.Context, cameras: str) -> str:

@@ -65,9 +65,8 @@ def test_what_cannot_be_checked_is_one_sentence(scene, tmp_path):
 def test_an_interrupted_check_ends_its_process(module, capture, tmp_path):
     """Esc closes the work's generator."""
     checks = module("fastgs_blender.jobs.capture_check")
-    operator = next(cls for cls in module("operators").CLASSES if cls.__name__ == "FASTGS_OT_check_capture")
     running = checks.CaptureCheck(module("scene.training.installation").python(), str(capture), str(tmp_path / "page"))
-    steps = operator._steps_of(running)
+    steps = module("operators.stepwise").watched(running, lambda: running.progress)
     share, whole, stage = next(steps)
     assert 0 <= share <= whole == 1 and stage
     steps.close()

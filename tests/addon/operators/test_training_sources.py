@@ -196,8 +196,7 @@ def test_check_says_what_a_capture_without_poses_needs(module, monkeypatch, pose
     report = checks.pythons.Report("python", "3.11", {}, missing)
     values = {"views": [{"width": 40, "height": 30}] * 3, "clip": {"frame_count": 5}, "layout": "films", "posed": posed, "problems": []}
     monkeypatch.setattr(checks.pythons, "inspect", lambda python: report)
-    done = SimpleNamespace(stdout=json.dumps(values).encode(), stderr=b"", returncode=0)
-    monkeypatch.setattr(checks.subprocess, "run", lambda *_, **__: done)
+    monkeypatch.setattr(checks, "Command", lambda *_: SimpleNamespace(wait=lambda: True, result=lambda: values))
     monkeypatch.setattr(checks, "latest", None)
     found = checks.inspect("python", "/dance")
     assert (found.views, found.frames, found.posed) == (3, 5, posed)
