@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..util.arguments import file_path, shown
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.outputs import replacing
 from ..util.reading import read_json, reading
@@ -42,7 +42,7 @@ def load_cameras(path: str | Path) -> list[View]:
     Example:
         camera = fg.load_cameras("examples/cameras.json")[4].camera
     """
-    path = file_path(path)
+    path = Path(path)
     entries = read_json(path, LARGEST_FILE, "it is not JSON, or cut short; give a cameras.json as 3DGS trainers write it")
     with reading(path):
         return _views(path, entries)
@@ -56,7 +56,7 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
     Example:
         fg.save_cameras([camera], "cameras.json")
     """
-    path = file_path(path)
+    path = Path(path)
     given = list(views) if isinstance(views, Iterable) else [views]
     wrong = [view for view in given if not isinstance(view, (View, Camera))]
     if wrong or not isinstance(views, Iterable):

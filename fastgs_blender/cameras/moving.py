@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..util import rotations
-from ..util.arguments import instance_of, numbers, real, shown, whole, yes_or_no
+from ..util.arguments import numbers, real, shown, whole
 from ..util.errors import FastGSError
 from . import moves, poses
 from .camera import Camera
@@ -80,7 +80,7 @@ def through(cameras: Sequence[Camera], frames: int, *, closed: bool = False, eas
     Example:
         path = fg.through([view.camera for view in fg.load_cameras("examples/cameras.json")[:4]], 48)
     """
-    first, closed = _first(cameras), yes_or_no(closed, "closed")
+    first = _first(cameras)
     placed = np.array([poses.inverse(camera.world_to_camera) for camera in cameras])
     focal = np.array([camera.fx * first.width / camera.width for camera in cameras])
     keys = moves.Path(placed[:, :3, 3], rotations.one_sign(rotations.from_matrices(placed[:, :3, :3])), focal)
@@ -96,12 +96,8 @@ def outside(path: Sequence[Camera], cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _first(cameras: Sequence[Camera]) -> Camera:
-    if not isinstance(cameras, Sequence) or isinstance(cameras, str | bytes):
-        raise FastGSError(f"a camera move needs a list of cameras, not {shown(cameras)}.")
     if not len(cameras):
         raise FastGSError("a camera move needs a camera to begin with.")
-    for camera in cameras:
-        instance_of(camera, Camera, "what a camera move begins with")
     return cameras[0]
 
 

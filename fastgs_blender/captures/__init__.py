@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from ..util.arguments import file_path, shown
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
@@ -91,7 +91,7 @@ def first_clocks(path: str | os.PathLike, layout: str | None = None) -> Mapping[
 
 
 def _existing(path: str | os.PathLike) -> Path:
-    path = file_path(path, "the name of a capture")
+    path = Path(path)
     try:
         if not path.exists():
             raise FastGSError(f"{path}: there is no such capture; check the name and the folder.")

@@ -16,7 +16,7 @@ from ..cameras.camera import Camera
 from ..cameras.moving import focus
 from ..model.gaussians import Clip
 from ..model.points import Points
-from ..util.arguments import names, real, shown
+from ..util.arguments import real, shown
 from ..util.errors import FastGSError
 from .sources import Source
 
@@ -46,7 +46,7 @@ class Options:
                 each is None or isinstance(each, Integral) for each in (part.start, part.stop, part.step))):
             raise FastGSError(f"the frames of a capture are chosen by a slice of whole numbers, such as slice(0, 100), not {shown(part)}.")
         if self.held_out is not None:
-            object.__setattr__(self, "held_out", names(self.held_out, "the views that are held out"))
+            object.__setattr__(self, "held_out", tuple(self.held_out))
         if not isinstance(self.offsets, Mapping):
             raise FastGSError(f"the offsets of clocks are given by view, as {{\"cam00\": 0.5}}, not as {shown(self.offsets)}.")
         for view, offset in self.offsets.items():

@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Sequence
 
 from ..captures import open_capture
-from ..util.arguments import file_path, listener
 from ..util.errors import FastGSError
 from .report import CheckReport, Section
 from .samples import Looked, look
@@ -33,9 +32,8 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
         report = fg.check("my-capture")
         print(report.verdict)
     """
-    path = file_path(path, "the name of a capture")
     capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
-    report = listener(progress)
+    report = progress or (lambda *_: None)
 
     def at(stage: str, share: float) -> None:
         low, high = WEIGHTS[stage]

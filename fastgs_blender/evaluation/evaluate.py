@@ -22,7 +22,7 @@ from ..model.gaussians import GaussianModel
 from ..rendering import colour
 from ..rendering.api import render
 from ..rendering.images import write_png
-from ..util.arguments import file_path, listener, names, shown, yes_or_no
+from ..util.arguments import shown
 from ..util.backends import describe_backend
 from ..util.errors import FastGSError
 from . import halves, metrics
@@ -60,10 +60,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
         average = fg.evaluate(fg.load("run/model.safetensors"), fg.open_capture("my-capture", scale=0.5))["average"]
     """
     _check(model, capture)
-    lpips, fit_colours = yes_or_no(lpips, "lpips"), None if fit_colours is None else yes_or_no(fit_colours, "fit_colours")
-    progress, out = listener(progress), None if out is None else file_path(out, "the folder of the pictures")
-    if store is not None and not hasattr(store, "pixels"):
-        raise FastGSError(f"pictures are given by a FrameStore, not by {shown(store)}.")
+    progress, out = progress or (lambda *_: None), None if out is None else Path(out)
     known, differed = recorded(model), corrections(model)
     fit_colours = "exposures" in differed if fit_colours is None else fit_colours
     given, capture = capture, refined(capture, differed.get("cameras", {}))
@@ -185,8 +182,6 @@ def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequenc
     """
     there = capture.views
     listed = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
-    if views is not None:
-        views = names(views, "the views to evaluate")
     if frames is not None:
         numbered = tuple(frames) if isinstance(frames, Iterable) else (None,)
         if not all(isinstance(frame, Integral) for frame in numbered):

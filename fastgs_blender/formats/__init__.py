@@ -16,7 +16,6 @@ import numpy as np
 
 from ..model.gaussians import GaussianModel, unchanging
 from ..model.sequence import Source
-from ..util.arguments import file_path
 from ..util.errors import FastGSError, LossWarning, printable
 from ..util.outputs import check_whole, replacing
 from ..util.reading import open_file, reading
@@ -87,7 +86,7 @@ def open_source(path: str | os.PathLike) -> Source:
     Example:
         model, t = fg.open_source("examples/fireside.safetensors").moment(0.25)
     """
-    path = settled(file_path(path))
+    path = settled(Path(path))
     with _reading(path):
         known = _identify(path)
         source = known.open(path, load)
@@ -100,7 +99,7 @@ def open_source(path: str | os.PathLike) -> Source:
 
 def fingerprint(path: str | os.PathLike) -> str:
     """SHA-256 of a file's content; of a sequence, of its files' names and sizes.  Raises FastGSError."""
-    path = settled(file_path(path))
+    path = settled(Path(path))
     with reading(path):
         if stands_for_many(path):
             listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
@@ -111,7 +110,7 @@ def fingerprint(path: str | os.PathLike) -> str:
 
 def identify(path: str | os.PathLike) -> Format:
     """The format of a file, by its content.  Raises FastGSError where it is none of ours."""
-    path = settled(file_path(path))
+    path = settled(Path(path))
     with _reading(path):
         return _identify(path)
 
@@ -125,7 +124,7 @@ def load(path: str | os.PathLike) -> GaussianModel:
     Example:
         model = fg.load("examples/fireside.safetensors")
     """
-    path = settled(file_path(path))
+    path = settled(Path(path))
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
         single = known.single(path, load) if isinstance(known, SequenceFormat) else None
@@ -148,7 +147,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
     Example:
         fg.save(model, "copy.ply")
     """
-    path = file_path(path)
+    path = Path(path)
     try:
         if not isinstance(model, GaussianModel):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
@@ -172,7 +171,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
 
 def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:
     """All files that save() would write: path, and a decoder beside it where the format keeps one there."""
-    path = file_path(path)
+    path = Path(path)
     try:
         return writer_of(model, path).files(model, path)
     except FastGSError as error:

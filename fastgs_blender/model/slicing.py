@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..util import rotations
-from ..util.arguments import real, shown, yes_or_no
+from ..util.arguments import real, shown
 from ..util.errors import FastGSError
 from .appearance import Features, features_at, momentary
 from .gaussians import GaussianModel
@@ -59,7 +59,7 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
         raise FastGSError(f"a model is wanted, as fg.load(path) reads it, not {shown(model)}.")
     t = real(t, "the time of a model")
     sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
-    index = np.flatnonzero(sigma >= model.raster.alpha_cut) if yes_or_no(cull, "cull") else np.arange(len(model))
+    index = np.flatnonzero(sigma >= model.raster.alpha_cut) if cull else np.arange(len(model))
     mu_tau = model.mu_tau[index].astype(np.float64)
     offset, velocity = model.basis.evaluate(model.motion[index], t, mu_tau)
     turn, _ = model.rotation_basis.evaluate(model.rotation_motion[index], t, mu_tau)

@@ -16,7 +16,7 @@ from ..cameras.panorama import Panorama
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Sequence, Source
-from ..util.arguments import instance_of, listener, real, shown
+from ..util.arguments import real, shown
 from ..util.backends import load_backend
 from ..util.errors import FastGSError, LossWarning
 from .exposure import Exposure
@@ -79,10 +79,7 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     unknown = [p for p in passes if not isinstance(p, str) or p not in PASSES]
     if unknown:
         raise FastGSError(f"the pass {unknown[0]!r} is unknown; there are {', '.join(PASSES)}.")
-    instance_of(settings, PassSettings, "the settings of a picture")
-    if exposure is not None:
-        instance_of(exposure, Exposure, "the exposure")
-    holdout, progress = as_triangles(holdout), listener(progress)
+    holdout, progress = as_triangles(holdout), progress or (lambda share: None)
     if isinstance(camera, Panorama):
         face = partial(render, model, t=t, backend=backend, holdout=holdout)
         return render_panorama(face, camera, passes, settings, exposure, progress)

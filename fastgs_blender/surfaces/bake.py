@@ -16,7 +16,7 @@ import numpy as np
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
 from ..util import rotations
-from ..util.arguments import instance_of, listener, numbers, real, shown, whole
+from ..util.arguments import numbers, real, whole
 from ..util.errors import FastGSError
 from .bends import offset_paths, tangent_frames
 from .colours import Colours, Painted
@@ -168,15 +168,13 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
     Example:
         baked, report = fg.bake(positions, triangles, colours=(0.8, 0.3, 0.1), count=1000)
     """
-    progress = listener(progress)
-    if provenance is not None and not isinstance(provenance, dict):
-        raise FastGSError(f"the provenance must be a dictionary of texts, not {shown(provenance)}.")
+    progress = progress or (lambda share: None)
     surface, frames, frame_count = _checked(positions, triangles, frames, frame_count, part, patch)
     for name, value in (("tolerance", tolerance), ("tolerance of the 99th percentile", tail_tolerance)):
         if not real(value, f"the {name}") > 0:
             raise FastGSError(f"the {name} must be positive, not {value}.")
     given = samples is not None
-    samples = _spread(surface, count) if samples is None else instance_of(samples, SurfaceSamples, "the samples")
+    samples = _spread(surface, count) if samples is None else samples
     progress(0.15)
     painted = colours if isinstance(colours, Painted) else surface.painted(colours, samples, given)
     visible = painted.rgba[:, 3] >= 1 / 255

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks of the arguments that Python programs pass: what is wrong is told in one sentence, which says what is wanted."""
+"""Checks of values that Python programs pass: numbers, shapes and names that are out of bounds are told in one sentence.
+
+Arguments of a wrong type are left to Python's own errors, but where the mistake is a likely one."""
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from numbers import Real
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from .errors import FastGSError
-
-T = TypeVar("T")
 
 
 def shown(value: object) -> str:
@@ -23,13 +21,6 @@ def shown(value: object) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else f"{value[:37]}...")
     return f"an array of the shape {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
-
-
-def file_path(value: object, what: str = "the name of a file") -> Path:
-    """A path, from a text or a path."""
-    if not isinstance(value, (str, bytes, os.PathLike)):
-        raise FastGSError(f"{what} must be a text or a path, not {shown(value)}.")
-    return Path(os.fsdecode(value))
 
 
 def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> float:
@@ -63,38 +54,6 @@ def one_of(value: Any, what: str, names: Iterable[str]) -> str:
     if not isinstance(value, str) or value not in choices:
         raise FastGSError(f"{what} must be one of {', '.join(choices)}, not {shown(value)}.")
     return value
-
-
-def instance_of(value: Any, kind: type[T], what: str) -> T:
-    """One of this library's objects, told by its class."""
-    if not isinstance(value, kind):
-        raise FastGSError(f"{what} must be {'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}, not {shown(value)}.")
-    return value
-
-
-def names(value: Any, what: str) -> tuple[str, ...]:
-    """Several names, as a list of texts."""
-    if not isinstance(value, Iterable) or isinstance(value, str | bytes) or (isinstance(value, np.ndarray) and value.ndim != 1):
-        raise FastGSError(f"{what} must be a list of names, not {shown(value)}.")
-    found = tuple(value)
-    wrong = [each for each in found if not isinstance(each, str)]
-    if wrong:
-        raise FastGSError(f"{what} must be names, not {shown(wrong[0])}.")
-    return found
-
-
-def yes_or_no(value: Any, what: str) -> bool:
-    """A truth value; numbers are true where they are not 0."""
-    if value is not None and not isinstance(value, (bool, np.bool_, Real)):
-        raise FastGSError(f"{what} must be True or False, not {shown(value)}.")
-    return bool(value)
-
-
-def listener(value: Any, what: str = "what is told of progress") -> Callable[..., Any]:
-    """A function that is called with progress; for None one that does nothing."""
-    if value is not None and not callable(value):
-        raise FastGSError(f"{what} must be a function, not {shown(value)}.")
-    return value or (lambda *progress: None)
 
 
 def numbers(value: Any, what: str, shape: str, kind: Any = np.float64) -> np.ndarray:

@@ -127,3 +127,13 @@ def test_every_array_has_a_shape():
         if shapes < arrays:
             without.append(f"{name}: {arrays} arrays, {shapes} shapes")
     assert not without
+
+
+def test_several_results_have_names():
+    """And are unpacked like a tuple."""
+    model, report = baked = fg.bake(np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), (3, 1, 1)), [[0, 1, 2]], count=20)
+    assert baked.model is model and baked.report is report
+    rays = fg.Camera(8, 6, 5.0, 5.0, 4.0, 3.0, np.eye(4)).rays(np.eye(4))
+    assert rays.centre.shape == (3,) and rays.directions.shape == (6, 8, 3)
+    span = fg.Radial().span(np.ones(2), np.zeros(2), np.zeros((2, 1)))
+    assert (span.begin < span.end).all()

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...cameras import poses
-from ...util.arguments import file_path, shown
+from ...util.arguments import shown
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json
@@ -47,7 +47,7 @@ class Clocks:
 
 def place_of(capture: str | os.PathLike) -> Path:
     """The sync.json of the capture in a folder or a file."""
-    path = file_path(capture, "the name of a capture")
+    path = Path(capture)
     return (path if path.is_dir() else path.parent) / FILE
 
 

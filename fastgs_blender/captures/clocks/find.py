@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...util.arguments import listener, one_of
+from ...util.arguments import one_of
 from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
@@ -67,7 +67,6 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
     if not isinstance(capture, Capture):
         raise FastGSError(f"offsets are found of a Capture, as open_capture() gives it, not of {described(capture)}.")
     one_of(way, "how offsets are found", WAYS)
-    listener(progress)
     if len(capture.views) < 2:
         raise FastGSError(f"{capture.path}: it has one camera, whose clock has none to be compared with.")
     if way in ("auto", "sound"):

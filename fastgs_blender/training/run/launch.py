@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from ... import formats
 from ...model.gaussians import GaussianModel
 from ...training.core.settings import Settings
-from ...util.arguments import file_path, shown, yes_or_no
 from ...util.backends import choose_device
 from ...util.errors import FastGSError
 from .files import MODEL, RUN
@@ -42,23 +41,21 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     """
     if capture is None and not resume:
         raise FastGSError("name the capture to train on; only a run that is resumed knows its own.")
-    out, source = file_path(out, "the folder of a run"), source_of(capture, layout, scale, frames, held_out)
-    resume, overwrite = yes_or_no(resume, "resume"), yes_or_no(overwrite, "overwrite")
+    out, source = Path(out), source_of(capture, layout, scale, frames, held_out)
     wanted = dict(options) if preset is None else {**options, "preset": preset}
     launch(source, out, wanted, resume, overwrite, quiet, lambda text: None, device)
     return formats.load(out / MODEL)
 
 
-def source_of(capture: str | Path | None, layout: Any, scale: float | None, frames: slice | None, held_out: Sequence[str] | None) -> Source:
+def source_of(capture: str | Path | None, layout: str | None, scale: float | None, frames: slice | None,
+              held_out: Sequence[str] | None) -> Source:
     """The Source of open_capture()'s arguments."""
     from ...captures.capture import Options
     from .plan import NO_END, Source
 
     Options(scale, frames, held_out)  # checks them
-    if layout is not None and not isinstance(layout, str):
-        raise FastGSError(f"a layout has a name, and is not {shown(layout)}.")
     part = None if frames is None else (frames.start or 0, NO_END if frames.stop is None else frames.stop, frames.step or 1)
-    return Source(None if capture is None else str(file_path(capture, "the name of a capture").absolute()), layout, scale, part,
+    return Source(None if capture is None else str(Path(capture).absolute()), layout, scale, part,
                   None if held_out is None else tuple(held_out))
 
 
