@@ -85,7 +85,12 @@ def _main(argv: list[str] | None) -> int:
             stream.reconfigure(errors="backslashreplace")
     debug = False
     try:
-        args = parser().parse_args(argv)
+        top = parser()
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow
+            import argcomplete
+
+            argcomplete.autocomplete(top)
+        args = top.parse_args(argv)
         if args.command is None:
             args.parser.print_help()
             return 0
