@@ -9,11 +9,14 @@ Training writes the first two by itself.  MODEL is a FAST-GS .safetensors; its G
 """
 from __future__ import annotations
 
+import argparse
+from typing import Any
+
 from ..util.errors import FastGSError
 from .shared import print_json, say
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="the model's file")
     parser.add_argument("--out", metavar="FILE", help="write the model there; by default it replaces MODEL")
     parser.add_argument("--capture", metavar="FOLDER", help="the capture that the model was trained on: its cameras are stored")
@@ -26,7 +29,7 @@ def add_arguments(parser):
     parser.add_argument("--no-backdrop", action="store_true", help="nothing is backdrop")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from ..cameras.cameras_json import choose, load_cameras
     from ..cameras.viewpoints import viewpoint_of
     from ..captures import open_capture
@@ -39,7 +42,7 @@ def run(args):
         raise FastGSError("--backdrop and --no-backdrop contradict each other; give one of them.")
     if args.scale is not None and not args.capture:
         raise FastGSError("--scale is the size of a capture's pictures; give --capture as well.")
-    known = {}
+    known: dict[str, Any] = {}
     if args.capture:
         known["cameras"] = viewpoints(open_capture(args.capture, scale=args.scale))
     if args.view:
@@ -57,5 +60,5 @@ def run(args):
         print_json({"file": str(target), "cameras": len(around.cameras), "view": around.view and around.view.name,
                     "backdrop": around.backdrop and [*around.backdrop.centre, around.backdrop.radius]})
     else:
-        view = around.view and (around.view.name or "a view of its own")
-        say(f"{target}: {len(around.cameras)} cameras, {'a' if around.backdrop else 'no'} backdrop, {view or 'no view'}")
+        looked = around.view and (around.view.name or "a view of its own")
+        say(f"{target}: {len(around.cameras)} cameras, {'a' if around.backdrop else 'no'} backdrop, {looked or 'no view'}")

@@ -6,14 +6,21 @@ frame is reported separately, because it may compile the renderer.
 """
 from __future__ import annotations
 
+import argparse
 import statistics
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError
 from .shared import add_backend, chosen_backend, image_size, print_json, say, use_threads
 
+if TYPE_CHECKING:
+    from ..cameras.camera import Camera
+    from ..model.gaussians import GaussianModel
 
-def add_arguments(parser):
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", nargs="?", metavar="FILE", help="a model to time (default: a synthetic one)")
     parser.add_argument("--gaussians", type=int, default=300_000, metavar="N", help="size of the synthetic model (default: 300000)")
     parser.add_argument("--size", default="1352x1014", metavar="WxH", help="image size (default: 1352x1014)")
@@ -23,7 +30,7 @@ def add_arguments(parser):
     add_backend(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from .. import formats
     from ..cameras.cameras_json import choose, resized
     from .sight import overview, sight
@@ -50,7 +57,7 @@ def run(args):
         say(f"{stage:<22}{value:9.1f} ms {100 * value / whole:6.0f} %")
 
 
-def synthetic(count: int):
+def synthetic(count: int) -> GaussianModel:
     """A cloud of moving Gaussians in a ball, the same for the same count."""
     import numpy as np
 
@@ -72,7 +79,7 @@ def synthetic(count: int):
         clip=Clip(60, 30))
 
 
-def measure(model, camera, backend: str, repeat: int) -> dict:
+def measure(model: GaussianModel, camera: Camera, backend: str, repeat: int) -> dict:
     """Median milliseconds of the stages and of the whole frame, at the middle of the clip."""
     import numpy as np
 
@@ -83,7 +90,7 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
 
     backend = real_name(backend)
 
-    def frame():
+    def frame() -> None:
         render(model, camera, 0.5, backend=backend)
 
     first = _milliseconds(frame)
@@ -97,7 +104,7 @@ def measure(model, camera, backend: str, repeat: int) -> dict:
             **counts, "first_frame_ms": round(first, 3), "milliseconds": {name: round(ms, 3) for name, ms in stages.items()}}
 
 
-def _milliseconds(work) -> float:
+def _milliseconds(work: Callable[[], None]) -> float:
     start = time.perf_counter()
     work()
     return 1000 * (time.perf_counter() - start)

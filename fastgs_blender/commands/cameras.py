@@ -14,13 +14,19 @@ viewer plays; its transforms.json has the cameras of a capture, each with the pi
 """
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError
 from .shared import image_size, note, print_json, say
 
+if TYPE_CHECKING:
+    from ..cameras.camera import Camera
+    from .sight import Sight
 
-def add_arguments(parser):
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="a capture, camera file, training run or model")
     parser.add_argument("--out", required=True, metavar="FILE", help="the file to write")
     parser.add_argument("--format", metavar="NAME", default="cameras.json", help="cameras.json (default), fastgs, transforms.json, "
@@ -40,7 +46,7 @@ def add_arguments(parser):
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists already")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from ..cameras.cameras_json import View, resized, save_cameras
     from ..cameras.paths import format_named, save_path
     from ..cameras.paths.base import CameraPath, warn_of_rate
@@ -69,7 +75,7 @@ def run(args):
         say(f"{out}: {len(views)} camera{'s' if len(views) > 1 else ''}")
 
 
-def _moved(args, seen, cameras: list) -> list:
+def _moved(args: argparse.Namespace, seen: Sight, cameras: list[Camera]) -> list[Camera]:
     """The cameras of the move; a remark where they leave what the source's cameras cover."""
     import numpy as np
 

@@ -10,12 +10,14 @@ something should be put right before training.
 """
 from __future__ import annotations
 
+import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from ..util.errors import FastGSError
-from ..util.progress import progress
+from ..util.progress import Progress, progress
 from .shared import PROBLEMS, print_json, say, say_table, use_threads
 
 STEPS = 1000
@@ -24,7 +26,7 @@ EVERY = 0.3
 """Seconds between two writings of the file that --status names."""
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
     parser.add_argument("--out", metavar="DIR", help="folder for the page (default: CAPTURE-check beside the capture)")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
@@ -35,7 +37,7 @@ def add_arguments(parser):
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     from ..checks import check, page
     from .train import frames_slice
 
@@ -56,7 +58,7 @@ def run(args):
     return PROBLEMS if report.bad else 0
 
 
-def _teller(status: str | None, bar):
+def _teller(status: str | None, bar: Progress) -> Callable[[str, float], None]:
     """A function of (stage, share) that moves the bar and, from time to time, writes the status file."""
     last = [-EVERY]
 

@@ -9,21 +9,29 @@ to its frames, which must hold the same Gaussians in the same order; what is los
 """
 from __future__ import annotations
 
+import argparse
 import contextlib
 import re
 import warnings
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError, LossWarning
-from ..util.progress import progress
+from ..util.progress import Progress, progress
 from .shared import human_bytes, note, note_frames_outside, print_json, say
+
+if TYPE_CHECKING:
+    from ..model.gaussians import GaussianModel
+    from ..util.frames import Frames
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
 PARTS = 100
 """Steps of the progress of each file."""
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("input", metavar="IN", help="the model, or the sequence, to read")
     parser.add_argument("output", metavar="OUT", help="the file to write")
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
@@ -37,9 +45,10 @@ def add_arguments(parser):
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from .. import formats
     from ..model.from_frames import one_model
+    from ..model.gaussians import GaussianModel
     from ..model.pruning import pruned
     from ..model.sequence import Sequence
     from ..model.slicing import freeze
@@ -48,20 +57,20 @@ def run(args):
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)
     _refuse_existing(targets, args)
-    losses = []
+    losses: list[str] = []
     with _collected(losses):
         source = formats.open_source(args.input)
-        if isinstance(source, Sequence) and frames is None:
-            source = one_model(source)
+        model = one_model(source) if isinstance(source, Sequence) and frames is None else source
     if frames is not None:
         note_frames_outside(source, frames)
     lines: list[str] = []
-    held = len(source)
+    held = len(model)
     total = PARTS * len(targets) if args.compress or len(targets) > 1 else 0
     try:
         with progress(total, "step", "compressing" if args.compress else "writing", quiet=args.quiet) as bar:
             for done, (target, frame) in enumerate(zip(targets, frames or [None], strict=True)):
-                result = source if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
+                result = model if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
+                assert isinstance(result, GaussianModel)
                 if args.prune is not None:
                     result = pruned(result, args.prune)
                 if args.antialias:
@@ -69,7 +78,7 @@ def run(args):
                         result = _sampled(result, args.input, target)
                 _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
                 with _collected(losses, str(target), args.output):
-                    formats.save(result, target, args.compress, lambda share, done=done: bar.to(int((done + share) * PARTS)))
+                    formats.save(result, target, args.compress, partial(_move, bar, done))
                 bar.to((done + 1) * PARTS)
                 held = len(formats.load(target) if args.compress else result)  # compression leaves Gaussians out
                 lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
@@ -82,7 +91,11 @@ def run(args):
         note(f"lost: {loss}")
 
 
-def _sampled(model, source: str, target: Path):
+def _move(bar: Progress, done: int, share: float) -> None:
+    bar.to(int((done + share) * PARTS))
+
+
+def _sampled(model: GaussianModel, source: str, target: Path) -> GaussianModel:
     """The model with the sampling limit in its Gaussians; raises FastGSError where it is not known or the file cannot say so."""
     import numpy as np
 
@@ -105,7 +118,7 @@ def _sampled(model, source: str, target: Path):
 
 
 @contextlib.contextmanager
-def _collected(losses: list[str], name: str = "", stands_for: str = ""):
+def _collected(losses: list[str], name: str = "", stands_for: str = "") -> Iterator[None]:
     """Adds what is lost in the block to a list, each thing once: a hundred frames lose the same, under one name."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LossWarning)
@@ -118,13 +131,13 @@ def _collected(losses: list[str], name: str = "", stands_for: str = ""):
             losses.append(text)
 
 
-def _refuse_existing(files, args):
+def _refuse_existing(files: Iterable[Path], args: argparse.Namespace) -> None:
     taken = [file for file in files if file.exists()]
     if taken and not args.overwrite:
         raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")
 
 
-def _targets(output, frames) -> list[Path]:
+def _targets(output: str, frames: Frames | None) -> list[Path]:
     """The file of each frame, or the one file."""
     folder, name = Path(output).parent, Path(output).name
     place = PLACE.search(name)

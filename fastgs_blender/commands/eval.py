@@ -19,17 +19,22 @@ film of each view with the truth beside the render.
 """
 from __future__ import annotations
 
+import argparse
 import textwrap
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError, printable
 from ..util.progress import progress
 from ..util.screen import COLUMNS
 from .shared import add_backend, chosen_backend, human_bytes, model_file, note, print_json, say_table, use_threads
 
+if TYPE_CHECKING:
+    from ..captures import Capture
 
-def add_arguments(parser):
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
     parser.add_argument("capture", nargs="?", metavar="CAPTURE", help="the capture to measure it against (default: the training run's)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: MODEL-evaluation, or evaluation in the folder)")
@@ -45,7 +50,7 @@ def add_arguments(parser):
     add_backend(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from .. import formats
     from ..captures import open_capture
     from ..captures.pixels.checks import check
@@ -63,8 +68,8 @@ def run(args):
     frames = _frames(args.frames)
     model = formats.load(file)
     known = recorded(model)
-    capture, layout = _capture(args)
-    capture = open_capture(capture, scale=known.scale if args.scale is None and known else args.scale, layout=layout)
+    path, layout = _capture(args)
+    capture = open_capture(path, scale=known.scale if args.scale is None and known else args.scale, layout=layout)
     views = _views(args.views, capture)
     shots = chosen(capture, views, frames, known)
     check(replace(capture, shots=shots, faults=[]))
@@ -77,7 +82,7 @@ def run(args):
             store.fill(bar.to, shots)
         with progress(len(shots), "frame", "evaluating", quiet=args.quiet) as bar:
 
-            def show(done, total, row):
+            def show(done: int, total: int, row: dict) -> None:
                 name = printable(row["view"])
                 bar.note(name if row["psnr"] is None else f"{name} {row['psnr']:.2f} dB")
                 bar.to(done, total)
@@ -98,7 +103,7 @@ def run(args):
             say_table("\n" + textwrap.fill(printable(line), COLUMNS, break_long_words=False, break_on_hyphens=False))
 
 
-def _capture(args) -> tuple[str, str | None]:
+def _capture(args: argparse.Namespace) -> tuple[str, str | None]:
     """The capture and its layout: as given, else those of the training run."""
     if args.capture is not None:
         return args.capture, args.layout
@@ -117,7 +122,7 @@ def facts(result: dict) -> str:
             f"{result['fps']:.1f} frames per second at {result['width']} x {result['height']} on {result['device']}")
 
 
-def _files(out, files) -> str:
+def _files(out: Path, files: list[str]) -> str:
     kinds = [Path(path).suffix for path in files]
     counts = {"picture": kinds.count(".png"), "film": kinds.count(".mp4")}
     words = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
@@ -128,7 +133,7 @@ def default_folder(given: Path, file: Path) -> Path:
     return given / "evaluation" if given != file else file.with_name(f"{file.stem}-evaluation")
 
 
-def _views(text, capture):
+def _views(text: str | None, capture: Capture) -> list[str] | None:
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]
@@ -137,7 +142,7 @@ def _views(text, capture):
     return list(capture.views) if names == ["all"] and "all" not in capture.views else names
 
 
-def _frames(text):
+def _frames(text: str | None) -> list[int] | None:
     from ..util.frames import parse_frames
 
     if text is None:

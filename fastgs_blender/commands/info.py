@@ -14,12 +14,18 @@ the time of a frame and of a training step on both.  The device auto is a GPU th
 """
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..util.errors import FastGSError
 from ..util.screen import screen
 from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say, say_table
+
+if TYPE_CHECKING:
+    from ..model.gaussians import GaussianModel
 
 CHUNK = 65_536
 LONG = 100
@@ -27,7 +33,7 @@ LONG = 100
 CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("file", nargs="?", metavar="FILE", help="the model, the capture's folder or file, or the folder of a training run")
     what.add_argument("--devices", action="store_true", help="list the GPUs that --device can name")
@@ -37,9 +43,10 @@ def add_arguments(parser):
     parser.add_argument("--all", action="store_true", help="show everything, however long it is")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     if args.devices:
         return _devices(args)
+    text: Callable[[dict, bool], str]
     if args.layout is None and is_run(args.file):
         facts, text = describe_run(args.file), run_text
         wrong = facts["state"] == "failed"
@@ -58,7 +65,7 @@ def run(args):
     return PROBLEMS if wrong else 0
 
 
-def _devices(args):
+def _devices(args: argparse.Namespace) -> int:
     """List the GPUs."""
     from ..util.backends import describe_devices
     from ..util.verdicts import read_verdict
@@ -78,7 +85,7 @@ def _devices(args):
     return 0
 
 
-def is_capture(path) -> bool:
+def is_capture(path: str | Path) -> bool:
     """Whether a path is to be read as a capture: a folder without a sequence of models, and files that a layout of captures knows.
 
     A capture may have models in folders below it (points of each frame): only of what is no capture these make a sequence.
@@ -103,7 +110,7 @@ def holds_models(folder: Path, below: bool = True) -> bool:
         return False
 
 
-def describe(path) -> dict:
+def describe(path: str | Path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
     from ..formats.sequences import settled, stored_bytes
@@ -133,19 +140,19 @@ def describe(path) -> dict:
     }
 
 
-def _basis(basis, clip) -> dict:
+def _basis(basis: Any, clip: Any) -> dict:
     """Name, order and parameters of a basis; its band limit in Hz, None where it has none."""
     values = {key: value for key, value in asdict(basis).items() if key != "times"}
     limit = basis.max_frequency / clip.duration
     return {"basis": basis.name, "terms": basis.terms, **values, "band_limit_hz": limit or None}
 
 
-def _appearance(appearance) -> dict:
+def _appearance(appearance: Any) -> dict:
     values = {key: getattr(appearance, key) for key in appearance.recorded}
     return {"kind": appearance.name, "columns": appearance.width, **values}
 
 
-def bounds(model) -> tuple[list[float] | None, list[float] | None]:
+def bounds(model: GaussianModel) -> tuple[list[float] | None, list[float] | None]:
     """Lowest and highest centre [3] at the quarters of the clip; None for a model without (finite) Gaussians."""
     import numpy as np
 
@@ -192,7 +199,7 @@ def _rows(facts: dict, everything: bool) -> tuple[list[tuple[str, object]], bool
     return lines + origin, True, 0
 
 
-def describe_run(folder) -> dict:
+def describe_run(folder: str | Path) -> dict:
     """Everything about a training run, as JSON values; "state" is as in status.json, "unknown" where it says nothing."""
     from ..jobs.job import read_status
     from ..training.run.files import MODEL, STATUS
@@ -246,5 +253,5 @@ def _around(known: dict) -> str:
     return ", ".join(parts) or "nothing is known"
 
 
-def _vector(values) -> str:
+def _vector(values: Iterable[float]) -> str:
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

@@ -12,17 +12,32 @@ Of several cameras --view picks one by name or number.  Without it, as many came
 next camera.  With --path they are one for any frames: frame f takes camera f.  Else the first camera is used.
 
 --out - writes the PNGs one after another to standard output, for a program that makes a film of them:
-    fastgs render model.safetensors --camera path.json --out - | ffmpeg -f image2pipe -framerate 30 -i - film.mp4
+    fastgs render model.safetensors --camera path.json --out - |
+        ffmpeg -f image2pipe -framerate 30 -i - film.mp4
 """
 from __future__ import annotations
 
+import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
 from .shared import add_backend, chosen_backend, image_size, model_file, note, note_frames_outside, print_json, use_threads
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..cameras.camera import Camera
+    from ..cameras.cameras_json import View
+    from ..model.sequence import Source
+    from ..rendering.exposure import Exposure
+    from ..util.frames import Frames
+
+    Image = dict[str, np.ndarray]
 
 OWN = "own"
 """The background that a model's decoder shows; a model without one shows black."""
@@ -31,7 +46,7 @@ STREAM = "-"
 NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
     parser.add_argument("--camera", required=True, metavar="CAMERAS", help="a cameras.json, a camera path of another program, "
                         "or a capture")
@@ -59,7 +74,7 @@ def add_arguments(parser):
     add_backend(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from .. import formats
     from ..rendering import cryptomatte, images
     from ..rendering.passes import PASSES
@@ -110,7 +125,7 @@ def run(args):
     if kept:
         note(f"{kept} of {len(files)} frames are there already and are kept; --overwrite renders them again.")
 
-    def write(i, image):
+    def write(i: int, image: Image) -> None:
         with notes.written(files[i], cameras[i], times[i]):
             if args.format == "png":
                 images.write_png(files[i], image, model.colour_space)
@@ -129,18 +144,20 @@ def run(args):
         })
 
 
-def _to_stream(colour_space: str):
+def _to_stream(colour_space: str) -> Callable[[int, Image], None]:
     """A function of a frame's number and its image that writes it to standard output as a PNG."""
     from ..rendering.images import png
 
-    def write(_, image):
+    def write(_: int, image: Image) -> None:
         sys.stdout.buffer.write(png(image, colour_space))
         sys.stdout.buffer.flush()
 
     return write
 
 
-def _render_all(args, backend, model, name, cameras, times, todo, write, passes, background, exposure):
+def _render_all(args: argparse.Namespace, backend: str, model: Source, name: str, cameras: list[Camera], times: list[float],
+                todo: list[int], write: Callable[[int, Image], None], passes: tuple[str, ...], background: list[float] | None,
+                exposure: Exposure | None) -> None:
     import numpy as np
 
     from ..rendering.api import render
@@ -165,7 +182,7 @@ def _render_all(args, backend, model, name, cameras, times, todo, write, passes,
             raise KeyboardInterrupt(f"stopped; {bar.n} of {len(todo)} frames are written{rest}") from None
 
 
-def _exposure(args):
+def _exposure(args: argparse.Namespace) -> Exposure | None:
     """The Exposure of the options, or None for sharp frames."""
     from ..rendering.exposure import Aperture, Exposure
 
@@ -177,7 +194,7 @@ def _exposure(args):
     return Exposure(-args.shutter / 2, args.shutter / 2, steps=args.steps, aperture=lens) if args.shutter or lens else None
 
 
-def _passes(args) -> tuple[str, ...]:
+def _passes(args: argparse.Namespace) -> tuple[str, ...]:
     from ..rendering.passes import PASSES
 
     if args.out == STREAM and (args.format != "png" or args.json):
@@ -208,7 +225,7 @@ def _colour(text: str) -> list[float]:
         raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
 
 
-def _over(image, background, colour_space):
+def _over(image: Image, background: list[float], colour_space: str) -> Image:
     """The image with an opaque background, blended in the model's own space like everything else in it."""
     import numpy as np
 
@@ -221,7 +238,7 @@ def _over(image, background, colour_space):
     return {**image, "rgb": colour.over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
 
 
-def _cameras(views, frames, args, size) -> list:
+def _cameras(views: list[View], frames: Frames, args: argparse.Namespace, size: tuple[int, int] | None) -> list[Camera]:
     """The camera of each frame."""
     from ..cameras.cameras_json import choose, resized
 
@@ -240,7 +257,7 @@ def _cameras(views, frames, args, size) -> list:
     return [resized(view.camera, *size) if size else view.camera for view in chosen]
 
 
-def _make_folder(folder: Path):
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

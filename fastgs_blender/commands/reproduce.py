@@ -8,13 +8,20 @@ measured, what the paper prints, and what the paper prints for Spacetime Gaussia
 """
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..training.core.presets import PRESETS, SCENES
 from ..util.errors import FastGSError, printable
 from .shared import add_device, note, print_json, say_table, use_threads
 from .train import frames_slice
+
+if TYPE_CHECKING:
+    from ..captures import Capture
+    from ..evaluation.protocols import Part, Protocol
+    from ..training.run.plan import Source
 
 DATA_SETS = ("n3v", "immersive", "technicolor")
 MEASURES = {"psnr": ("PSNR dB", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim1_skimage": ("DSSIM1 sk", ".4f"),
@@ -22,7 +29,7 @@ MEASURES = {"psnr": ("PSNR dB", ".2f"), "dssim1": ("DSSIM1", ".4f"), "dssim1_ski
 COSTS = {"fps": ("FPS", ".0f"), "megabytes": ("MB", ".0f"), "minutes": ("minutes", ".1f")}
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", choices=DATA_SETS, help="whose protocol: views, size of the pictures, frames")
     parser.add_argument("folder", metavar="FOLDER", help="the folder with the scenes' folders")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the runs and the table")
@@ -36,7 +43,7 @@ def add_arguments(parser):
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from ..captures import open_capture
     from ..evaluation.protocols import PROTOCOLS, parts, scene_folders
 
@@ -59,13 +66,13 @@ def run(args):
         say_table(table(rows))
 
 
-def _source(args, protocol, part):
+def _source(args: argparse.Namespace, protocol: Protocol, part: Part) -> Source:
     from ..training.run.launch import source_of
 
     return source_of(part.folder, protocol.layout, args.scale, part.frames, protocol.held_out)
 
 
-def _wanted(args, part, capture) -> dict:
+def _wanted(args: argparse.Namespace, part: Part, capture: Capture) -> dict:
     """The training options of a part, by name: the preset's, STG's of this scene, and those of --set."""
     from ..training.core.settings import option_from_text
 
@@ -74,7 +81,7 @@ def _wanted(args, part, capture) -> dict:
     return {"preset": args.preset, **init, **scene, **dict(option_from_text(text) for text in args.set)}
 
 
-def _foretell(args, protocol, todo, out: Path) -> None:
+def _foretell(args: argparse.Namespace, protocol: Protocol, todo: list[Part], out: Path) -> None:
     """Say how long the training that is still to be done will take on this machine, from a few steps of each kind of run."""
     from ..training.core.settings import settings
     from ..training.run.files import MODEL
@@ -86,20 +93,22 @@ def _foretell(args, protocol, todo, out: Path) -> None:
         return
     backend = choose_device(args.device)[0]
     backend = "cpu" if backend == "auto" else backend
-    known, steps, seconds = {}, 0, 0.0
+    known, steps, seconds, size = {}, 0, 0.0, ""
     for part in left:
         capture = _source(args, protocol, part).open()
         if not capture.posed:
             return
         chosen = settings(**_wanted(args, part, capture))
         camera = capture.training[0].camera
-        kind = camera.width, camera.height, chosen.max_gaussians, chosen.batch, chosen.motion, chosen.order
+        assert camera is not None
+        size = f"{camera.width} x {camera.height}"
+        kind = size, chosen.max_gaussians, chosen.batch, chosen.motion, chosen.order
         if kind not in known:
             known[kind] = step_seconds(capture, chosen, backend)
         steps += steps_of(capture, chosen)
         seconds += steps_of(capture, chosen) * known[kind]
     note(f"training will take about {_length(seconds)} on this machine ({describe_backend(backend)}): {steps} steps, "
-         f"{1000 * seconds / steps:.0f} ms each with {gaussians_of(chosen)} Gaussians at {camera.width} x {camera.height}, as timed now. "
+         f"{1000 * seconds / steps:.0f} ms each with {gaussians_of(chosen)} Gaussians at {size}, as timed now. "
          "Starting points, pictures and measuring come on top.")
 
 
@@ -109,7 +118,7 @@ def _length(seconds: float) -> str:
         f"{hours:.0f} hours" if hours < 48 else f"{hours / 24:.1f} days")
 
 
-def _measured(args, protocol, part, out: Path) -> list[dict]:
+def _measured(args: argparse.Namespace, protocol: Protocol, part: Part, out: Path) -> list[dict]:
     """Train a scene or a fragment, unless that has been done, and measure it: a row, or one for each view."""
     from .. import formats
     from ..captures.pixels.store import FrameStore

@@ -2,9 +2,11 @@
 """Arguments and output that several subcommands share."""
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..jobs.job import read_status
 from ..training.run.files import MODEL, RUN, STATUS
@@ -12,18 +14,22 @@ from ..util.errors import FastGSError
 from ..util.remarks import remark
 from ..util.screen import tell
 
+if TYPE_CHECKING:
+    from ..model.sequence import Source
+    from ..util.frames import Frames
+
 PROBLEMS, FAILED = 1, 2
 """Exit codes: something is wrong with what was looked at; the command failed.  0: all is well; util/stopping.py has that
 of what was stopped."""
 
 
-def add_device(parser):
+def add_device(parser: argparse.ArgumentParser) -> None:
     """--device; its default is $FASTGS_DEVICE, or auto."""
     parser.add_argument("--device", metavar="NAME", help="cpu, gpu, a part of a GPU's name, or auto, the default.  auto is a GPU that was "
                         "faster than the processor in its self-test, and otherwise the processor.  fastgs info --devices lists them")
 
 
-def add_backend(parser):
+def add_backend(parser: argparse.ArgumentParser) -> None:
     """--device, --backend and --threads."""
     add_device(parser)
     parser.add_argument("--backend", default="auto", help="how the processor renders: cpu, reference (slow, double precision) or auto "
@@ -31,7 +37,7 @@ def add_backend(parser):
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
-def chosen_backend(args) -> str:
+def chosen_backend(args: argparse.Namespace) -> str:
     """The backend that --device and --backend mean; says in a line what auto has taken, or why a GPU is not used."""
     if getattr(args, "backend", "auto") != "auto":
         return args.backend
@@ -43,7 +49,7 @@ def chosen_backend(args) -> str:
     return name
 
 
-def use_threads(count: int | None):
+def use_threads(count: int | None) -> None:
     """Let rendering use that many threads."""
     if count is None:
         return
@@ -64,13 +70,13 @@ def image_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def print_json(values):
+def print_json(values: Any) -> None:
     """One JSON document on standard output."""
     json.dump(_unicode(values), sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
 
 
-def _unicode(values):
+def _unicode(values: Any) -> Any:
     """The values with lone surrogates in texts written out: JSON has escapes for them, but strict readers refuse those."""
     if isinstance(values, dict):
         return {_unicode(key): _unicode(value) for key, value in values.items()}
@@ -79,28 +85,28 @@ def _unicode(values):
     return values.encode("utf-8", "backslashreplace").decode("utf-8") if isinstance(values, str) else values
 
 
-def say(text: str):
+def say(text: str) -> None:
     """Print a line of the result on standard output; control characters in texts from files are escaped."""
     tell(text, sys.stdout)
 
 
-def say_table(text: str):
+def say_table(text: str) -> None:
     """Print a result of several lines; names from outside in it are printable() already, else they could add lines."""
     for line in text.split("\n"):
         say(line)
 
 
-def note(text: str):
+def note(text: str) -> None:
     """Print a remark on standard error, unless the command is quiet: standard output is for results."""
     remark(f"fastgs: {text}")
 
 
-def complain(text: str):
+def complain(text: str) -> None:
     """Print on standard error what went wrong."""
     tell(f"fastgs: {text}", sys.stderr)
 
 
-def model_file(path) -> Path:
+def model_file(path: str | Path) -> Path:
     """What `path` means: the model in a folder that training wrote, else itself; raises FastGSError where a run has no model yet."""
     path = Path(path)
     if not path.is_dir():
@@ -116,7 +122,7 @@ def model_file(path) -> Path:
     return path
 
 
-def is_run(path) -> bool:
+def is_run(path: str | Path) -> bool:
     """Whether a folder is that of a training run."""
     return (Path(path) / RUN).is_file()
 
@@ -129,7 +135,7 @@ def human_bytes(count: float) -> str:
     return f"{count / 1000**power:.1f} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
-def note_frames_outside(source, frames) -> None:
+def note_frames_outside(source: Source, frames: Frames) -> None:
     """Say that frames (util.frames.Frames) lie outside of the clip of a model that moves; a sequence shows its last frame there."""
     from ..model.gaussians import GaussianModel
 

@@ -11,6 +11,7 @@ them.  The picture sync.png shows how much changes from picture to picture in ea
 """
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 
 from ..util.errors import FastGSError
@@ -19,7 +20,7 @@ from ..util.screen import screen
 from .shared import note, print_json, say_table, use_threads
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises")
     parser.add_argument("--by", choices=("auto", "sound", "flash", "motion"), default="auto", help="what to compare first (default: sound "
                         "where all cameras have it, else a flash, else motion)")
@@ -29,7 +30,7 @@ def add_arguments(parser):
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from ..captures import first_clocks, open_capture
     from ..captures.clocks import files
     from ..captures.clocks.curves import curves

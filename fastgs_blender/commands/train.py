@@ -9,6 +9,7 @@ Several processes or machines share the work when torchrun starts them:
 """
 from __future__ import annotations
 
+import argparse
 import os
 
 from ..model.motion import trained_motions
@@ -31,7 +32,7 @@ FLAGS = {
 """Settings with a flag of their own; --set reaches all."""
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", nargs="?", metavar="CAPTURE", help="the capture: a folder or file that `fastgs info` recognises; not "
                         "needed with --resume")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the model and everything about the run")
@@ -52,7 +53,7 @@ def add_arguments(parser):
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     from ..training.run.launch import launch, source_of
 
     use_threads(args.threads)
@@ -70,7 +71,7 @@ def run(args):
         note(f"{report['model']}: {report['gaussians']} Gaussians after {report['iterations']} steps{quality}.")
 
 
-def options(args) -> dict:
+def options(args: argparse.Namespace) -> dict:
     """The settings given on the command line."""
     from ..training.core.settings import option_from_text
 

@@ -6,12 +6,15 @@
 It holds the file LOCK as long as it lives (util/locks.py), and treats a file STOP that appears as Ctrl-C: that works on every system,
 and for a Blender that did not start it.  With two empty names it only runs the command.
 """
+from __future__ import annotations
+
 import os
 import signal
 import sys
+from typing import Any, BinaryIO, NoReturn
 
 
-def stop(number, frame):
+def stop(number: int, frame: object) -> NoReturn:
     """End this process, which has begun nothing yet, as Ctrl-C ends fastgs."""
     os.write(2, b"fastgs: stopped.\n")
     os._exit(130)
@@ -36,22 +39,23 @@ PATIENCE = 30.0
 """Seconds in which the starting Blender lets go of the lock, on Windows; only a guard."""
 
 
-def load_library(extension):
+def load_library(extension: str) -> None:
     """Make the extension's library importable as fastgs_blender, and nothing else of it."""
     folder = os.path.join(extension, "fastgs_blender")
     spec = importlib.util.spec_from_file_location(
         "fastgs_blender", os.path.join(folder, "__init__.py"), submodule_search_locations=[folder])
+    assert spec is not None and spec.loader is not None
     module = sys.modules["fastgs_blender"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
 
 
-def prefer_to_be_killed():
+def prefer_to_be_killed() -> None:
     """Make Linux end this process rather than Blender when memory runs out."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
 
 
-def watch(file):
+def watch(file: str) -> None:
     """Interrupt the main thread as Ctrl-C does, once for each time that the file appears."""
     while True:
         if os.path.exists(file):
@@ -63,7 +67,7 @@ def watch(file):
         time.sleep(LOOK_EVERY)
 
 
-def hold(locks, path):
+def hold(locks: Any, path: str) -> BinaryIO | None:
     """The lock, kept open as long as the caller keeps it; None where another process holds it."""
     try:
         return locks.inherited() or locks.hold(path, PATIENCE)
@@ -71,7 +75,7 @@ def hold(locks, path):
         return open(path, "ab")  # this file system has none
 
 
-def main():
+def main() -> int:
     extension, lock, stopping, *arguments = sys.argv[1:]
     sys.path.pop(0)  # this folder's modules are not for others to find
     load_library(extension)

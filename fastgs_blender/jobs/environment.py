@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,7 +66,7 @@ class Report:
         return f"{head} can train{f'; {lesser}' if (lesser := purposes(self.missing)) else ''}."
 
 
-def purposes(missing) -> str:
+def purposes(missing: Container[str]) -> str:
     """A clause on what the missing modules of USEFUL are for; "" where none is missing."""
     needs = [f"{purpose} need {name}" for name, purpose in USEFUL.items() if name in missing]
     return f"{', '.join(needs)}, which it lacks" if needs else ""
@@ -122,7 +123,7 @@ class Maker:
     torch   whether PyTorch is installed, too: its build for processors, where an index offers that
     """
 
-    def __init__(self, folder, log, index: str = "", torch: bool = False):
+    def __init__(self, folder: str | Path, log: str | Path, index: str = "", torch: bool = False):
         self.folder, self.log = Path(folder), Path(log)
         source = ["--index-url", index] if index else []
         python = self.folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
@@ -160,7 +161,8 @@ class Maker:
     def wait(self, seconds: float) -> None:
         """Wait for the step under way, so long at most."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
+            if self._process is not None:
+                self._process.wait(seconds)
 
     @property
     def last_line(self) -> str:
@@ -172,7 +174,7 @@ class Maker:
         errors = [line for line in lines if line.lower().startswith("error")] if self.failed else []
         return (errors or lines or [""])[-1][:200]
 
-    def stop(self):
+    def stop(self) -> None:
         """End it."""
         self._steps.clear()
         if self._process is not None:
@@ -193,4 +195,6 @@ def end(process: subprocess.Popen, patience: float = 2.0) -> None:
 
 def hidden() -> dict:
     """Arguments for Popen with which a process opens no window of its own."""
-    return {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NO_WINDOW}
+    return {}

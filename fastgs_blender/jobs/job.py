@@ -6,12 +6,15 @@ Job files lie in the user's folder and status files in the runs' folders; other 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from ..util.errors import FastGSError, printable
 from ..util.reading import read_json
 
+Check = Callable[[Any], bool]
 RUNNING = ('STARTING', 'PREPARING', 'TRAINING', 'STOPPING')
 ENDED = ('FINISHED', 'FAILED', 'STOPPED')
 REQUESTS = ("QUEUED", "RUN", "PAUSE", "STOP")
@@ -126,23 +129,23 @@ def read_status(path: Path) -> dict:
     return {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
 
 
-def _text(value) -> bool:
+def _text(value: object) -> bool:
     return isinstance(value, str) and "\0" not in value and len(value) < 65_536
 
 
-def _path(value) -> bool:
-    return _text(value) and bool(value) and Path(value).is_absolute()
+def _path(value: object) -> bool:
+    return isinstance(value, str) and _text(value) and bool(value) and Path(value).is_absolute()
 
 
-def _number(low: float, high: float):
+def _number(low: float, high: float) -> Check:
     return lambda value: isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high  # NaN is neither
 
 
-def _integer(low: int, high: int):
+def _integer(low: int, high: int) -> Check:
     return lambda value: isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
-def _flag(value) -> bool:
+def _flag(value: object) -> bool:
     return isinstance(value, bool)
 
 

@@ -41,7 +41,7 @@ class Held:
         return f"a finished run ({', '.join(about)})" if about else "a finished run"
 
 
-def held_in(out) -> Held | None:
+def held_in(out: str | Path) -> Held | None:
     """The run in a folder; None where there is none."""
     out = Path(out)
     if not any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
@@ -54,7 +54,7 @@ def held_in(out) -> Held | None:
                 plan.source.capture or "" if plan else "")
 
 
-def next_free(folder, taken: Container[str] = ()) -> str:
+def next_free(folder: str | Path, taken: Container[str] = ()) -> str:
     """The first path of FOLDER, FOLDER-2, FOLDER-3 ... where nothing is and which is not in `taken`; a number at its end is counted on."""
     folder = Path(folder)
     place, number = folder, 1

@@ -21,9 +21,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from ..training.run.files import CONSOLE, LOCK, RUN, STATUS
 from ..util import locks
@@ -56,7 +56,7 @@ class Jobs:
     _passed_over: set[str] = set()
     _turn = threading.RLock()
 
-    def __init__(self, folder, clock: Callable[[], float] = time.time):
+    def __init__(self, folder: str | Path, clock: Callable[[], float] = time.time):
         self.folder, self.clock = Path(folder), clock
 
     def all(self) -> list[Job]:
@@ -68,7 +68,8 @@ class Jobs:
         """The job of that id."""
         return self._read(self._file(name))
 
-    def add(self, out, capture, python: str, options=(), scene=None, existing: str = "") -> Job:
+    def add(self, out: str | Path, capture: str | Path, python: str, options: Sequence[str] = (), scene: dict | None = None,
+            existing: str = "") -> Job:
         """Put a new job at the end of the queue; the arguments are Job's.
 
         Raises FastGSError where another job has that folder, or where a run is in it and `existing` does not say what becomes of it.
@@ -194,7 +195,7 @@ class Jobs:
             return printable_lines(file.read(limit).decode(errors="replace"))
         return ""
 
-    def command(self, job: Job, more=()) -> list[str]:
+    def command(self, job: Job, more: Sequence[str] = ()) -> list[str]:
         """The command line of its process."""
         return command_line(job.python, ["train", job.capture, "--out", job.out, *job.options, *more], str(self._file(job.id, ".lock")),
                             str(self._file(job.id, ".stop")))
@@ -262,7 +263,7 @@ class Jobs:
                 raise self._unwritable(error) from error
             return name
 
-    def _change(self, job: Job, **values) -> None:
+    def _change(self, job: Job, **values: Any) -> None:
         """Set some values in a job's file and read the others from it, as another process may have changed them."""
         now = self.get(job.id)
         if now is None:
@@ -289,7 +290,7 @@ class Jobs:
         with self._turn:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                lock = locks.hold(self.folder / QUEUE_LOCK, patience)
+                lock: contextlib.AbstractContextManager | None = locks.hold(self.folder / QUEUE_LOCK, patience)
             except locks.NoLocks:  # a file system without them
                 lock = contextlib.nullcontext()
             except OSError as error:
@@ -324,7 +325,7 @@ def _preparing(values: dict) -> str:
     return f"{values['stage'].capitalize()}, {values.get('stage_share', 0.0):.0%}"
 
 
-def _refuse_another_run(out, existing: str) -> None:
+def _refuse_another_run(out: str | Path, existing: str) -> None:
     """Raise FastGSError for a folder that holds a run, unless `existing` says what becomes of it."""
     if not existing and (trouble := place_for(str(out), 'REFUSE').trouble):
         raise FastGSError(trouble)

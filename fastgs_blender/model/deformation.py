@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def local_maps(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return maps
 
 
-def _maps(p, q, low, size, wanted, least):
+def _maps(p: np.ndarray, q: np.ndarray, low: np.ndarray, size: float, wanted: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
     """By cells of a size: (the maps at those of the points `wanted` that have `least` points around them, which these are)."""
     keys, own = _cells(p, low, size)
     count, asked = np.bincount(own, minlength=len(keys)), np.unique(own[wanted])
@@ -61,7 +62,7 @@ def _maps(p, q, low, size, wanted, least):
     return _fitted(total)[np.searchsorted(asked, own[wanted[done]])], done
 
 
-def _around(keys, cells):
+def _around(keys: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """For each of the 27 cells at and beside some: (where it is among the filled ones, whether it is)."""
     for offset in itertools.product((-1, 0, 1), repeat=3):
         beside = keys[cells] + np.array(offset) @ _STEP
@@ -72,25 +73,25 @@ def _around(keys, cells):
 _STEP = np.array([1, 1 << 21, 1 << 42])
 
 
-def _cells(p, low, size):
+def _cells(p: np.ndarray, low: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """(keys of the filled cells, sorted; each point's cell)."""
     place = np.clip(np.floor((p - low) / size), -2**19, 2**19).astype(np.int64) + 2**19
     keys, own = np.unique(place @ _STEP, return_inverse=True)
     return keys, own.ravel()
 
 
-def _outer(a, b):
+def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a[:, :, None] * b[:, None, :]).reshape(len(a), 9)
 
 
-def _about(sums, shift):
+def _about(sums: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Sums of cells, their places counted from points that lie `shift` before their own."""
     n, p, d = sums[:, :1], sums[:, 1:4], sums[:, 4:7]
     pp = sums[:, 7:16] + _outer(p, shift) + _outer(shift, p) + n * _outer(shift, shift)
     return np.concatenate([n, p + n * shift, d, pp, sums[:, 16:] + _outer(d, shift)], 1)
 
 
-def _fitted(sums):
+def _fitted(sums: np.ndarray) -> np.ndarray:
     """The map [K, 3, 3] of each cell, from sums over its surroundings."""
     n = np.maximum(sums[:, :1], 1)
     p, d = sums[:, 1:4], sums[:, 4:7]

@@ -81,7 +81,7 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
     tried = (size * np.array(DISTANCES)[:, None, None] * around).reshape(-1, 3)
     found = end_on(tried)
     first = tried[found.argmax()]
-    sides = np.array([_best(end_on, start, np.linalg.norm(first) / 2) for start in (first, -first)])
+    sides = np.array([_best(end_on, start, float(np.linalg.norm(first)) / 2) for start in (first, -first)])
     worse, better = np.sort(end_on(sides))
     eye = sides[end_on(sides).argmax()]
     clear = better > max(np.median(found) + CLEAR, worse + ONE_SIDED)

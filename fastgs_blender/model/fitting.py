@@ -47,7 +47,7 @@ class Fit:
 
 def motion_families(name: str, t: np.ndarray) -> list[Family]:
     """Bases of positions by order, for motion known at times t [S] that increase; "auto": those of all bases that compete."""
-    families = {}
+    families: dict[str, list[Family]] = {}
     for kind in BASES.values():
         families |= kind.fits(float(t[0]), float(t[-1]))
     if isinstance(name, str) and name == "auto":
@@ -77,7 +77,7 @@ def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float],
             continue
         errors: dict[int, float] = {}
 
-        def measure(order, family=family, errors=errors):
+        def measure(order: int, family: Family = family, errors: dict[int, float] = errors) -> float:
             if order not in errors:
                 errors[order] = error(Fit.of(family(order), t))
             return errors[order]
@@ -89,9 +89,9 @@ def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float],
     return best[1] if best else Static()
 
 
-def _highest(family, limit: float, max_order: int) -> int:
+def _highest(family: Family, limit: float, max_order: int) -> int:
     """The highest order whose basis has no more coefficients than the limit."""
-    def allowed(n):
+    def allowed(n: int) -> bool:
         basis = family(n)
         return basis.terms <= limit and (max_order <= 0 or getattr(basis, "order", n) <= max_order)
 

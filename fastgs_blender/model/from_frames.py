@@ -6,6 +6,8 @@ Frames are read one after another and never held together: a fit's coefficients 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from ..util.errors import FastGSError, LossWarning
 from .appearance import Changing
 from .fitting import Fit, choose, motion_families, rotation_families
 from .gaussians import Clip, GaussianModel
-from .motion import Static
+from .motion import Family, Static
 from .sequence import PROBES, Sequence
 from .slicing import sigmoid
 
@@ -26,7 +28,8 @@ SHADE = 0.02
 """Of colours' coefficients, likewise."""
 
 
-def one_model(sequence: Sequence, basis: str = "auto", progress=lambda fraction: None) -> GaussianModel:
+def one_model(sequence: Sequence, basis: str = "auto",
+              progress: Callable[[float], object] = lambda fraction: None) -> GaussianModel:
     """The model that moves through the sequence's frames; one LossWarning says how well.
 
     basis  of positions and colours, as fitting.motion_families() names it
@@ -35,24 +38,25 @@ def one_model(sequence: Sequence, basis: str = "auto", progress=lambda fraction:
     count = len(sequence.at)
     t = sequence.at / sequence.clip.frame_count
     probes = np.linspace(0, len(sequence) - 1, min(len(sequence), PROBES)).astype(int)
-    seen = {name: [] for name in ("position", "rotation", "features", "scale", "opacity")}
+    probed: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "rotation", "features", "scale", "opacity")}
     for i in range(count):
         model = sequence.frame(i)
         if i and not sequence.matches(i - 1, i):
             raise FastGSError(f"{sequence.about}: the frames {i - 1} and {i} do not hold the same Gaussians in the same order, so that no "
                               "one model moves through them; keep the sequence.")
         chosen = model.take(probes)
-        for name, values in seen.items():
+        for name, values in probed.items():
             values.append(_values(chosen, name))
         progress(0.5 * (i + 1) / count)
-    seen = {name: np.stack(values) for name, values in seen.items()}
-    seen["rotation"] = _one_sign(seen["rotation"])
+    seen = {name: np.stack(values) for name, values in probed.items()}
+    seen["rotation"] = rotations.one_sign(seen["rotation"])
     size = float(np.median(np.exp(seen["scale"])))
     moving = _fit(seen["position"], motion_families(basis, t), t, SIZE * size)
     turning = _fit(seen["rotation"], rotation_families(t), t, TURN)
     shading = _fit(seen["features"], motion_families(basis, t), t, SHADE)
 
-    first, sums, last = sequence.frame(0), {}, None
+    first, last = sequence.frame(0), None
+    sums: dict[str, np.ndarray] = {}
     for i in range(count):
         model = sequence.frame(i)
         turn = _values(model, "rotation")
@@ -62,14 +66,15 @@ def one_model(sequence: Sequence, basis: str = "auto", progress=lambda fraction:
         parts = {"position": (moving.solve[:, i], model.position), "rotation": (turning.solve[:, i], turn),
                  "features": (shading.solve[:, i], model.features), "scale": (np.full(1, 1 / count), model.scale),
                  "opacity": (np.full(1, 1 / count), sigmoid(model.opacity))}
-        for name, (weights, values) in parts.items():
+        for name, (weights, value) in parts.items():
             if name not in sums:
-                sums[name] = np.zeros((len(weights), *values.shape), np.float32)
+                sums[name] = np.zeros((len(weights), *value.shape), np.float32)
             for total, weight in zip(sums[name], weights):
-                total += np.float32(weight) * values.astype(np.float32)
+                total += np.float32(weight) * value.astype(np.float32)
         progress(0.5 + 0.5 * (i + 1) / count)
     odds = np.clip(sums["opacity"][0], 1e-7, 1 - 1e-7)
-    look, features = first.appearance, sums["features"].transpose(1, 0, 2).reshape(len(first), -1)
+    look: Any = first.appearance
+    features = sums["features"].transpose(1, 0, 2).reshape(len(first), -1)
     clip = Clip(sequence.clip.frame_count, sequence.clip.fps, sequence.clip.start_frame)
     fitted = GaussianModel(
         position=sums["position"][0], motion=sums["position"][1:].transpose(1, 0, 2), basis=moving.basis,
@@ -86,14 +91,8 @@ def _values(model: GaussianModel, name: str) -> np.ndarray:
     return rotations.unit(values) if name == "rotation" else sigmoid(values) if name == "opacity" else values
 
 
-def _one_sign(turns: np.ndarray) -> np.ndarray:
-    """Quaternions [T, N, 4] that never jump to their negatives from one time to the next."""
-    flips = np.sign(np.sum(turns[1:] * turns[:-1], -1, keepdims=True))
-    return turns * np.concatenate([np.ones_like(turns[:1, :, :1]), np.cumprod(np.where(flips == 0, 1, flips), 0)])
-
-
-def _fit(values: np.ndarray, families, t: np.ndarray, tolerance: float) -> Fit:
-    def error(fit):
+def _fit(values: np.ndarray, families: list[Family], t: np.ndarray, tolerance: float) -> Fit:
+    def error(fit: Fit) -> float:
         wrong = np.abs(fit(values)[1] - values).reshape(len(values), -1)
         return float(np.quantile(wrong, 0.95, axis=1).max()) / max(tolerance, 1e-12)
 
@@ -102,7 +101,7 @@ def _fit(values: np.ndarray, families, t: np.ndarray, tolerance: float) -> Fit:
 
 def _quality(seen: dict, moving: Fit, turning: Fit, shading: Fit) -> str:
     """Clauses on how well the fits reproduce the frames."""
-    def rms(values, fitted):
+    def rms(values: np.ndarray, fitted: np.ndarray) -> float:
         return float(np.sqrt(np.mean((values - fitted) ** 2)))
 
     place = np.linalg.norm(moving(seen["position"])[1] - seen["position"], axis=-1)

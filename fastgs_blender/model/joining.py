@@ -109,7 +109,7 @@ def join(segments: list[Segment], clip: Clip) -> GaussianModel:
                    surroundings=together([s.model.surroundings for s in segments]))
 
 
-def _same(first: GaussianModel, other: GaussianModel):
+def _same(first: GaussianModel, other: GaussianModel) -> None:
     look, its = first.appearance, other.appearance
     if type(look) is not type(its) or first.raster != other.raster or first.axes != other.axes or first.colour_space != other.colour_space:
         raise FastGSError("the segments cannot be joined: their appearance, rasteriser constants, axes or colour space differ.")
@@ -137,7 +137,7 @@ def _common(bases: list[Basis], segments: list[Segment]) -> Basis:
     return first.whole([(s.begin, s.length) for s in segments])
 
 
-def _in_whole_time(segment: Segment, number: int, segments, moving: Basis, turning: Basis) -> dict[str, np.ndarray]:
+def _in_whole_time(segment: Segment, number: int, segments: list[Segment], moving: Basis, turning: Basis) -> dict[str, np.ndarray]:
     """The arrays of a segment's model in the whole's time."""
     model, length = segment.model, segment.length
     n = len(model)

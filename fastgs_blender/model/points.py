@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,15 +20,16 @@ class Points:
     size: np.ndarray | None = None
     velocity: np.ndarray | None = None
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.xyz)
 
-    def take(self, rows) -> Points:
+    def take(self, rows: Any) -> Points:
         """Some of the points, by indices or a mask."""
-        return Points(**{name: None if array is None else array[rows] for name, array in vars(self).items()})
+        parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in vars(self).items()}
+        return Points(**parts)
 
 
-def usable(xyz, rgb, t=None) -> Points:
+def usable(xyz: np.ndarray, rgb: np.ndarray, t: np.ndarray | None = None) -> Points:
     """Points as float32, without those that are not finite; colours and times kept within 0..1, NaN in t stays: always there."""
     good = np.isfinite(xyz).all(1) & (np.abs(xyz) < 1e9).all(1)
     if t is not None:

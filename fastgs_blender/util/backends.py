@@ -10,6 +10,8 @@ import importlib
 import logging
 import os
 from collections.abc import Callable
+from types import ModuleType
+from typing import Any
 
 from .errors import FastGSError
 from .threads import thread_count
@@ -19,11 +21,11 @@ MODULES = {"cpu": "kernels.cpu.backend", "reference": "rendering.oracle", "gpu":
 """The module of each backend, relative to this library: its BACKEND is the backend.  A module that offers several has named(part) instead,
 which gives the backend "NAME:PART" and, of an empty part, the one called "NAME"."""
 
-loaded: dict[str, object] = {}
+loaded: dict[str, Any] = {}
 """Backends by name, as far as they have been used."""
 
 
-def load_backend(name: str = "auto"):
+def load_backend(name: str = "auto") -> Any:
     """The backend of that name, an object as kernels/protocol.py describes it; "auto" is "cpu", or "reference" without numba.  "gpu" is
     the best GPU, "gpu:PART" the one whose name holds PART.
 
@@ -40,7 +42,7 @@ def load_backend(name: str = "auto"):
             loaded[name] = load_backend("reference")
         return loaded[name]
     module = _module(MODULES[kind]) if kind in MODULES else None
-    if hasattr(module, "named"):
+    if module is not None and hasattr(module, "named"):
         loaded[name] = module.named(part)
     elif module is not None and name == kind:
         loaded[name] = module.BACKEND
@@ -77,7 +79,7 @@ def describe_devices(part: str = "", test: bool = True, again: bool = False, tel
     return _module("kernels.gpu.choice").describe(part, test, again, tell)
 
 
-def known_verdict(adapter) -> Verdict | None:
+def known_verdict(adapter: Any) -> Verdict | None:
     """The Verdict of an adapter as examine() of choose_device() is given it; None where it has not been tested."""
     return _module("kernels.gpu.choice").known(adapter)
 
@@ -105,7 +107,7 @@ def take_overflow(name: str) -> str:
     """Why the last picture that did not fit on a GPU did not, as a part of a sentence; "" where all did.  It is forgotten by this."""
     backend = loaded.get(name)
     reason = getattr(backend, "too_large", "")
-    if reason:
+    if backend is not None and reason:
         backend.too_large = ""
     return reason
 
@@ -116,5 +118,5 @@ def try_again() -> None:
         del loaded[name]
 
 
-def _module(name: str):
+def _module(name: str) -> ModuleType:
     return importlib.import_module(f"{__package__.rpartition('.')[0]}.{name}")

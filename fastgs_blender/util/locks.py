@@ -6,8 +6,9 @@ import contextlib
 import errno
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from .reading import regular_file
 
@@ -27,7 +28,7 @@ class NoLocks(OSError):
     """The file system has no locks."""
 
 
-def hold(path, patience: float = 0.0) -> BinaryIO | None:
+def hold(path: str | os.PathLike, patience: float = 0.0) -> BinaryIO | None:
     """Hold the file until it is closed or this process ends; returns the open file, None where another process holds it.
 
     patience  seconds to go on trying
@@ -77,7 +78,7 @@ def handed_over(file: BinaryIO) -> tuple[dict, dict[str, str]]:
     return ({}, {}) if os.name == "nt" else ({"pass_fds": (file.fileno(),)}, {INHERITED: str(file.fileno())})
 
 
-def is_held(path) -> bool:
+def is_held(path: str | os.PathLike) -> bool:
     """Whether a process holds the file; False where there is no such file, or no locks in its file system."""
     try:
         file = open(path, "r+b")  # noqa: SIM115
@@ -90,7 +91,7 @@ def is_held(path) -> bool:
             return False
 
 
-def _is_at(file: BinaryIO, path) -> bool:
+def _is_at(file: BinaryIO, path: str | os.PathLike) -> bool:
     """Whether an open file is the one at a path: the process that held it may have removed it."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
@@ -98,7 +99,7 @@ def _is_at(file: BinaryIO, path) -> bool:
         return False
 
 
-def _lock(file) -> bool:
+def _lock(file: BinaryIO) -> bool:
     """Lock an open file; False where another process has locked it."""
     if os.name == "nt":
         return _windows(file, True)
@@ -107,7 +108,7 @@ def _lock(file) -> bool:
     return _attempt(lambda: fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB))
 
 
-def _free(file) -> bool:
+def _free(file: BinaryIO) -> bool:
     """Whether nobody holds an open file.  Looks do not disturb each other: they share the lock, or try again."""
     if os.name == "nt":
         for attempt in range(TRIES):
@@ -122,14 +123,15 @@ def _free(file) -> bool:
     return _attempt(lambda: fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB))
 
 
-def _windows(file, lock: bool) -> bool:
-    import msvcrt
+def _windows(file: BinaryIO, lock: bool) -> bool:
+    import msvcrt as system
 
+    msvcrt: Any = system  # type checkers elsewhere than on Windows know it empty
     file.seek(PLACE)
     return _attempt(lambda: msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK if lock else msvcrt.LK_UNLCK, 1))
 
 
-def _attempt(call) -> bool:
+def _attempt(call: Callable[[], object]) -> bool:
     try:
         call()
     except OSError as error:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
         yield archive
 
 
-def _header(stream) -> tuple[tuple[int, ...], bool, np.dtype]:
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether its order is Fortran's, and type of an .npy stream."""
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
@@ -105,7 +106,7 @@ def _header(stream) -> tuple[tuple[int, ...], bool, np.dtype]:
     return shape, fortran, dtype
 
 
-def _read(stream, length: int) -> np.ndarray:
+def _read(stream: Any, length: int) -> np.ndarray:
     """The array of an .npy stream of at most `length` bytes; nothing is allocated on the word of its header."""
     shape, fortran, dtype = _header(stream)
     if dtype.kind not in "fiub" or dtype.hasobject:
@@ -114,7 +115,7 @@ def _read(stream, length: int) -> np.ndarray:
     if size > min(LARGEST_ARRAY, length):
         raise ValueError(f"its array would have {size} bytes, more than the file holds or than the {LARGEST_ARRAY} that are read")
     array = np.empty(shape[::-1] if fortran else shape, dtype)
-    view, at = memoryview(array.reshape(-1).view(np.uint8)), 0
+    view, at = array.reshape(-1).view(np.uint8).data, 0
     while at < size:
         got = stream.readinto(view[at:at + PIECE])
         if not got:

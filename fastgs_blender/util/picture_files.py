@@ -43,7 +43,7 @@ def png(pixels: np.ndarray) -> bytes:
         checksum = zlib.adler32(values, checksum)
     stream = b"".join((b"\x78\x5e", *(data for data, _ in pieces), struct.pack(">I", checksum)))
 
-    def chunk(kind, data):
+    def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, {1: 0, 3: 2, 4: 6}[channels], 0, 0, 0)
@@ -66,15 +66,15 @@ def _deflated(rows: np.ndarray, start: int, stop: int, channels: int, last: bool
     out[:, 0] = np.where(sums[0] <= sums[1], 1, 2)
     out[:, 1:] = np.where((out[:, :1] == 1), *choices)
     packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
-    return packer.compress(out) + packer.flush(zlib.Z_FINISH if last else zlib.Z_FULL_FLUSH), out
+    return packer.compress(out.data) + packer.flush(zlib.Z_FINISH if last else zlib.Z_FULL_FLUSH), out
 
 
-def write_exr(path, planes: Mapping[str, np.ndarray], texts: Mapping[str, str] | None = None) -> None:
+def write_exr(path: str | os.PathLike, planes: Mapping[str, np.ndarray], texts: Mapping[str, str] | None = None) -> None:
     """Write planes {channel's name: [h, w]} as an EXR of 32-bit floats; texts become attributes.  Raises OSError."""
     names = sorted(planes)
     height, width = planes[names[0]].shape
 
-    def attribute(name, kind, data):
+    def attribute(name: str, kind: str, data: bytes) -> bytes:
         return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
 
     channels = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for name in names) + b"\0"
@@ -104,7 +104,7 @@ def _zipped(data: bytes) -> bytes:
     values = np.frombuffer(data, np.uint8)
     values = np.concatenate([values[::2], values[1::2]])
     values[1:] -= values[:-1] - np.uint8(128)
-    packed = zlib.compress(values, LEVEL)
+    packed = zlib.compress(values.data, LEVEL)
     return packed if len(packed) < len(data) else data
 
 
@@ -114,7 +114,8 @@ def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, 
 
     open_file(path).close()  # OpenEXR opens it by name: a pipe must not get that far
     with reading(path, "this is no EXR picture, or it is damaged, so render it again"), OpenEXR.File(str(path), True) as file:
-        planes, attributes = {}, {}
+        planes: dict[str, np.ndarray] = {}
+        attributes: dict[str, Any] = {}
         for part in file.parts:
             prefix = f"{part.name()}." if len(file.parts) > 1 else ""
             planes |= {prefix + name.removeprefix(prefix): np.ascontiguousarray(channel.pixels) for name, channel in part.channels.items()}

@@ -75,6 +75,6 @@ def exp(v: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cos(angle), np.sinc(angle / np.pi) * v], -1)
 
 
-def slerp(p: np.ndarray, q: np.ndarray, share) -> np.ndarray:
+def slerp(p: np.ndarray, q: np.ndarray, share: np.ndarray | float) -> np.ndarray:
     """Quaternions [..., 4] on the great arc from p to q (Shoemake 1985); share [..., 1] or a number: 0 gives p, 1 gives q."""
     return multiply(p, exp(share * log(multiply(inverse(p), q))))

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Entry:
 class TensorFile:
     """An open safetensors file whose header has been checked against the file's length."""
 
-    stream: BinaryIO
+    stream: Any
     metadata: dict[str, str]
     entries: dict[str, Entry]
 
@@ -57,13 +57,13 @@ class TensorFile:
             raise FastGSError(f"its array {name!r} is of the type {entry.dtype}, which is not supported.")
         array = np.empty(entry.shape, DTYPES[entry.dtype])
         self.stream.seek(entry.begin)
-        if array.size and self.stream.readinto(memoryview(array.reshape(-1)).cast("B")) != array.nbytes:
+        if array.size and self.stream.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:
             raise FastGSError(f"the file is cut short within its array {name!r}; {DAMAGED}.")
         return array
 
 
 @contextmanager
-def open_tensors(path) -> Iterator[TensorFile]:
+def open_tensors(path: str | os.PathLike) -> Iterator[TensorFile]:
     """The safetensors file at `path`, open while the block lasts; raises FastGSError for a damaged one."""
     with reading(path), open_file(path) as stream:
         length = os.fstat(stream.fileno()).st_size
@@ -77,7 +77,7 @@ def open_tensors(path) -> Iterator[TensorFile]:
         yield TensorFile(stream, *_checked(table, 8 + size, length))
 
 
-def _checked(table, begin: int, length: int) -> tuple[dict[str, str], dict[str, Entry]]:
+def _checked(table: Any, begin: int, length: int) -> tuple[dict[str, str], dict[str, Entry]]:
     """The header's texts and arrays; arrays must lie end to end from `begin` to the file's end, as the format wants it."""
     if not isinstance(table, dict):
         raise FastGSError(f"its header is no table; {DAMAGED}.")
@@ -98,8 +98,9 @@ def _checked(table, begin: int, length: int) -> tuple[dict[str, str], dict[str, 
     return metadata, entries
 
 
-def _entry(name: str, about, begin: int) -> Entry:
-    dtype, shape, span = (about.get(key) for key in ("dtype", "shape", "data_offsets")) if isinstance(about, dict) else (None,) * 3
+def _entry(name: str, about: Any, begin: int) -> Entry:
+    found: list[Any] = [about.get(key) if isinstance(about, dict) else None for key in ("dtype", "shape", "data_offsets")]
+    dtype, shape, span = found
     numbers = [*shape, *span] if isinstance(shape, list) and isinstance(span, list) and len(span) == 2 and len(shape) <= 32 else [-1]
     if not isinstance(dtype, str) or dtype not in SIZES or not all(type(n) is int and 0 <= n < 2**53 for n in numbers):
         raise FastGSError(f"its header does not say what its array {name!r} is; {DAMAGED}.")

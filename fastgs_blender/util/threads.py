@@ -8,17 +8,17 @@ work is cut, so the result has the same bytes for any number of threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 _chosen = 0
 Result = TypeVar("Result")
 
 
-def set_threads(count: int):
+def set_threads(count: int) -> None:
     """Use this many threads from now on; 0: one for each processor the process may use."""
     global _chosen
     _chosen = max(0, int(count))
@@ -49,7 +49,7 @@ def available() -> int:
 
 
 @cache
-def _pool(count):
+def _pool(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="fastgs")
 
 
@@ -57,7 +57,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
 
 
-def run(work, pieces, progress=None) -> list:
+def run(work: Callable[..., Any], pieces: Iterable[tuple], progress: Callable[[float], object] | None = None) -> list:
     """[work(*piece) for piece in pieces], side by side.
 
     progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.

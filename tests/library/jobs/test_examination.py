@@ -30,7 +30,7 @@ def test_a_driver_that_crashes_ends_one_process_alone(python):
     found = Examination("ar", again=True, python=program)
     assert found.wait(GUARD) and found.found == {"devices": [], "auto": None} and not found.trouble
     assert found.line == "testing Arc (1 of 2)"
-    assert [call.endswith("--device ar --again") for call in python.calls()] == [True, False, False], "what crashed is not tested again"
+    assert ["--device ar --again" in call for call in python.calls()] == [True, False, False], "what crashed is not tested again"
     hopeless = Examination(python=python("kill -SEGV $$"))
     assert hopeless.wait(GUARD) and hopeless.found is None and "could not be tested" in hopeless.trouble
     assert len(python.calls()) == 3 + TRIES
