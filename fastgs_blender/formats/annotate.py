@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..util.errors import FastGSError
 from . import identify, load, save
 from .native import Native
 
 
-def annotate(path, target=None, **known) -> None:
+def annotate(path: str | Path, target: str | Path | None = None, **known: Any) -> None:
     """Write the model in `path` to `target` (None: in its own place) with other surroundings.
 
     known  members of Surroundings: backdrop, cameras, view.  Those that are not given stay.

@@ -26,6 +26,9 @@ OPAQUE = 30.0
 """The logit that stands for an opacity of exactly 1 (sigmoid(30) is 1 in float32)."""
 
 
+Loader = Callable[[Path], GaussianModel]
+
+
 class Format:
     """One file format.  Errors carry no file name: load() and save() of the package put it in front.
 
@@ -52,7 +55,7 @@ class Format:
         """The file's model; arrays may hold anything, finite or not.  Raises FastGSError."""
         raise NotImplementedError
 
-    def open(self, path: Path, load: Callable[[Path], GaussianModel]) -> Source:
+    def open(self, path: Path, load: Loader) -> Source:
         """The file as a source: its model, or for a format of sequences a Sequence; load() reads another file whole."""
         return load(path)
 

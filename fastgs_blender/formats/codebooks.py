@@ -45,7 +45,8 @@ def palette(vectors: np.ndarray, most: int | None = None) -> tuple[np.ndarray, n
     n = len(vectors)
     if most is None:
         most = int(min(MAX_PALETTE, 1024 * 2 ** max(0, np.floor(np.log2(max(n, 1) / 1024)))))
-    groups, heap = [np.arange(n)], []
+    groups = [np.arange(n)]
+    heap: list[tuple[float, int, int]] = []
 
     def weigh(number: int) -> None:
         part = vectors[groups[number]] - vectors[groups[number][0]]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class Block:
         return [self.name, self.size, self.crc, self.centre, self.mapped, self.context]
 
     @classmethod
-    def checked(cls, listed, name: str, order: Order) -> Block:
+    def checked(cls, listed: Any, name: str, order: Order) -> Block:
         """The block of a list from outside, of this column; raises FastGSError unless it makes sense."""
         good = isinstance(listed, list) and len(listed) == 6 and listed[0] == name and all(type(v) is int for v in listed[1:5])
         good = good and 0 <= listed[1] < 1 << 40 and abs(listed[3]) <= MOST and listed[4] in (0, 1)
@@ -68,7 +69,7 @@ class Order:
     of these lengths over the array's columns so far.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.columns: dict[str, np.ndarray] = {}
         self.orders: dict[str, np.ndarray] = {}
 

@@ -7,6 +7,8 @@ packed_position and packed_scale (11, 10, 11 bits between those bounds), packed_
 """
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from ..model.appearance import SH, SH_C0
@@ -49,10 +51,10 @@ class CompressedPly(StaticFormat):
     reads = (".ply",)
     antialiased = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and "packed_position" in ply.read_header(path).names
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         if is_2dgs(header):
             raise FastGSError("it holds flat 2DGS surfels, not 3D Gaussians; train it with a 3D method.")
@@ -78,7 +80,7 @@ class CompressedPly(StaticFormat):
             position=position, rotation=_rotation(code["packed_rotation"]), scale=scale, opacity=logits()[code["packed_color"] & 255],
             features=features[0], appearance=SH(DEGREES[len(names)]), raster=Raster(antialiased=says_antialiased(header)))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         model, lost = super().fit(model)
         if len(model) and np.abs(model.scale).max() > SCALES:
             lost.append("standard deviations below 2e-09 or above 5e+08 are cut")
@@ -88,7 +90,7 @@ class CompressedPly(StaticFormat):
                     "rotations to 10 bits, opacities to 8" + (", spherical harmonics to 1/32" if model.appearance.degree else ""))
         return model, lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         model = model.take(morton_order(model.position))
         n, count = len(model), -(-len(model) // CHUNK)
         bounds, vertex = np.zeros((count, 18), "<f4"), np.zeros((n, 4), "<u4")

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model.gaussians import Clip
-from ..model.sequence import Computed
+from ..model.gaussians import Clip, GaussianModel
+from ..model.sequence import Computed, Source
 from ..util import rotations
 from ..util.errors import FastGSError, LossWarning
 from ..util.identity import status_of
 from ..util.reading import reading
 from . import cfg_args, ellipsoids, ply, torch_zip
-from .base import require_sound, usable
+from .base import Loader, require_sound, usable
 from .inria import Inria
 from .sequences import SequenceFormat
 from .unsupported import GAUSSIAN
@@ -56,14 +56,14 @@ class DeformedFormat(SequenceFormat):
     def network(weights: Weights, settings: dict):
         raise NotImplementedError
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and self.weights_of(path).is_file() and ply.read_header(path).names.issuperset(GAUSSIAN)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         raise FastGSError("its Gaussians are moved by a network, which is computed for each time; open it with open_source(), or turn it "
                           "into one model with fastgs convert.")
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         file = self.weights_of(path)
         still = usable(Inria().load(path), path)
         settings = cfg_args.find(path)
@@ -119,7 +119,7 @@ class HexPlaneGaussians(DeformedFormat):
     def weights_of(path):
         return path.with_name("deformation.pth")
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return super().sniff(head, path) and not path.absolute().parent.name.startswith(COARSE)
 
     @staticmethod

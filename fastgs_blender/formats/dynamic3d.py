@@ -7,6 +7,8 @@ side and normalised.  Frame f of T lies at t = f / T.
 """
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from ..model.appearance import RGB, Changing
@@ -14,7 +16,7 @@ from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Keyframes
 from ..util import rotations
 from ..util.errors import FastGSError
-from ..util.numpy_files import packed_arrays
+from ..util.numpy_files import PackedArray, packed_arrays
 from .base import Format
 from .zipped import members
 
@@ -29,10 +31,10 @@ class Dynamic3DGaussians(Format):
     name = "Dynamic 3D Gaussians"
     reads = (".npz",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return {"means3D.npy", "unnorm_rotations.npy", "log_scales.npy"} <= members(head, path)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         arrays = packed_arrays(path)
         missing = [name for name in NEEDED if name not in arrays]
         if missing:
@@ -62,12 +64,12 @@ class Dynamic3DGaussians(Format):
                 features=features, appearance=Changing(RGB(), basis) if changes else RGB(), clip=Clip(frames, FPS))
 
 
-def _table(array, frames: int) -> np.ndarray:
+def _table(array: PackedArray, frames: int) -> np.ndarray:
     """Values [T, N, D] of an array that may have one for all frames."""
     values = _floats(array)
     return values if values.ndim == 3 else np.broadcast_to(values, (frames, *values.shape))
 
 
-def _floats(array) -> np.ndarray:
+def _floats(array: PackedArray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         return array.read().astype(np.float32)

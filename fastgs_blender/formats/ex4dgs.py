@@ -17,14 +17,14 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel, Raster
-from ..model.sequence import Computed
+from ..model.sequence import Computed, Source
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from . import cfg_args, ellipsoids, ply
-from .base import require_sound
+from .base import Loader, require_sound
 from .inria import DEGREES, colour_columns
 from .sequences import SequenceFormat
 from .straight import logit
@@ -52,14 +52,14 @@ class Ex4DGS(SequenceFormat):
     name = "Ex4DGS"
     reads = (".ply",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if not head.startswith(b"ply"):
             return False
         names = ply.read_header(path).names
         moving = {"motion_xyz_0_0", "motion_opacity_c_0"} <= names
         return moving or (names.issuperset(DRIFT) and path.with_name(DYNAMIC).is_file())
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         files = [path.with_name(STATIC), path.with_name(DYNAMIC)]
         said = {"time_interval": 5, "time_pad": 3, "var_pad": 3, "kernel_size": 0.1, "near": 0.2, "interp_type": "cube",
                 "rot_interp_type": "slerp"}

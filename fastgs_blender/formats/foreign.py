@@ -69,8 +69,8 @@ def look(head: bytes, path: Path) -> str | None:
             return text
     if len(head) >= 84 and path.stat().st_size == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return STL
-    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    return _json(path) if text.startswith((b"{", b"[")) else _text(text)
+    begin = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    return _json(path) if begin.startswith((b"{", b"[")) else _text(begin)
 
 
 def guess(head: bytes) -> str:

@@ -43,10 +43,10 @@ class FourDGS(Format):
     says_axes = True
     extensions = reads = (".4dgs",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(wire.MAGIC)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         data = read_bytes(path, LARGEST)
         scene, seen, room = None, set(), 1000 + len(data)
         states = None
@@ -92,7 +92,7 @@ class FourDGS(Format):
         return _model(scene)
 
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if len(model) and not all(np.isfinite(array).all() for array in model.arrays.values()):
             raise FastGSError("some of the model's numbers are not finite; leave these Gaussians out.")
         model, lost = straight_model(model, degree=3)
@@ -102,7 +102,7 @@ class FourDGS(Format):
             lost.append("its frame rate: the file knows seconds only")
         return model, [*lost, "colours outside of 0 to 1, and where the clip began"]
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         targets[-1].write_bytes(file(model))
 
 

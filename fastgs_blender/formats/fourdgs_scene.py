@@ -56,6 +56,6 @@ def band_of(degree: int, number: int, content: wire.Cursor, count: int) -> np.nd
     if not 1 <= number <= max(degree, 1):
         raise FastGSError(f"it has band {number} of spherical harmonics, and its degree is {degree}; the file is damaged.")
     values = wire.stream(content, count, band=True)[1]
-    if values.shape[1] != 3 * (2 * number + 1) or (values.size and (values.min() < 0 or values.max() > 255)):
+    if values is None or values.shape[1] != 3 * (2 * number + 1) or (values.size and (values.min() < 0 or values.max() > 255)):
         raise FastGSError(f"band {number} of its spherical harmonics is damaged; copy or export the file again.")
     return values

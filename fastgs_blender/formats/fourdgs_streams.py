@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Cursor:
         """Numbers of a struct code, little-endian without padding."""
         return struct.unpack("<" + code, self.take(struct.calcsize("<" + code)))
 
-    def number(self, code: str):
+    def number(self, code: str) -> Any:
         """One number."""
         return self.unpack(code)[0]
 
@@ -125,7 +126,7 @@ def identities(values: np.ndarray) -> np.ndarray:
     return values.reshape(-1) % 2**32
 
 
-def _inflated(data, size: int) -> bytes:
+def _inflated(data: memoryview, size: int) -> bytes:
     """Exactly `size` bytes out of a zlib stream: memory is taken as they come, not as the file says."""
     try:
         machine = zlib.decompressobj()

@@ -93,7 +93,7 @@ def follow(lives: dict, rotation: np.ndarray, objects: np.ndarray, tracks: list[
         "rotation_motion": (turns - turns[0]).transpose(1, 0, 2).astype(np.float32)}
 
 
-def _moments(tracks: list[Track], reach: list[float], timeline: Timeline, ends) -> np.ndarray:
+def _moments(tracks: list[Track], reach: list[float], timeline: Timeline, ends: tuple[float, float]) -> np.ndarray:
     """Times t, so many that straight lines between them follow every track; reach: of each track's Gaussians, from the origin."""
     moments = [np.array(ends)]
     for track, radius in zip(tracks, reach):

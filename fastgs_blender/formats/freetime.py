@@ -22,14 +22,14 @@ import numpy as np
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Static
-from ..model.sequence import Computed
+from ..model.sequence import Computed, Source
 from ..model.slicing import sigmoid, slice_model
 from ..model.temporal import Always
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from ..util.numpy_files import packed_arrays
 from . import torch_zip
-from .base import OPAQUE, Format, usable
+from .base import OPAQUE, Format, Loader, usable
 from .ftgs import FRAMES, GSPLAT, MIN_DURATION, clip_of
 from .mediastorm import LONGEST
 from .straight import Timeline, logit, straight
@@ -54,10 +54,10 @@ class FreeTimeCheckpoint(Format):
     name = "FreeTimeGS checkpoint"
     reads = (".pt",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return _known(_splats(torch_zip.content_or_none(head, path)))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         content = torch_zip.TorchFile(path).content
         spec = content.get("model_spec") if isinstance(content.get("model_spec"), dict) else {}
         said = {key: value for key, value in (content | spec).items() if isinstance(key, str)}
@@ -74,11 +74,11 @@ class FreeTimeArrays(Format):
     name = "FreeTimeGS arrays"
     reads = (".npz",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         names = {name.removesuffix(".npy") for name in members(head, path) if name.endswith(".npy")}
         return _known(names)
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         table = packed_arrays(path)
         gate = _gates(table)
         if not _partly(gate):
@@ -95,7 +95,7 @@ class FreeTimeArrays(Format):
 
         return Computed(fading.clip, compute, lambda: status_of(str(path)), str(path))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         table = packed_arrays(path)
         if _partly(_gates(table)):
             raise FastGSError("some of its Gaussians fade only in part (marginal gates of FreeTimeGS++), which is computed for each time; "

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -43,10 +44,10 @@ class FreeTimePly(Format):
     extensions = (".ftgs.ply",)
     reads = (".ply",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and ply.read_header(path).names.issuperset(TIME)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         said = _settings(header.comments)
         moves = said["use_velocity"] != 0
@@ -61,10 +62,10 @@ class FreeTimePly(Format):
                          np.maximum(time[:, 1], math.log(said["min_duration"])))
         return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         return straight_model(model, degree=4)
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         ln_s = model.temporal[:, 0] if isinstance(model.temporal_kind, Radial) else np.full(len(model), -STEEP)
         ln_sigma = -0.5 * (math.log(2) + ln_s.astype(np.float64))
         shortest = min(MIN_DURATION, float(np.exp(ln_sigma.min(initial=0))))

@@ -58,7 +58,7 @@ class Gltf(StaticFormat):
     reads = (".glb", ".gltf")
     linear = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if not head.startswith(MAGIC) and not is_json_table(head):
             return False
         try:
@@ -67,7 +67,7 @@ class Gltf(StaticFormat):
             return head.startswith(MAGIC) and path.suffix.lower() == ".glb"  # damaged, which load() says
         return bool(_primitives(tree))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         tree, binary = _parts(path)
         found = _primitives(tree)
         if not found:
@@ -82,12 +82,12 @@ class Gltf(StaticFormat):
             warnings.warn(LossWarning(f"{path}: {'; '.join(assumed)}."), stacklevel=3)
         return turned(together(models), into_rdf(AXES))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if not len(model):
             raise FastGSError("the model has no Gaussians, and glTF has no attributes of none.")
         return super().fit(model)
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         targets[-1].write_bytes(_glb(model))
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from pathlib import Path
 
 import numpy as np
 
@@ -64,14 +65,14 @@ class Inria(Format):
     antialiased = True
     keeps_cameras = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if not head.startswith(b"ply"):
             return False
         header = ply.read_header(path)
         moves = any(name.startswith("motion_") for name in header.names)
         return header.names.issuperset(_needed(header)) and not moves and not is_2dgs(header)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         plain = not header.names.issuperset(CONSTANT)
         degree, colours = (0, PLAIN) if plain else harmonics(header, path)
@@ -86,16 +87,16 @@ class Inria(Format):
         kinds = {"raster": raster} | from_comments(header.comments, KEYS)
         return GaussianModel(**columns, appearance=SH(degree), **kinds)
 
-    def suits(self, model):
+    def suits(self, model: GaussianModel) -> bool:
         still = model.basis.terms == 0 and model.rotation_basis.terms == 0
         return still and isinstance(model.temporal_kind, Always) and not isinstance(model.appearance, Changing)
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         lost = comments(model, KEYS)[1]
         model, clauses = plain_harmonics(model, 4)
         return model, lost + clauses
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         mode = ["SplatRenderMode: mip"] if model.raster.antialiased else []
         columns = [
             (POSITION, model.position), (NORMAL, np.broadcast_to(np.float32(0), (len(model), 3))),

@@ -16,11 +16,11 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
-from ..model.sequence import Computed
+from ..model.sequence import Computed, Source
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from . import cfg_args, ellipsoids, ply
-from .base import require_sound
+from .base import Loader, require_sound
 from .inria import DEGREES, SCALE, colour_columns
 from .sequences import SequenceFormat
 
@@ -36,10 +36,10 @@ class Katsumata(SequenceFormat):
     name = "compact dynamic Gaussians PLY (Katsumata)"
     reads = (".ply",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and ply.read_header(path).names.issuperset(("x000", "y000", "z000", "rot_000_0"))
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         columns, degree = _read(path)
         n = len(columns["opacity"])
         place, turn = (columns[name].reshape(n, -1, width).astype(np.float64) for name, width in (("place", 3), ("turn", 4)))
@@ -48,7 +48,7 @@ class Katsumata(SequenceFormat):
                               appearance=SH(degree), clip=CLIP)
         rates, sizes = np.pi * 2.0 ** np.arange(place.shape[1] // 2), np.exp(columns["scale"].astype(np.float64))
 
-        def compute(t):
+        def compute(t: float) -> GaussianModel:
             waves = np.stack([np.sin(rates * t), np.cos(rates * t)], 1).ravel()
             scale, rotation = ellipsoids.of_raw_quaternions(turn[:, 0] + t * turn[:, 1:2].sum(1), sizes)
             return replace(still, position=place[:, 0] + np.einsum("k,nkd->nd", waves, place[:, 1:]), scale=scale, rotation=rotation)

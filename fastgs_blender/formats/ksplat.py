@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Ksplat(StaticFormat):
     name = ".ksplat"
     reads = (".ksplat",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         """The marks are few: version 0.1, a level, zeros where nothing is, and sections of the right size."""
         size = path.stat().st_size
         if size < HEADER + SECTION or head[:4] != b"\0\1\0\0":
@@ -46,7 +47,7 @@ class Ksplat(StaticFormat):
             return path.suffix.lower() == ".ksplat"  # damaged, which load() says
         return True
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         data = read_whole(path)
         main, sections = _sections(data, len(data))
         degree = max((section.degree for section in sections), default=0)

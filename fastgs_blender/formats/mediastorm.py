@@ -9,6 +9,7 @@ The file does not say how long it is: the clip here ends with the frame of the l
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -34,10 +35,10 @@ class MediastormPly(Format):
     name = "Mediastorm 4D PLY"
     reads = (".ply",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and ply.read_header(path).names.issuperset((*MOTION, "t_scale"))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         centre = next((name for name in CENTRES if name in header.names), None)
         if centre is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -41,10 +42,10 @@ class Native(Format):
     extensions = reads = (".safetensors",)
     keeps_cameras = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         with open_tensors(path) as file:
             if KEY not in file.metadata:
                 raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
@@ -66,7 +67,7 @@ class Native(Format):
             kinds["appearance"] = replace(look, **{key: arrays.pop(f"decoder.{key}") for key in DECODER})
         return replace(empty, appearance=kinds["appearance"], **arrays)
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if self.loss is None:
             return model, []
         flat = [array.reshape(len(model), -1) for array in model.arrays.values()] if len(model) else []
@@ -76,7 +77,7 @@ class Native(Format):
                  "Gaussians that hardly show are left out, and the others come in another order"]
         return model.take(~bad), lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         about = {"version": VERSION, "generator": generator(), "model": describe(model)}
         if self.loss is None:
             tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}

@@ -176,7 +176,7 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
     return Prepared(model, shape, tint, base, colour, turn, own, low, high)
 
 
-def _exp2(exponent):
+def _exp2(exponent: np.ndarray | float) -> np.ndarray:
     """2^exponent, as far as a header may say it: where nothing is seen of a model, any step does."""
     return np.exp2(np.clip(exponent, -LARGEST, LARGEST))
 
@@ -214,7 +214,7 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
             columns[f"temporal.{k}"] = model.temporal[:, k], steps.of("temporal", shape)
     columns["mu_tau"] = model.mu_tau, np.ldexp(steps.of("mu_tau", shape), -life)
     codes = {name: value for name, value in columns.items() if name in ("shape", "tint", "life")}
-    values = {}
+    values: dict[str, np.ndarray] = {}
     for name in columns:
         if name not in codes:
             _chain(name, columns, codes, values, steps, eased(name))
@@ -247,7 +247,7 @@ def _chain(name: str, columns: dict, codes: dict, values: dict, steps: Steps, ea
     step = np.broadcast_to(step.reshape(len(true), -1), true.shape)
     pull = np.broadcast_to(pulls(ease, step), true.shape)
     out, known = np.zeros(true.shape, np.int64), np.zeros(true.shape)
-    order = range(true.shape[1])
+    order = list(range(true.shape[1]))
     pairs = name == "features" and true.shape[1] % 3 == 0
     if pairs:
         order = [3 * j + k for j in range(true.shape[1] // 3) for k in (1, 0, 2)]
@@ -363,7 +363,8 @@ def canonical(model: GaussianModel) -> GaussianModel:
         scale=np.take_along_axis(model.scale, np.array(orders)[best], 1))
 
 
-def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu_true, mu, span, fine, pull, life, table) -> np.ndarray:
+def _trajectory(codes: dict, name: str, basis: Basis, constant: np.ndarray, coefficients: np.ndarray, mu_true: np.ndarray, mu: np.ndarray,
+                span: tuple[np.ndarray, np.ndarray], fine: np.ndarray, pull: np.ndarray, life: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Fills codes[name] with coefficients as whole numbers [N, K, D] and the table of steps; returns the constant [N, D] that fits.
 
     mu_true, mu  temporal centres before and after rounding; span: times [N, T] and their weights; fine: the steps [N]
@@ -375,7 +376,7 @@ def _trajectory(codes: dict, name: str, basis: Basis, constant, coefficients, mu
         return constant.astype(np.float64)
     t, weight = span[0], span[1][..., None]
 
-    def design(centre):
+    def design(centre: np.ndarray) -> np.ndarray:
         return basis.weights(t - centre[:, None].astype(np.float64) if basis.centred else t)
 
     true = (constant[:, None] + design(mu_true) @ coefficients.astype(np.float64)) * weight

@@ -15,6 +15,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +43,12 @@ class Realtime4DGS(Format):
     name = "4DGS checkpoint"
     reads = (".pth",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         content = torch_zip.content_or_none(head, path)
         return (isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
                 and len(content[0]) in (STATIC_TUPLE, TUPLE, HYBRID) and all(isinstance(v, torch_zip.Tensor) for v in content[0][1:7]))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         values = torch_zip.TorchFile(path).content[0]
         degree = values[0]
         if type(degree) is not int or not 0 <= degree <= 3:
@@ -82,7 +85,8 @@ class Realtime4DGS(Format):
             time = t[:, 0].astype(np.float64)
             lives = straight(position, velocity, time, 0.5 * np.log(variance), Timeline(begin / unit, duration),
                              (time - reach, time + reach))
-        features, look = coefficients(looks, n, (degree_t + 1) * (degree + 1) ** 2), SH(degree)
+        look: SH | Changing = SH(degree)
+        features = coefficients(looks, n, (degree_t + 1) * (degree + 1) ** 2)
         if degree_t:
             basis = Fourier(degree_t, 1.0, begin / (end - begin))
             angle = 2 * np.pi * time / duration
@@ -97,7 +101,7 @@ class Realtime4DGS(Format):
         return GaussianModel(**arrays, appearance=look, clip=Clip(frames, frames / (end - begin)))
 
 
-def _with_static(arrays: dict, values, look) -> dict:
+def _with_static(arrays: dict, values: tuple, look: SH | Changing) -> dict:
     """The arrays, joined by a set that does not change."""
     position, *looks, scale, rotation, opacity = (numbers_of(v) for v in values)
     n = len(position)
@@ -119,7 +123,8 @@ def _turns(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.einsum("ijn,jkn->nik", l_matrix, r_matrix)[:, ::-1, ::-1]
 
 
-def conditional(ln_scale, ln_scale_t, turns, *parts):
+def conditional(ln_scale: np.ndarray, ln_scale_t: np.ndarray, turns: Callable[..., np.ndarray], *parts: np.ndarray
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Velocity [N, 3], temporal variance [N], ln scale [N, 3] and rotation [N, 4] of 4D Gaussians cut at one time.
 
     turns(*parts), of some rows of parts [N, 4], gives their matrices of space and time [n, 4, 4], time last.
@@ -146,7 +151,7 @@ def capture_of(said: dict, t: np.ndarray) -> tuple[float, float]:
     return (0.0, 1.0) if not len(known) or known[int(0.99 * (len(known) - 1))] <= 1.1 else (0.0, 10.0)
 
 
-def coefficients(looks, n: int, count: int) -> np.ndarray:
+def coefficients(looks: Sequence[np.ndarray], n: int, count: int) -> np.ndarray:
     """Features [N, 3 count] of features_dc [N, 1, 3] and features_rest [N, M - 1, 3]; raises FastGSError."""
     dc, rest = looks
     if dc.shape != (n, 1, 3) or rest.ndim != 3 or rest.shape[::2] != (n, 3) or rest.shape[1] + 1 < count:
@@ -154,13 +159,13 @@ def coefficients(looks, n: int, count: int) -> np.ndarray:
     return np.concatenate([dc, rest], 1)[:, :count].reshape(n, 3 * count)
 
 
-def check_shapes(shapes) -> None:
+def check_shapes(shapes: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> None:
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
             raise FastGSError(f"its {name} has the shape {array.shape}, not {shape}; save the checkpoint again.")
 
 
-def numbers_of(tensor) -> np.ndarray:
+def numbers_of(tensor: Any) -> np.ndarray:
     if not isinstance(tensor, torch_zip.Tensor):
         raise FastGSError("something in it that should be numbers is none; save the checkpoint again.")
     with np.errstate(over="ignore", invalid="ignore"):

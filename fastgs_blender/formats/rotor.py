@@ -8,6 +8,9 @@ out as in 4DGS, and left out where (T - t)^2 / (2 variance) is 16 or more.
 """
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from ..model.appearance import SH
@@ -30,10 +33,10 @@ class RotorGaussians(Format):
     name = "4D-Rotor Gaussians checkpoint"
     reads = (".ckpt",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return _parameters(torch_zip.content_or_none(head, path)) is not None
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         found = _parameters(torch_zip.TorchFile(path).content)
         if found is None:
             raise FastGSError("it is no checkpoint of 4D-Rotor Gaussians; save it again.")
@@ -76,7 +79,7 @@ def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.array(rows).transpose(2, 0, 1)
 
 
-def _parameters(content) -> dict | None:
+def _parameters(content: Any) -> dict | None:
     """The table of tensors of a checkpoint, or None."""
     found = torch_zip.of_pipeline(content, PREFIX)
     return found if found.keys() >= set(NAMES) else None

@@ -10,6 +10,7 @@ TAIL log2(1 + |c|) bits.  One more bit for a parameter whose step is the one tha
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from math import floor, log1p, sqrt
 
@@ -43,13 +44,13 @@ def chained(values: np.ndarray, step: np.ndarray, pull: np.ndarray) -> np.ndarra
 
 
 @cache
-def _kernel():
+def _kernel() -> Callable[..., None]:
     from ..kernels.cpu.jit import kernel
 
     return kernel(_chain)
 
 
-def _chain(values, step, pull, out):
+def _chain(values: np.ndarray, step: np.ndarray, pull: np.ndarray, out: np.ndarray) -> None:
     """Fills out [N, D]; each number depends on the one before, so that numpy is slow at it."""
     for k in range(values.shape[1]):
         sum_ = 0.0

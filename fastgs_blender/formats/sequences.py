@@ -23,7 +23,7 @@ import tempfile
 import warnings
 import zipfile
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from ..model.sequence import FreeClip, Sequence
+from ..model.sequence import FreeClip, Sequence, Source
 from ..model.slicing import freeze
 from ..model.temporal import Always
 from ..util.errors import FastGSError, LossWarning, shown_as
@@ -39,7 +39,7 @@ from ..util.identity import status_of
 from ..util.reading import open_file, reading
 from ..util.zip_files import opened_zip
 from . import sog, streamed_sog
-from .base import Format
+from .base import Format, Loader
 from .turning import with_axes
 from .zipped import members
 
@@ -70,13 +70,12 @@ SPARSE = 100
 RATIO = 100
 """How many times larger a file may be than what a zip file holds of it; models are packed two to five times."""
 ADVICE = "name them with their frames' numbers, as in frame_0001.ply"
-Loader = Callable[[Path], GaussianModel]
 
 
 class SequenceFormat(Format):
     """A format of clips that are a model of their own on each frame: opened, not loaded."""
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         raise FastGSError("it is a sequence of frames, which are read one at a time; open it with open_source(), or turn it into one "
                           "model with fastgs convert.")
 
@@ -90,10 +89,10 @@ class NumberedFiles(SequenceFormat):
 
     name = "numbered files"
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return stands_for_many(path)
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         found = numbered_files(path)
         return _sequence([n for n, _ in found], lambda i: _still(load(found[i][1]), found[i][1]), lambda i: status_of(str(found[i][1])),
                          str(path))
@@ -105,14 +104,14 @@ class ZippedFiles(SequenceFormat):
     name = "zip file of numbered files"
     reads = (".zip",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return bool(_models(members(head, path)))
 
-    def single(self, path, load):
+    def single(self, path: Path, load: Loader) -> GaussianModel | None:
         infos, taken, beside = _contents(path)
         return _unpacked(path, infos[taken[0][1]], load, beside) if len(taken) == 1 else None
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         if (model := self.single(path, load)) is not None:
             return model
         infos, found, _ = _contents(path, tell=False)

@@ -54,7 +54,7 @@ class Sog(StaticFormat):
     reads = (".sog", "meta.json")
     antialiased = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if head.startswith(ZIP):
             try:
                 with tables.Archive(path) as files:
@@ -63,7 +63,7 @@ class Sog(StaticFormat):
                 return path.suffix.lower() == ".sog"  # broken, which load() says
         return is_json_table(head) and path.stat().st_size <= tables.MAX_META and _is_meta(read_whole(path))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         if (path.absolute().parent.parent / "lod-meta.json").is_file():
             warnings.warn(LossWarning(f"{path}: it is one chunk of a streamed scene; lod-meta.json in the folder above is the whole."),
                           stacklevel=3)
@@ -71,7 +71,7 @@ class Sog(StaticFormat):
         with (tables.Archive(path) if zipped else tables.Folder(path.parent)) as files:
             return decoded(files.meta() if zipped else read_json(read_whole(path)), files)
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if not len(model):
             raise FastGSError("the model has no Gaussians, and SOG has no pictures of none.")
         model, lost = super().fit(model)
@@ -81,7 +81,7 @@ class Sog(StaticFormat):
                     + (", spherical harmonics to a palette" if model.appearance.degree else ""))
         return model, lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         model = model.take(morton_order(model.position))
         meta, pictures = _encoded(model)
         with zipfile.ZipFile(targets[-1], "w", zipfile.ZIP_STORED) as archive:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Splat(StaticFormat):
     extensions = reads = (".splat",)
     degree = 0
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         size = path.stat().st_size
         named = path.suffix.lower() == ".splat"
         if size < RECORD.itemsize or (size % RECORD.itemsize and not named):
@@ -46,7 +47,7 @@ class Splat(StaticFormat):
         good &= (np.abs(norm - 1) < 0.1) | (named & (norm > 0.1))
         return bool(good.mean() > 0.9 if named else good.all())
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         data = read_whole(path)
         count, rest = divmod(len(data), RECORD.itemsize)
         if data[len(data) - rest:].strip(b" \t\r\n\0"):
@@ -57,7 +58,7 @@ class Splat(StaticFormat):
             position=records["position"], scale=np.log(records["scale"]), rotation=_rotation(records),
             opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if not len(model):
             raise FastGSError("the model has no Gaussians, and a .splat file of none would be empty.")
         model, lost = super().fit(model)
@@ -74,7 +75,7 @@ class Splat(StaticFormat):
         lost.append("colours, opacities and rotations are rounded to 8 bits")
         return replace(model, features=np.clip(colour, 0, 1), appearance=RGB()), lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         records = np.empty(len(model), RECORD)
         records["position"] = model.position
         records["scale"] = np.exp(model.scale.astype(np.float64))

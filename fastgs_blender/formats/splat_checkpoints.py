@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,10 +49,10 @@ class GsplatCheckpoint(Format):
     name = "gsplat checkpoint"
     reads = (".pt",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return _splats(torch_zip.content_or_none(head, path)) is not None
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         parts = [path]
         if rank := RANK.fullmatch(path.name):
             parts = sorted(p for p in path.parent.iterdir() if (other := RANK.fullmatch(p.name)) and other.groups() == rank.groups())
@@ -65,10 +66,10 @@ class NerfstudioCheckpoint(Format):
     name = "nerfstudio checkpoint (splatfacto)"
     reads = (".ckpt",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return _parameters(torch_zip.content_or_none(head, path)) is not None
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         found = _parameters(torch_zip.TorchFile(path).content)
         if found is None:
             raise FastGSError("it is no checkpoint of nerfstudio's splatfacto; save it again.")
@@ -90,7 +91,7 @@ def _says(file: Path, key: str, value: str) -> bool:
     return re.search(rf"^\s*{key}:\s*['\"]?{value}['\"]?\s*$", text, re.MULTILINE) is not None
 
 
-def _splats(content) -> dict | None:
+def _splats(content: Any) -> dict | None:
     """gsplat's table of tensors; None for anything else."""
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict) or not all(isinstance(v, torch_zip.Tensor) for v in splats.values()):
@@ -113,7 +114,7 @@ def _gsplat(path: Path) -> GaussianModel:
     return _model(splats, base[:, None], np.zeros((len(base), 0, 3)), GSPLAT)
 
 
-def _parameters(content) -> dict[str, torch_zip.Tensor] | None:
+def _parameters(content: Any) -> dict[str, torch_zip.Tensor] | None:
     """splatfacto's tensors by their plain names; None for anything else."""
     for prefix in PREFIXES:
         found = torch_zip.of_pipeline(content, prefix)

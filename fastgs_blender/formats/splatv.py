@@ -11,6 +11,8 @@ from __future__ import annotations
 import json
 import os
 import struct
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +44,10 @@ class Splatv(Format):
     extensions = reads = (".splatv",)
     keeps_cameras = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(MAGIC)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         with open_file(path) as stream:
             length = os.fstat(stream.fileno()).st_size
             size = int.from_bytes(stream.read(8)[4:], "little")
@@ -66,7 +68,7 @@ class Splatv(Format):
         recorded.pop("appearance", None)
         return GaussianModel(**restored(_decode(texels[texels.any(1)]), {"clip": Clip(FRAMES)} | recorded))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         lost = []
         for step in (bell_opacity, polynomial_motion, linear_rotation, lambda m: plain_colour(m, keep_features=False)):
             model, clauses = step(model)
@@ -78,7 +80,7 @@ class Splatv(Format):
             lost.append("colour and opacity are rounded to 8 bits, and all but positions to half precision")
         return model, lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         texels = _encode(model)[0]
         with np.errstate(over="ignore"):
             importance = np.exp(model.scale.sum(1, dtype=np.float64)) / (1 + np.exp(-model.opacity.astype(np.float64)))
@@ -93,7 +95,7 @@ class Splatv(Format):
             stream.write(bytes((rows * ROW - len(texels)) * RECORD))
 
 
-def _splat_chunk(chunks) -> tuple[dict, int, bool]:
+def _splat_chunk(chunks: Any) -> tuple[dict, int, bool]:
     """The chunk of Gaussians, the bytes before it, and whether it is the last."""
     if not isinstance(chunks, list) or not all(isinstance(c, dict) for c in chunks):
         raise FastGSError("its header is no list of chunks; the file is damaged.")
@@ -146,7 +148,7 @@ def _encode(model: GaussianModel) -> tuple[np.ndarray, bool]:
 
 def _same(model: GaussianModel, arrays: dict[str, np.ndarray]) -> bool:
     """Whether arrays of _decode() say what the model does."""
-    def close(ours, theirs):
+    def close(ours: np.ndarray, theirs: np.ndarray) -> bool:
         return np.allclose(ours, theirs.reshape(len(model), -1)[:, :ours[0].size].reshape(ours.shape) if len(model) else theirs, 1e-6, 1e-6)
 
     pairs = [(getattr(model, k), v) for k, v in arrays.items() if k not in ("position", "opacity") and getattr(model, k).size]

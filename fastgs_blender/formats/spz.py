@@ -14,6 +14,7 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Spz(StaticFormat):
     degree = 4
     antialiased = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if head.startswith(MAGIC):
             return True
         if not head.startswith(GZIP):
@@ -64,10 +65,10 @@ class Spz(StaticFormat):
         except zlib.error:
             return False
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         return decoded(read_whole(path))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         model, lost = super().fit(model)
         if not len(model):
             raise FastGSError("the model has no Gaussians, and readers of SPZ refuse a file of none.")
@@ -85,7 +86,7 @@ class Spz(StaticFormat):
                     + (", spherical harmonics to 5 and 4" if model.appearance.degree else ""))
         return model, lost
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         targets[-1].write_bytes(_packed(model))
 
 

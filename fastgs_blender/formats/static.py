@@ -37,7 +37,7 @@ class StaticFormat(Format):
     degree = 3
     linear = False
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         model, lost = static(model, self.name)
         model, clauses = plain_harmonics(model, self.degree)
         lost += clauses

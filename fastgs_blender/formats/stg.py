@@ -47,10 +47,10 @@ class SpacetimeGaussians(Format):
     extensions = reads = (".ply",)
     keeps_cameras = True
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and not ply.read_header(path).names.isdisjoint(("trbf_center", "trbf_scale", "omega_0"))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         missing = [name for name in NEEDED if name not in header.names]
         if missing:
@@ -81,7 +81,7 @@ class SpacetimeGaussians(Format):
         kinds = {"clip": Clip(settings.get("frames", FRAMES)), "basis": basis, "appearance": appearance} | kinds
         return GaussianModel(**restored(arrays, kinds))
 
-    def fit(self, model):
+    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         lost = comments(model, KEYS)[1]
         steps = [bell_opacity, polynomial_motion, linear_rotation, lambda m: plain_colour(m, keep_features=True)]
         if isinstance(model.basis, (Fourier, Cosine)):
@@ -93,7 +93,7 @@ class SpacetimeGaussians(Format):
             lost += clauses
         return model, lost
 
-    def files(self, model, path):
+    def files(self, model: GaussianModel, path: Path) -> list[Path]:
         if not isinstance(model.appearance, Features):
             return [path]
         decoder = path.with_suffix(".pt")
@@ -104,7 +104,7 @@ class SpacetimeGaussians(Format):
                 raise FastGSError(f"the decoder would replace {decoder.name}, which is something else; choose another name.") from error
         return [decoder, path]
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         full = isinstance(model.appearance, Features)
         if full:
             weights = {"w1": model.appearance.w1, "w2": model.appearance.w2}

@@ -8,8 +8,10 @@ with T in the file's own unit of time, and no opacity at all outside a window [b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..model.motion import Polynomial
 from ..model.temporal import Radial, WindowedRadial
@@ -31,7 +33,8 @@ class Timeline:
         return (np.asarray(time, np.float64) - self.zero) / self.length
 
 
-def straight(position, velocity, centre, ln_sigma, timeline: Timeline = Timeline(), window=None) -> dict:
+def straight(position: ArrayLike, velocity: ArrayLike | None, centre: ArrayLike, ln_sigma: ArrayLike, timeline: Timeline = Timeline(),
+             window: tuple[Any, Any] | None = None) -> dict[str, Any]:
     """Keyword arguments for GaussianModel: position, motion, mu_tau, temporal and their kinds.
 
     position [N, 3]; velocity [N, 3] or None; centre [N]; ln_sigma [N], inf: no fading; window (begin, end), each [N] or a number,

@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class StreamedSog(StaticFormat):
     name = "streamed SOG"
     reads = (META,)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         if parted(path)[1] is not None:
             return True
         if not head.startswith(MAGIC):
@@ -49,7 +50,7 @@ class StreamedSog(StaticFormat):
         except FastGSError:
             return False
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         place, level = parted(path)
         level = level or 0
         zipped = read_whole(place, len(MAGIC)) == MAGIC
@@ -96,11 +97,11 @@ def _is_meta(text: bytes) -> bool:
         return False
 
 
-def _is_table(meta) -> bool:
+def _is_table(meta: Any) -> bool:
     return isinstance(meta, dict) and "lodLevels" in meta and isinstance(meta.get("filenames"), list) and isinstance(meta.get("tree"), dict)
 
 
-def _chunk(files, name: tuple[str, ...]) -> GaussianModel:
+def _chunk(files: Any, name: tuple[str, ...]) -> GaussianModel:
     """The model of a chunk."""
     for folder in name[:-1]:
         files = files.within(folder)
@@ -126,7 +127,8 @@ def _part(chunk: GaussianModel, ranges: list[tuple[int, int]]) -> GaussianModel:
 
 def _ranges(meta: dict, level: int) -> dict[tuple[str, ...], list[tuple[int, int]]]:
     """{a chunk's name: ranges of first and last + 1 of its Gaussians} of a level, in the order of the chunks.  Raises FastGSError."""
-    names, found = meta.get("filenames"), {}
+    names: Any = meta.get("filenames")
+    found: dict[int, list[tuple[int, int]]] = {}
     for lods in _leaves(meta.get("tree")):
         place = lods.get(str(level))
         if place is None:
@@ -144,7 +146,7 @@ def _ranges(meta: dict, level: int) -> dict[tuple[str, ...], list[tuple[int, int
     return chunks
 
 
-def _leaves(tree) -> Iterator[dict]:
+def _leaves(tree: Any) -> Iterator[dict]:
     """The lods of all leaves: nodes that have them, as the engine takes them."""
     stack = [tree]
     while stack:

@@ -18,14 +18,14 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
-from ..model.sequence import Sequence
+from ..model.sequence import Sequence, Source
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from ..util.outputs import replacing
 from ..util.reading import reading
-from .base import OPAQUE, generator, usable
+from .base import OPAQUE, Loader, generator, usable
 from .scenes import placed, together
 from .static import StaticFormat
 from .turning import with_axes
@@ -47,15 +47,15 @@ class Usd(StaticFormat):
     def __init__(self, extension: str = ".usdc"):
         self.extensions = (extension,)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith((b"PXR-USDC", b"#usda")) or any(name.endswith((".usdc", ".usda", ".usd")) for name in members(head, path))
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         stage, prims = _opened(path)
         times = _times(prims)
         return _model(stage, prims, times[0] if len(times) else None)
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         stage, prims = _opened(path)
         times = _times(prims)
         if len(times) < 2:
@@ -75,7 +75,7 @@ class Usd(StaticFormat):
 
         return Sequence(clip, at, read, lambda i: status_of(str(path)), str(path))
 
-    def write(self, model, targets):
+    def write(self, model: GaussianModel, targets: list[Path]) -> None:
         write_frames(targets[-1], self.extensions[0], [(None, model)])
 
 
