@@ -11,7 +11,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.cameras import moves
 from ..scene import objects, speeds
 from ..scene.cameras import keys as camera_keys
-from ..scene.cameras.from_view import eye_of
+from ..scene.cameras.framing import eye_of
 from ..scene.cameras.subjects import subject_of, target_camera
 from ..scene.cameras.tracking import region_track
 from ..scene.splats.splat_object import sentence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.cameras import framing
+from ..scene.cameras.from_view import stand_in_view
 from ..scene.frame_range import fit_scene
 from ..scene.objects import is_splat
 
@@ -48,7 +48,7 @@ class FASTGS_OT_set_up_scene(bpy.types.Operator):
         scene, obj = context.scene, context.object
         fit_scene(scene, obj)
         scene.render.engine = 'FASTGS'
-        framing.stand_in_view(context, [obj])
+        stand_in_view(context, [obj])
         return {'FINISHED'}
 
 

@@ -18,7 +18,6 @@ from . import placing, space, subjects
 
 SENSOR = 72.0
 """Width in millimetres of a 3D view's longer side, for the focal length that it is set to."""
-CAMERA_SENSOR, USUAL_LENS = 36.0, 50.0
 USUAL_TURN = Euler((1.1093, 0.0, 0.8149)).to_quaternion()
 """How Blender's startup file looks at the world."""
 
@@ -30,6 +29,11 @@ class Look:
     rotation: Quaternion
     location: Vector
     distance: float
+
+    @property
+    def eye(self) -> Matrix:
+        """Where its camera stands, in the world."""
+        return Matrix.LocRotScale(self.location + self.rotation @ Vector((0, 0, self.distance)), self.rotation, None)
 
 
 def surroundings_of(obj: bpy.types.Object) -> Surroundings:
@@ -61,59 +65,24 @@ def show(context, splats: list[bpy.types.Object]) -> int:
     return found
 
 
-def stand_in_view(context, splats: list[bpy.types.Object], camera: bpy.types.Object | None = None) -> bpy.types.Object:
-    """Let a camera, None: a new one, see what the window's largest 3D view shows, all of it; it becomes the scene's camera.
-
-    A view through a camera, and a window without views, show objects as an import would.  Returns the camera.
-    """
-    scene = context.scene
-    if camera is None:
-        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-        scene.collection.objects.link(camera)
-    scene.camera = camera
-    found = max(views(context), key=lambda each: each[0].width * each[0].height, default=None)
-    look, wide, high, flat, near, far = _seen_in(context, splats, found)
-    render = scene.render
-    shape = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
-    longer = max(wide, high * shape) / min(shape, 1.0)  # tangent of half the angle along the picture's longer side
-    data = camera.data
-    data.sensor_fit, data.sensor_width, data.shift_x, data.shift_y = 'AUTO', CAMERA_SENSOR, 0.0, 0.0
-    data.type = 'ORTHO' if flat else 'PERSP'
-    if flat:
-        data.ortho_scale = 2 * longer * look.distance
-    else:
-        data.lens = CAMERA_SENSOR / 2 / longer
-    data.clip_start, data.clip_end = min(near, look.distance / 100), max(far, 100 * look.distance)
-    place = look.location + look.rotation @ Vector((0, 0, look.distance))
-    camera.matrix_world = Matrix.LocRotScale(place, look.rotation, None)
-    return camera
-
-
-def _seen_in(context, splats, found) -> tuple[Look, float, float, bool, float, float]:
-    """(look, tangents of half the angles to the side and upwards, whether it is orthographic, nearest and farthest depth) of a 3D view."""
-    if found is None:  # no window: a view of the render's shape
-        sides = np.array([context.scene.render.resolution_x, context.scene.render.resolution_y], np.float64)
-        wide, high = SENSOR / 2 / USUAL_LENS * sides / sides.max()
-        return look_at(splats, min(wide, high))[0], wide, high, False, 0.01, 1000.0
-    area, view = found
-    space_, (wide, high) = area.spaces.active, half_sides(area)
-    if view.view_perspective == 'CAMERA':
-        return look_at(splats, min(wide, high))[0], wide, high, False, space_.clip_start, space_.clip_end
-    look = Look(view.view_rotation.copy(), view.view_location.copy(), view.view_distance)
-    return look, wide, high, view.view_perspective == 'ORTHO', space_.clip_start, space_.clip_end
-
-
 def views(context) -> list[tuple[bpy.types.Area, bpy.types.RegionView3D]]:
     """The 3D views of the context's window; none without one."""
     areas = context.window.screen.areas if context.window else ()
     return [(area, area.spaces.active.region_3d) for area in areas if area.type == 'VIEW_3D']
 
 
+def eye_of(space_, view) -> Matrix:
+    """Where a 3D view looks from, in the world; also before it is drawn, unless it is locked to something."""
+    if space_.lock_object or space_.lock_cursor:
+        return view.view_matrix.inverted()
+    return Look(view.view_rotation, view.view_location, view.view_distance).eye
+
+
 def eyes(context) -> list[Vector]:
     """From where the window's 3D views look."""
     camera = context.scene.camera
     return [camera.matrix_world.translation.copy() if view.view_perspective == 'CAMERA' and camera
-            else view.view_location + view.view_rotation @ Vector((0, 0, view.view_distance)) for _, view in views(context)]
+            else eye_of(area.spaces.active, view).translation for area, view in views(context)]
 
 
 def look_at(splats: list[bpy.types.Object], half: float, turn: Quaternion = USUAL_TURN) -> tuple[Look, bool]:
@@ -200,8 +169,7 @@ def viewpoint_of_view(context, splat: bpy.types.Object) -> Viewpoint:
     area, view = context.area, context.space_data.region_3d
     region = next(region for region in area.regions if region.type == 'WINDOW')
     pixels = context.space_data.lens / SENSOR * max(region.width, region.height)
-    distance = view.view_distance
-    pose = Matrix.LocRotScale(view.view_location + view.view_rotation @ Vector((0, 0, distance)), view.view_rotation, None)
+    pose, distance = eye_of(context.space_data, view), view.view_distance
     if view.view_perspective == 'CAMERA':
         pose, distance = view.view_matrix.inverted(), 0.0
     camera = fg.Camera(region.width, region.height, pixels, pixels, region.width / 2, region.height / 2,

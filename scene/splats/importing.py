@@ -9,7 +9,7 @@ import bpy
 
 from ...fastgs_blender.util.errors import FastGSError, printable
 from .. import startup, upright
-from ..cameras import framing
+from ..cameras import framing, from_view
 from ..frame_range import fit_scene
 from . import splat_object
 from .proxy import LIMIT
@@ -111,7 +111,7 @@ def _set_up(context, done: Imported, options: Options, camera: bpy.types.Object 
             done.remarks.append(f'"{cube.name}" of the startup file stood in the capture, or before it, and is hidden')
     if options.camera and not through:
         context.view_layer.update()
-        camera = framing.stand_in_view(context, done.objects, camera)
+        camera = from_view.stand_in_view(context, done.objects, camera)
         done.remarks.append(f'F12 shows what the 3D view shows, through "{camera.name}"')
     if startup.dulls_colours(scene):
         done.remarks.append(startup.REMARK)

@@ -67,6 +67,27 @@ def test_all_of_the_view_is_in_the_picture(scene, view, size, perspective, lens)
     assert reach.max() == pytest.approx(1, abs=1e-4) and reach.min() <= 1 + 1e-4, "it ends at two sides where the view does"
 
 
+@pytest.mark.parametrize(("perspective", "lens"), [('PERSP', 1.0), ('ORTHO', 35.0)])
+def test_set_up_scene_places_a_camera_likewise(scene, view, module, perspective, lens):
+    """The widest view needs a sensor of its own, because Blender's shortest lens is 1 mm; behind an orthographic one nothing lies."""
+    bpy.ops.mesh.primitive_cube_add(location=(0, 0, 50))
+    context = view(perspective, lens)
+    with bpy.context.temp_override(**context):
+        camera = module("scene.cameras.from_view").stand_in_view(bpy.context, [])
+    bpy.context.view_layer.update()
+    reach = np.abs(pictured(camera, scene, corners(context))).max(0)
+    assert reach.max() == pytest.approx(1, abs=1e-4) and reach.min() <= 1 + 1e-4
+    assert perspective == 'PERSP' or (np.linalg.inv(np.array(camera.matrix_world)) @ (0, 0, 51, 1))[2] < 0
+
+
+def test_without_a_window_the_camera_is_that_of_a_usual_view(scene, splats, module):
+    """A 3D view's lens is 50 mm before 72 mm at first."""
+    camera = module("scene.cameras.from_view").stand_in_view
+    with bpy.context.temp_override(window=None):
+        made = camera(bpy.context, [splats])
+    assert made == scene.camera and made.data.sensor_width / made.data.lens == pytest.approx(72 / 50)
+
+
 def test_the_picture_may_take_the_views_shape(scene, view):
     scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
     context = view()
