@@ -14,7 +14,7 @@ from ..fastgs_blender.util.errors import printable, printable_lines
 from ..fastgs_blender.util.threads import thread_count
 from ..scene import devices, objects, settings
 from . import compiling
-from .viewport import spaces
+from .viewport.spaces import viewports
 
 PACKAGES = ("numpy", "numba", "llvmlite", "safetensors", "OpenEXR", "wgpu", "torch")
 
@@ -48,7 +48,7 @@ def _version(name: str) -> str:
 def _stages() -> list[str]:
     """How long the stages of a viewport's picture take here; a viewport must have drawn splats."""
     try:
-        lines = spaces.timed()
+        lines = viewports.timed()
     except Exception as error:  # noqa: BLE001 (a driver raises anything, which is what such a report is about)
         return [f"viewport: could not be timed ({type(error).__name__}: {error})"]
     return lines or ["viewport: has not drawn splats"]

@@ -4,7 +4,7 @@ import bpy
 
 from ..scene import objects
 from . import final, passes
-from .viewport import spaces
+from .viewport.spaces import viewports
 
 
 class FASTGSRenderEngine(bpy.types.RenderEngine):
@@ -25,10 +25,10 @@ class FASTGSRenderEngine(bpy.types.RenderEngine):
         final.render(self, depsgraph)
 
     def view_update(self, context, depsgraph):
-        spaces.changed()
+        viewports.changed()
 
     def view_draw(self, context, depsgraph):
-        spaces.view_draw(context, depsgraph)
+        viewports.view_draw(context, depsgraph)
 
     def update_render_passes(self, scene=None, renderlayer=None):
         passes.register(self, scene, renderlayer)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine.viewport import spaces
+from ..engine.viewport.spaces import viewports
 from ..scene import objects, unshown
 from . import facts
 from .object_panels import Sidebar, draw_rows, draw_trouble
@@ -28,13 +28,13 @@ class FASTGS_PT_viewport(Sidebar, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "viewport_density", text="In Motion")
         layout.prop(settings, "viewport_pixels")
-        draw_rows(layout, [("GPU Memory", facts.size(spaces.memory()))])
+        draw_rows(layout, [("GPU Memory", facts.size(viewports.memory()))])
         if context.engine == 'FASTGS':
             draw_unshown(layout, context)
             text = unshown.in_viewports(context.scene)
             if text:
                 draw_trouble(layout, context, text, 'INFO')
-        trouble = spaces.trouble()
+        trouble = viewports.trouble()
         if trouble:
             draw_trouble(layout, context, trouble)
 

@@ -21,15 +21,15 @@ def register():
     global _drawing
     for handlers, function in HANDLERS:
         handlers.append(bpy.app.handlers.persistent(function))
-    updates.listeners.append(spaces.redraw)
-    _drawing = bpy.types.SpaceView3D.draw_handler_add(spaces.post_view, (), 'WINDOW', 'POST_VIEW')
+    updates.listeners.append(spaces.viewports.redraw)
+    _drawing = bpy.types.SpaceView3D.draw_handler_add(spaces.viewports.post_view, (), 'WINDOW', 'POST_VIEW')
 
 
 def unregister():
     global _drawing
     bpy.types.SpaceView3D.draw_handler_remove(_drawing, 'WINDOW')
     _drawing = None
-    updates.listeners.remove(spaces.redraw)
+    updates.listeners.remove(spaces.viewports.redraw)
     for handlers, function in HANDLERS:
         handlers.remove(function)
-    spaces.stop()
+    spaces.viewports.stop()

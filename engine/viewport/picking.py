@@ -25,7 +25,7 @@ def seen_at(context, x: int, y: int) -> tuple[str, float, fg.Camera] | None:
     if not (ours or spaces.shows_over(space, context.scene)):
         return None
     camera, _ = eye(region.width, region.height, view.view_matrix, view.window_matrix)
-    found = splats_at(spaces.snapshot_of(space, context.evaluated_depsgraph_get(), ours), camera, x, y)
+    found = splats_at(spaces.viewports.snapshot_of(space, context.evaluated_depsgraph_get(), ours), camera, x, y)
     return None if found is None else (*found, camera)
 
 

@@ -12,8 +12,8 @@ from window import area_of, press, seen_by, settled, until, within
 
 def drawn():
     """Of each viewport that shows splats: how many in its order, and the size of its picture."""
-    spaces = sys.modules[f"{ADDON}.engine.viewport.spaces"]
-    return [(view._order[1].count, *view.picture.size) for view in spaces._views.values() if view._order]
+    viewports = sys.modules[f"{ADDON}.engine.viewport.spaces"].viewports
+    return [(view._order[1].count, *view.picture.size) for view in viewports.views.values() if view._order]
 
 
 def ways(model):

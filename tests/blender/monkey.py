@@ -271,8 +271,8 @@ def held() -> dict[str, int]:
     found = {}
     for name, module in list(sys.modules.items()):
         if name.startswith(ADDON):
-            for key, value in list(vars(module).items()):
-                if isinstance(value, (dict, list, set)) and key.startswith("_") and not key.startswith("__"):
+            for key, value in [*vars(module).items(), *vars(getattr(module, "viewports", object)).items()]:
+                if isinstance(value, (dict, list, set)) and (key == "views" or key[:1] == "_" != key[1:2]):
                     found[f"{name.removeprefix(ADDON)}.{key}"] = len(value)
     return found
 
@@ -303,7 +303,7 @@ def run(actions, seed, models, files, laps):
     What Blender and the software OpenGL allocate once is there after a few laps of the second kind; what is forgotten to be freed
     grows with every one, however many.  `laps` is the most.
     """
-    viewports = import_module(f"{ADDON}.engine.viewport.spaces")
+    viewports = import_module(f"{ADDON}.engine.viewport.spaces").viewports
     for path, model in zip(files, models):
         bpy.ops.wm.read_homefile()
         bpy.ops.import_scene.fastgs(filepath=os.path.abspath(model), use_engine=True)

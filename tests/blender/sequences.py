@@ -44,7 +44,7 @@ def playing(folder, names, beside):
     def note(*_):
         seen.add(scene.frame_current)
         facts["kept"].append(sequence.cache.nbytes())
-        drawn.update(len(view._answer.instances[-1].model) for view in spaces._views.values() if view._answer)
+        drawn.update(len(view._answer.instances[-1].model) for view in spaces.viewports.views.values() if view._answer)
 
     bpy.app.handlers.frame_change_post.append(note)
     scene.sync_mode = 'NONE'  # every frame

@@ -5,7 +5,7 @@ Pytest's options --monkey-actions and --monkey-seed choose another run.
 """
 from __future__ import annotations
 
-MEMORIES = ("objects._entries", "objects._loading", "spaces._views", "frusta._textures")
+MEMORIES = ("objects._entries", "objects._loading", "spaces.views", "frusta._textures")
 """What must be empty in an empty file."""
 
 

@@ -26,7 +26,7 @@ def shot(name):
 def under_way():
     """Whether viewports wait for anything, such as a file or an order of the splats, that the extension's thread works on."""
     spaces = sys.modules.get(f"{ADDON}.engine.viewport.spaces")
-    return spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces._views.values())
+    return spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces.viewports.views.values())
 
 
 def settled(name, limit=GUARD):

@@ -383,7 +383,7 @@ def test_nothing_is_left_after_unregister(module, addon, scene):
         lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]
         functions = [f for handlers in lists if isinstance(handlers, list) for f in handlers]
         assert not [f for f in functions if f.__module__ == spaces.__name__]
-        assert not spaces._views and not spaces.atlas.models and not viewport._drawing
-        assert not bpy.app.timers.is_registered(spaces._tick)
+        assert not spaces.viewports.views and not spaces.viewports.atlas.models and not viewport._drawing
+        assert not bpy.app.timers.is_registered(spaces.viewports.timer)
     finally:
         viewport.register()

@@ -136,7 +136,7 @@ def test_diagnostics_time_each_stage(module, parts, window, two, view, monkeypat
     camera, count, stages = view.timed()
     assert (camera.width, camera.height) == SIZE and count > 1000
     assert tuple(stages) == module("engine.viewport.timing").STAGES and all(0 < value < 60_000 for value in stages.values())
-    monkeypatch.setitem(parts.spaces._views, (1, True), view)
+    monkeypatch.setitem(parts.spaces.viewports.views, (1, True), view)
     text = module("engine.diagnostics").text()
     assert "viewport of 96 x 64 with" in text and "blending splats" in text and "reading the depth back" in text
 

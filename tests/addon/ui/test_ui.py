@@ -221,7 +221,8 @@ def test_preferences_have_headings_and_say_what_zero_threads_are(module):
 
 def test_viewports_that_cannot_show_splats_say_so(panels, obj, module, monkeypatch):
     assert not texts(drawn(panels["FASTGS_PT_viewport"]))[2:]
-    monkeypatch.setattr(module("engine.viewport.spaces"), "trouble", lambda: "the models do not fit into the GPU's textures: too bad.")
+    viewports = module("engine.viewport.spaces").viewports
+    monkeypatch.setattr(viewports, "trouble", lambda: "the models do not fit into the GPU's textures: too bad.")
     assert "The models do not fit into" in " ".join(texts(drawn(panels["FASTGS_PT_viewport"])))
 
 
