@@ -16,12 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.appearance import SH, SH_C0, Changing, Features, momentary
+from ...fastgs_blender.model.appearance import RGB, SH, SH_C0, Changing, Features, momentary
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.motion import Basis, Static
-
-RGB, HARMONICS, FEATURES = range(3)
-"""What a model's colour texels hold."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +28,7 @@ class TexelLayout:
     terms, groups   terms of the motion, and texels that each axis of them takes
     turns           terms of the rotation
     temporal        whether there is a texel of temporal parameters
-    colours         RGB, HARMONICS or FEATURES
+    colours         the code of the appearance; harmonics without degree are RGB
     degree          of the harmonics
     changes         terms of the colours' basis
     """
@@ -57,7 +54,7 @@ class TexelLayout:
     @property
     def moment(self) -> int:
         """Texels of one Gaussian's constant colour, and of each of its terms."""
-        return {RGB: 1, HARMONICS: 3 * -(-((self.degree + 1) ** 2) // 4), FEATURES: 3}[self.colours]
+        return {RGB.code: 1, SH.code: 3 * -(-((self.degree + 1) ** 2) // 4), Features.code: 3}[self.colours]
 
 
 @dataclass(frozen=True)
@@ -71,12 +68,9 @@ class Place:
 
 def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
-    colours, degree = RGB, 0
     look, changes = momentary(model.appearance), changes_of(model).terms
-    if isinstance(look, Features):
-        colours = FEATURES
-    elif isinstance(look, SH) and (look.degree or changes):
-        colours, degree = HARMONICS, look.degree
+    degree = getattr(look, "degree", 0)
+    colours = RGB.code if isinstance(look, SH) and not degree and not changes else look.code
     return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
                        colours, degree, changes)
 
@@ -121,9 +115,9 @@ def write_colour(model: GaussianModel, out: np.ndarray) -> None:
     out[:] = 0
     look = momentary(model.appearance)
     features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
-    if p.colours == HARMONICS:
+    if p.colours == SH.code:
         out.reshape(n, 1 + p.changes, -1)[..., :look.width] = features.reshape(n, 1 + p.changes, look.width)
-    elif p.colours == FEATURES:
+    elif p.colours == Features.code:
         out[:, :, :3] = features.reshape(n, 3, 3)
     elif isinstance(look, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)

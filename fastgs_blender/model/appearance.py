@@ -35,11 +35,13 @@ class Appearance:
     """What every appearance answers.
 
     name, width    as files name it; F, the number of columns
+    code           how kernels and shaders know it
     recorded       the fields that a file records of it, beside arrays
     optional       those of them that a file may lack; they have their default then
     """
 
     name: ClassVar[str] = ""
+    code: ClassVar[int]
     width: ClassVar[int]
     recorded: ClassVar[tuple[str, ...]] = ()
     optional: ClassVar[tuple[str, ...]] = ()
@@ -54,6 +56,10 @@ class Appearance:
         """Colours [N, 3] of features [N, F], seen from no particular side."""
         return features[:, :3]
 
+    def seen(self, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """What is blended of features [N, F] that are seen along unit directions [N, 3]: colours [N, 3], or features for a decoder."""
+        return features
+
 
 @dataclass(frozen=True)
 class RGB(Appearance):
@@ -64,6 +70,7 @@ class RGB(Appearance):
     """
 
     name: ClassVar[str] = "rgb"
+    code: ClassVar[int] = 0
     width: ClassVar[int] = 3
 
 
@@ -78,6 +85,7 @@ class SH(Appearance):
     """
 
     name: ClassVar[str] = "sh"
+    code: ClassVar[int] = 1
     recorded: ClassVar[tuple[str, ...]] = ("degree",)
     degree: int = 0
 
@@ -95,6 +103,10 @@ class SH(Appearance):
     def plain_colours(self, features: np.ndarray) -> np.ndarray:
         """Colours [N, 3] of features [N, F]: the mean over all directions."""
         return 0.5 + SH_C0 * features[:, :3]
+
+    def seen(self, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        basis = sh_basis(directions, self.degree)
+        return np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, features.reshape(*basis.shape, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +126,7 @@ class Features(Appearance):
     """
 
     name: ClassVar[str] = "features"
+    code: ClassVar[int] = 2
     width: ClassVar[int] = 9
     recorded: ClassVar[tuple[str, ...]] = ("activation", "decode")
     optional: ClassVar[tuple[str, ...]] = ("decode",)

@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.appearance import SH, Features, decode, lifted, momentary, sh_basis
+from ..model.appearance import Features, decode, lifted, momentary
 from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import crop_share
@@ -53,17 +53,13 @@ class Splats:
 def colours(s: Slice, instance: ViewedInstance, camera: Camera) -> np.ndarray:
     """The values that each Gaussian adds to the picture: rgb [M, 3], or the features [M, 9] of a model with a decoder."""
     appearance = momentary(instance.model.appearance)
-    if isinstance(appearance, Features):
-        return s.features
-    if not isinstance(appearance, SH):
-        return graded(s.features, instance.look)
     if camera.orthographic:
         direction = np.broadcast_to(instance.camera_to_model[:3, 2], s.position.shape)
     else:
         direction = s.position - instance.camera_to_model[:3, 3]
     direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
-    basis = sh_basis(direction, appearance.degree)
-    return graded(np.maximum(0, 0.5 + np.einsum("mb,mbc->mc", basis, s.features.reshape(*basis.shape, 3))), instance.look)
+    seen = appearance.seen(s.features, direction)
+    return seen if isinstance(appearance, Features) else graded(seen, instance.look)
 
 
 def nearness(view: np.ndarray, factor: np.ndarray, along: np.ndarray) -> np.ndarray:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from ....fastgs_blender.model import appearance, temporal
-from ....fastgs_blender.rendering import colour
-from ....fastgs_blender.rendering.distance import MARGIN, STEEP
-from ....fastgs_blender.rendering.oracle import REACH
-from .. import frame_table, model_texels, textures
+from ....fastgs_blender.kernels.equations.text import CONSTANTS
+from .. import frame_table, textures
 from ..covering_table import MARKS, CoveringTexel
 from ..resolve_table import HIDDEN, ResolveTexel
 
@@ -28,20 +25,9 @@ def texels(prefix: str, names: type[IntEnum]) -> dict[str, int]:
 
 VIEW = defines(**texels("VIEW", frame_table.ViewTexel))
 INSTANCES = defines(
-    REACH=REACH, FARTHEST=FARTHEST, MARGIN=MARGIN, STEEP=STEEP, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
+    FARTHEST=FARTHEST, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
     INSTANCE_TEXELS=frame_table.HEAD,
     **texels("INSTANCE", frame_table.InstanceTexel),
-    BASIS_WEIGHTS=frame_table.WEIGHTS, BASIS_POWERS=frame_table.POWERS, COLOURS_HARMONICS=model_texels.HARMONICS,
-    **{f"TEMPORAL_{name.upper()}".replace("-", "_"): kind.code for name, kind in temporal.KINDS.items()})
-HARMONICS = defines(
-    SH_C0=appearance.SH_C0, SH_C1=appearance.SH_C1,
-    **{f"SH_C{degree}_{number}": value for degree, values in ((2, appearance.SH_C2), (3, appearance.SH_C3), (4, appearance.SH_C4))
-       for number, value in enumerate(values)})
+    BASIS_WEIGHTS=frame_table.WEIGHTS, BASIS_POWERS=frame_table.POWERS, COLOURS_HARMONICS=CONSTANTS["APPEARANCE_SH"])
 COVERING = defines(**texels("COVERING", CoveringTexel), COVERING_MARKS=MARKS)
-GRADE = defines(
-    SRGB_CUT=colour.SRGB_CUT, SRGB_LINEAR_CUT=colour.SRGB_LINEAR_CUT, SRGB_SLOPE=colour.SRGB_SLOPE, SRGB_OFFSET=colour.SRGB_OFFSET,
-    SRGB_GAMMA=colour.SRGB_GAMMA)
-RESOLVE = defines(
-    **texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN,
-    **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(appearance.ACTIVATIONS)},
-    **{f"DECODE_{name.upper()}": code for code, name in enumerate(appearance.DECODES)})
+RESOLVE = defines(**texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN, DECODE_PREMULTIPLIED=CONSTANTS["DECODE_PREMULTIPLIED"])

@@ -2,7 +2,8 @@
 """The shaders that turn blended splats into scene-linear colour."""
 from __future__ import annotations
 
-from . import constants, grade
+from ....fastgs_blender.kernels.equations.text import glsl
+from . import constants
 
 VERTEX = """
 void main()
@@ -12,30 +13,23 @@ void main()
 }
 """
 
-FRAGMENT = constants.RESOLVE + grade.GRADE + """
+FRAGMENT = constants.RESOLVE + """
 vec4 row(int j) { return texelFetch(t_resolve, ivec2(j, 0), 0); }
-
+vec4 w1(int h, int k) { return row(RESOLVE_W1 + 3 * h + k); }
+vec3 w2(int h) { return row(RESOLVE_W2 + h).xyz; }
+""" + glsl("srgb", "looks", "decode") + """
 #ifdef FEATURES
 /* appearance.decode, for the ray through a pixel */
 vec3 decoded(vec3 base, vec3 direction, vec3 time, vec2 pixel, int activation)
 {
   vec4 size = row(RESOLVE_SIZE), lens = row(RESOLVE_LENS);
   vec4 x_row = row(RESOLVE_TO_MODEL), y_row = row(RESOLVE_TO_MODEL + 1), z_row = row(RESOLVE_TO_MODEL + 2);
-  vec3 ray = vec3(0.0, 0.0, 1.0);
-  if (size.z < 0.5) { ray.xy = vec2((pixel.x - lens.z) / lens.x, (size.y - pixel.y - lens.w) / lens.y); }
-  ray = vec3(dot(x_row.xyz, ray), dot(y_row.xyz, ray), dot(z_row.xyz, ray));
-  ray /= max(length(ray), 1e-30);
+  vec3 ray = ray_of(vec2(pixel.x, size.y - pixel.y), lens, size.z > 0.5, x_row.xyz, y_row.xyz, z_row.xyz);
   vec3 eye = vec3(x_row.w, y_row.w, z_row.w);
   vec4 in0 = vec4(direction, time.x), in1 = vec4(time.yz, eye.xy), in2 = vec4(eye.z, ray);
   vec3 rgb = base;
-  for (int h = 0; h < DECODER_HIDDEN; h++) {
-    int w1 = RESOLVE_W1 + 3 * h;
-    float hidden = max(dot(row(w1), in0) + dot(row(w1 + 1), in1) + dot(row(w1 + 2), in2), 0.0);
-    rgb += hidden * row(RESOLVE_W2 + h).xyz;
-  }
-  if (activation == ACTIVATION_SIGMOID) { return 1.0 / (1.0 + exp(-rgb)); }
-  if (activation == ACTIVATION_CLAMP) { return clamp(rgb, 0.0, 1.0); }
-  return rgb;
+  for (int h = 0; h < DECODER_HIDDEN; h++) { rgb += w2(h) * hidden_unit(h, in0, in1, in2); }
+  return activated(rgb, activation);
 }
 #endif
 
@@ -46,10 +40,8 @@ vec3 sky_texel(int x, int y, ivec2 size) { return texelFetch(t_sky, ivec2(x < 0 
 vec3 behind(vec2 place)
 {
   vec4 sizes = row(RESOLVE_SKY), lens = row(RESOLVE_LENS);
-  vec3 ray = vec3(0.0, 0.0, 1.0);
-  if (row(RESOLVE_SIZE).z < 0.5) { ray.xy = vec2((place.x * sizes.z - lens.z) / lens.x, ((1.0 - place.y) * sizes.w - lens.w) / lens.y); }
-  ray = vec3(dot(row(RESOLVE_TO_WORLD).xyz, ray), dot(row(RESOLVE_TO_WORLD + 1).xyz, ray), dot(row(RESOLVE_TO_WORLD + 2).xyz, ray));
-  ray /= length(ray);
+  vec3 ray = ray_of(vec2(place.x, 1.0 - place.y) * sizes.zw, lens, row(RESOLVE_SIZE).z > 0.5, row(RESOLVE_TO_WORLD).xyz,
+                    row(RESOLVE_TO_WORLD + 1).xyz, row(RESOLVE_TO_WORLD + 2).xyz);
   float u = (atan(ray.x, ray.y) / 6.283185307179586 + 0.5) * sizes.x - 0.5;
   float v = clamp((asin(clamp(ray.z, -1.0, 1.0)) / 3.141592653589793 + 0.5) * sizes.y - 0.5, 0.0, sizes.y - 1.0);
   ivec2 size = ivec2(sizes.xy);
@@ -82,11 +74,9 @@ void main()
     vec2 place = vec2(pixel) + vec2(0.5);
     vec3 second = texelFetch(t_second, pixel, 0).rgb, third = texelFetch(t_third, pixel, 0).rgb;
     int activation = int(kind.y + 0.5);
-    if (int(whole_picture.z + 0.5) == DECODE_PREMULTIPLIED) { /* appearance.lifted, straight */
+    if (int(whole_picture.z + 0.5) == DECODE_PREMULTIPLIED) {
       vec3 whole = decoded(first.rgb, second, third, place, activation);
-      vec3 nothing = decoded(vec3(0.0), vec3(0.0), vec3(0.0), place, activation);
-      rgb = (whole - (1.0 - weight) * nothing) / weight;
-      if (activation != ACTIVATION_NONE) { rgb = clamp(rgb, 0.0, 1.0); }
+      rgb = lifted(whole, decoded(vec3(0.0), vec3(0.0), vec3(0.0), place, activation), weight, activation);
     }
     else {
       rgb = decoded(rgb, second / weight, third / weight, place, activation);

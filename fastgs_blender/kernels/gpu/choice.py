@@ -18,6 +18,7 @@ from ...util.outputs import replacing
 from ...util.reading import read_json
 from ...util.verdicts import Verdict, read_verdict
 from ..cpu.cache import user_folder
+from ..equations import text
 from . import shaders
 from .adapters import Adapter, adapters, find
 from .device import Failure
@@ -101,7 +102,8 @@ def _key(adapter: Adapter) -> str:
 
 @cache
 def _digest() -> str:
-    files = sorted(shaders.FOLDER.parent.rglob("*.wgsl")) + sorted(shaders.FOLDER.parent.glob("*.py"))
+    rooms = shaders.FOLDER.parent, text.FOLDER
+    files = [file for room in rooms for kind in ("wgsl", "py") for file in sorted(room.rglob(f"*.{kind}"))]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 

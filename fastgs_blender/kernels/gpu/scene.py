@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import RGB, SH, Changing, Features, momentary
+from ...model.appearance import Changing, Features, momentary
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
@@ -19,7 +19,6 @@ from .shaders import FARTHEST
 
 ORDER = ("position", "rotation", "scale", "opacity", "mu_tau", "temporal", "motion", "rotation_motion", "features")
 """The arrays of a model as they follow each other in its buffer."""
-CODES = {RGB: 0, SH: 1, Features: 2}
 MOTION_CENTRED, ROTATION_CENTRED, COLOUR_CENTRED, ANTIALIASED, ORTHOGRAPHIC, HIDDEN, DETACHED, BLURRED = (1 << bit for bit in range(8))
 
 
@@ -103,7 +102,7 @@ class View:
             [int(sampling.fades), len(sampling.cameras), self.cameras], look,
             [pack.count, row, channels, pack.first],
             [model.basis.terms, model.rotation_basis.terms, model.temporal.shape[1], model.features.shape[1]],
-            [model.temporal_kind.code, CODES[type(momentarily)], getattr(momentarily, "degree", 0), momentarily.width],
+            [model.temporal_kind.code, momentarily.code, getattr(momentarily, "degree", 0), momentarily.width],
             [group.offset, plus_one(group.weight), plus_one(layout.depth), plus_one(layout.plane)],
             self.terms,
             [self.flags, self.volumes[1], self.volumes[0], model.appearance.basis.terms if isinstance(model.appearance, Changing) else 0],

@@ -9,13 +9,10 @@
 @group(0) @binding(3) var<storage, read> matrices: array<f32>;
 @group(0) @binding(4) var<storage, read_write> rgb: array<f32>;
 
-fn look_at(which: u32) -> f32 {
-    return view.look[which / 4u][which % 4u];
-}
-
 //include decode
+//include decoded
 //include srgb
-//include grade
+//include looks
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -29,15 +26,14 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         let share = share_of(pixel);
         if share > 0.0 {
             if view.corner.w == LIFTED { // see appearance.lifted
-                let whole = activated(decoded(pixel, first, 1.0).base);
-                let straight = (whole - (1.0 - share) * activated(decoded(pixel, first, 0.0).base)) / share;
-                colour = select(clamp(straight, vec3f(0.0), vec3f(1.0)), straight, view.plan.w == NONE) * share;
+                let whole = shown(decoded(pixel, first, 1.0));
+                colour = lifted(whole, shown(decoded(pixel, first, 0.0)), share, i32(view.plan.w)) * share;
             } else {
-                colour = activated(decoded(pixel, first, 1.0 / share).base) * share;
+                colour = shown(decoded(pixel, first, 1.0 / share)) * share;
             }
             colour = select(vec3f(0.0), colour, abs(colour) <= vec3f({LIMIT}));
-            if look_at({LOOK_GRADED}u) != 0.0 {
-                colour = graded(colour / share) * share;
+            if view.look[1].z != 0.0 {
+                colour = graded(colour / share, view.look[1], view.look[2], view.look[3], view.look[4]) * share;
             }
         } else {
             colour = vec3f(0.0);

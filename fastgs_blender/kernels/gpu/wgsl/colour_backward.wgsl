@@ -15,6 +15,7 @@
 @group(0) @binding(7) var<storage, read_write> sums: array<f32>;
 
 //include decode
+//include decoded
 
 const PIXELS = 128u;
 
@@ -43,12 +44,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         let first = pixel * view.size.z + view.plan.x;
         let inverse = 1.0 / share;
         found = decoded(pixel, first, inverse);
-        let shown = activated(found.base);
+        let colour = shown(found);
         let given = vec3f(by_rgb[3u * own], by_rgb[3u * own + 1u], by_rgb[3u * own + 2u]);
-        var by_weight = dot(given, shown);
+        var by_weight = dot(given, colour);
         var slope = vec3f(1.0);
         if view.plan.w == SIGMOID {
-            slope = shown * (1.0 - shown);
+            slope = colour * (1.0 - colour);
         } else if view.plan.w == CLAMP {
             slope = select(vec3f(0.0), vec3f(1.0), (found.base >= vec3f(0.0)) & (found.base <= vec3f(1.0)));
         }
@@ -60,7 +61,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             slopes[9u * pixel + c] = g;
         }
         for (var j = 0u; j < 6u; j++) {
-            let g = dot(vec3f(matrices[72u + j], matrices[78u + j], matrices[84u + j]), base);
+            let g = dot(w2(i32(j)), base);
             by_hidden[j * PIXELS + lane] = select(0.0, g, found.hidden[j] > 0.0);
         }
         for (var i = 0u; i < 6u; i++) {
@@ -81,7 +82,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         }
     }
     for (var i = 0u; i < 12u; i++) {
-        inputs[i * PIXELS + lane] = found.inputs[i];
+        inputs[i * PIXELS + lane] = found.inputs[i / 4u][i % 4u];
     }
     for (var j = 0u; j < 6u; j++) {
         hidden[j * PIXELS + lane] = found.hidden[j];

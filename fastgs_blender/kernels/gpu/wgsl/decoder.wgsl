@@ -11,9 +11,8 @@ struct Decoder {
     plan: vec4u,   // first channel; where a pixel's weight lies among how many numbers; activation, or PLAIN
 }
 
-const SIGMOID = 0u;
-const CLAMP = 1u;
-const NONE = 2u;
+const SIGMOID = {ACTIVATION_SIGMOID}u;
+const CLAMP = {ACTIVATION_CLAMP}u;
 const PLAIN = 3u;
 const NORMALISED = 0.0;
 const PREMULTIPLIED = 1.0;

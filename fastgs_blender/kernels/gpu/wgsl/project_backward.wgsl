@@ -14,87 +14,30 @@
 @group(0) @binding(7) var<storage, read_write> gradient: array<f32>;
 
 //include slice
+//include temporal
+//include rotation
+//include projection
 //include spherical
-//include spherical_slope
+//include appearance
 
 const LN2 = 0.6931471805599453;
 
-// g is the gradient of the factor's logarithm; writes that of the parameters, returns that of mu_tau.
-fn temporal_slope(n: u32, t: f32, mu_tau: f32, g: f32) -> f32 {
-    let p = temporal_at(n);
-    switch view.kinds.x {
-        case RADIAL, WINDOWED_RADIAL: {
-            let delta = t - mu_tau;
-            let speed = exp(model[p]);
-            gradient[p] = -g * speed * delta * delta;
-            if view.kinds.x == WINDOWED_RADIAL {
-                let width = exp(model[p + 3u]);
-                let outside = max(max(model[p + 1u] - t, t - model[p + 2u]), 0.0) / width;
-                if model[p + 1u] - t >= t - model[p + 2u] {
-                    gradient[p + 1u] = -2.0 * g * outside / width;
-                } else {
-                    gradient[p + 2u] = 2.0 * g * outside / width;
-                }
-                gradient[p + 3u] = 2.0 * g * outside * outside;
-            }
-            return 2.0 * g * speed * delta;
-        }
-        case WINDOW: {
-            let before = exp(model[p + 2u]);
-            let after = exp(model[p + 3u]);
-            let early = max(model[p] - t, 0.0) / before;
-            let late = max(t - model[p + 1u], 0.0) / after;
-            gradient[p] = -2.0 * g * early / before;
-            gradient[p + 1u] = 2.0 * g * late / after;
-            gradient[p + 2u] = 2.0 * g * early * early;
-            gradient[p + 3u] = 2.0 * g * late * late;
-            return 0.0;
-        }
-        default: {
-            return 0.0;
-        }
-    }
-}
-
-// From the gradient of moved() to those of its coefficients; returns that of delta.
-fn spread_motion(n: u32, delta: f32, g: vec3f) -> f32 {
-    let c = motion_at(n);
+// From the gradient of series() to those of its coefficients; returns that of delta.
+fn spread(at: u32, width: u32, count: u32, centred: bool, first: u32, last: u32, delta: f32, g: vec4f) -> f32 {
     var slope = 0.0;
-    if has(MOTION_CENTRED) {
+    if centred {
         var power = 1.0;
-        for (var k = 0u; k < view.widths.x; k++) {
-            slope += f32(k + 1u) * power * dot(g, three(c + 3u * k));
+        for (var k = 0u; k < count; k++) {
+            slope += f32(k + 1u) * power * dot(g, coefficient(at + width * k, width));
             power *= delta;
-            for (var i = 0u; i < 3u; i++) {
-                gradient[c + 3u * k + i] = g[i] * power;
+            for (var i = 0u; i < width; i++) {
+                gradient[at + width * k + i] = g[i] * power;
             }
         }
     } else {
-        for (var m = 0u; m < view.terms.x; m++) {
-            for (var i = 0u; i < 3u; i++) {
-                gradient[c + 3u * term(m) + i] = weight(m) * g[i];
-            }
-        }
-    }
-    return slope;
-}
-
-fn spread_rotation(n: u32, delta: f32, g: vec4f) -> f32 {
-    let c = rotation_motion_at(n);
-    var slope = 0.0;
-    if has(ROTATION_CENTRED) {
-        var power = 1.0;
-        for (var k = 0u; k < view.widths.y; k++) {
-            slope += f32(k + 1u) * power * dot(g, four(c + 4u * k));
-            power *= delta;
-            for (var i = 0u; i < 4u; i++) {
-                gradient[c + 4u * k + i] = g[i] * power;
-            }
-        }
-    } else {
-        for (var m = view.terms.x; m < view.terms.x + view.terms.y; m++) {
-            for (var i = 0u; i < 4u; i++) {
-                gradient[c + 4u * term(m) + i] = weight(m) * g[i];
+        for (var m = first; m < last; m++) {
+            for (var i = 0u; i < width; i++) {
+                gradient[at + width * term(m) + i] = weight(m) * g[i];
             }
         }
     }
@@ -179,39 +122,41 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let p = in_camera(position);
     let q = turned(n, delta);
     let axes = axes_of(unit_quaternion(q));
-    let bent = shear(p);
+    let bent = shear(p, view.limits, has(ORTHOGRAPHIC));
     let sizes = exp(three(scale_at(n))) * bent.z;
     let deep = view.row2.xyz * axes;
-    let u = view.lens.x * (view.row0.xyz * axes + bent.x * deep) * sizes;
-    let v = view.lens.y * (view.row1.xyz * axes + bent.y * deep) * sizes;
+    let u = factor_row(view.lens.x, view.row0.xyz, bent.x, deep, axes, sizes);
+    let v = factor_row(view.lens.y, view.row1.xyz, bent.y, deep, axes, sizes);
     let blur = view.raster.x;
-    let normal = cross(u, v);
-    let sharp = dot(normal, normal);
-    let s01 = dot(u, v);
-    let s11 = dot(v, v) + blur;
-    let det = sharp + blur * (dot(u, u) + dot(v, v)) + blur * blur;
+    let found = footprint(u, v, blur);
 
     gradient[opacity_at(n)] = g_sigma * (1.0 - 1.0 / (1.0 + exp(-model[opacity_at(n)])));
-    let g_mu = temporal_slope(n, t, mu_tau, g_sigma);
+    let kind = i32(view.kinds.x);
+    let temporal = temporal_of(n);
+    let g_temporal = temporal_slope(kind, t, mu_tau, temporal, g_sigma);
+    for (var i = 0u; i < view.widths.z; i++) {
+        gradient[temporal_at(n) + i] = g_temporal[i];
+    }
+    let g_mu = temporal_rate(kind, t, mu_tau, temporal, g_sigma);
 
-    // the triangle of the inverse covariance: L11 = SCALE sqrt(s11 / det), L21 = -SCALE s01 / sqrt(s11 det), L22 = SCALE / sqrt(s11)
-    let root = sqrt(s11);
-    let root_det = sqrt(det);
+    // the triangle of the inverse covariance: L11 = SCALE sqrt(s11 / det), L21 = -SCALE s01 / sqrt(s11 det), L22 = SCALE / sqrt(found.s11)
+    let root = sqrt(found.s11);
+    let root_det = sqrt(found.det);
     let g11 = -2.0 * LN2 * first.z * SCALE * root / root_det;
     let g21 = -2.0 * LN2 * first.w * SCALE / (root * root_det);
     let g22 = -2.0 * LN2 * b.x * second.y * SCALE / root;
-    var g_det = -0.5 * (g11 - g21 * s01) / det;
-    let g_s11 = 0.5 * (g11 + g21 * s01 - g22) / s11;
+    var g_det = -0.5 * (g11 - g21 * found.s01) / found.det;
+    let g_s11 = 0.5 * (g11 + g21 * found.s01 - g22) / found.s11;
     let g_s01 = -g21;
     var g_sharp = 0.0;
     if has(ANTIALIASED) {
-        g_det -= 0.5 * g_sigma / det;
-        g_sharp = 0.5 * g_sigma / sharp;
+        g_det -= 0.5 * g_sigma / found.det;
+        g_sharp = 0.5 * g_sigma / found.sharp;
     }
     // det = sharp + blur (u.u + v.v) + blur^2, sharp = |u x v|^2
     let along_sharp = 2.0 * (g_sharp + g_det);
-    let gu_ = along_sharp * cross(v, normal) + 2.0 * blur * g_det * u + g_s01 * v;
-    let gv_ = along_sharp * cross(normal, u) + 2.0 * (blur * g_det + g_s11) * v + g_s01 * u;
+    let gu_ = along_sharp * cross(v, found.normal) + 2.0 * blur * g_det * u + g_s01 * v;
+    let gv_ = along_sharp * cross(found.normal, u) + 2.0 * (blur * g_det + g_s11) * v + g_s01 * u;
     let g_scale = gu_ * u + gv_ * v;
     for (var i = 0u; i < 3u; i++) {
         gradient[scale_at(n) + i] = g_scale[i];
@@ -242,50 +187,26 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     g = view.row0.xyz * g.x + view.row1.xyz * g.y + view.row2.xyz * g.z;
 
     // colour; in g_delta what comes through the time since mu_tau: of the motion, of the decoder's time features, of colours that change
-    var g_delta = 0.0;
-    let own = view.plan.x;
-    if view.kinds.y == SH {
-        let seen = seen_along(position);
-        let distance = max(length(seen), 1e-30);
-        let d = seen / distance;
-        let bands = (view.kinds.z + 1u) * (view.kinds.z + 1u);
-        sh_terms(view.kinds.z, d);
-        var colour = vec3f(0.5);
-        for (var k = 0u; k < bands; k++) {
-            colour += terms[k] * vec3f(feature(n, 3u * k, delta), feature(n, 3u * k + 1u, delta), feature(n, 3u * k + 2u, delta));
-        }
-        let light = select(vec3f(0.0), vec3f(by[own], by[own + 1u], by[own + 2u]), colour > vec3f(0.0));
-        for (var k = 0u; k < bands; k++) {
-            let value = terms[k];
-            terms[k] = 0.0;
-            for (var i = 0u; i < 3u; i++) {
-                terms[k] += light[i] * feature(n, 3u * k + i, delta);
-                g_delta += spread_feature(n, 3u * k + i, delta, value * light[i]);
-            }
-        }
-        if !has(ORTHOGRAPHIC) {
-            let h = sh_slope(view.kinds.z, d);
-            g += (h - dot(h, d) * d) / distance;
-        }
-    } else {
-        for (var c = 0u; c < view.kinds.w; c++) {
-            let value = by[own + c];
-            if c >= 6u {
-                g_delta += value * feature(n, c, delta);
-            }
-            g_delta += spread_feature(n, c, delta, value * select(1.0, delta, c >= 6u));
-        }
+    var by_shown = array<f32, 9>();
+    for (var c = 0u; c < appearance_numbers(); c++) {
+        by_shown[c] = by[view.plan.x + c];
     }
+    let g_shown = appear_backward(n, delta, position, by_shown);
+    if !has(ORTHOGRAPHIC) {
+        g += g_shown.xyz;
+    }
+    var g_delta = g_shown.w;
 
     // time
     for (var i = 0u; i < 3u; i++) {
         gradient[position_at(n) + i] = g[i];
     }
-    g_delta += spread_motion(n, delta, g);
+    g_delta += spread(motion_at(n), 3u, view.widths.x, has(MOTION_CENTRED), 0u, view.terms.x, delta, vec4f(g, 0.0));
     let g_turn = quaternion_slope(q, g_axes);
     for (var i = 0u; i < 4u; i++) {
         gradient[rotation_at(n) + i] = g_turn[i];
     }
-    g_delta += spread_rotation(n, delta, g_turn);
+    g_delta += spread(rotation_motion_at(n), 4u, view.widths.y, has(ROTATION_CENTRED), view.terms.x, view.terms.x + view.terms.y, delta,
+                      g_turn);
     gradient[mu_tau_at(n)] = g_mu - select(g_delta, 0.0, has(DETACHED));
 }

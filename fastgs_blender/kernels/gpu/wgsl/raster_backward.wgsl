@@ -21,6 +21,7 @@ struct Job {
 @group(0) @binding(6) var<storage, read> pixels: array<vec4f>; // raster_seed.wgsl
 @group(0) @binding(7) var<storage, read_write> rows: array<vec4f>;
 
+//include splat
 //include fade
 
 const WIDTH = {QUADS}u + 2u;
@@ -84,9 +85,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             if lane < count && step >= lane && p < 256u {
                 let pixel = state[p];
                 let d = vec2f(f32(p % {TILE}u), f32(p / {TILE}u)) - centre;
-                let u = a.z * d.x + a.w * d.y;
-                let v = b.x * d.y;
-                let exponent = b.y - v * v - u * u;
+                let uv = along_axes(d, a, b);
+                let exponent = log2_alpha(uv, b);
                 if pixel.z >= number && exponent >= b.w {
                     let free = exp2(exponent);
                     var alpha = min(free, b.z);
@@ -109,10 +109,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                     state[p] = vec4f(left, pixel.y + alpha * more, pixel.zw);
                     if free < b.z {
                         let e_ = rise * left * more;
-                        let eu = e_ * u;
+                        let eu = e_ * uv.x;
                         let ey = e_ * d.y;
                         first += vec4f(e_, eu, eu * d.x, eu * d.y);
-                        second += vec4f(ey, ey * d.y, abs(eu), abs(eu * a.w + e_ * v * b.x));
+                        second += vec4f(ey, ey * d.y, abs(eu), abs(eu * a.w + e_ * uv.y * b.x));
                     }
                 }
             }

@@ -5,13 +5,7 @@
 // blended, and blends them then.  So the order is exact, however long the list is.
 
 //include common
-
-struct Job {
-    window: vec4i, // x0, y0, right, bottom in pixels of the image
-    tiles: vec4i,  // first tile in x and in y, columns, rows
-    rows: vec4i,   // the picture's first row, of the image; numbers of a pixel in `flat`; first channel of the splats' planes
-    middle: vec4f, // of the image, where planes begin
-}
+//include picture
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> lists: array<u32>;
@@ -22,12 +16,9 @@ struct Job {
 @group(0) @binding(6) var<storage, read_write> picture: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> flat: array<f32>; // alpha, then the probes
 
-const MEDIAN = {MEDIAN}; // places of the probes in `flat`, 0: not wanted
-const FIRST = {FIRST};
-const COUNT = {COUNT};
-const HELD = {HELD}u; // the first place of two, with a holdout: the light that it stops, and which share of the pixel it covers
 const KEPT = 16u;
 
+//include splat
 //include core
 //include occlusion
 
@@ -88,10 +79,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             for (var i = 0u; i < size; i++) {
                 let a = batch_a[i];
                 let b = batch_b[i];
-                let d = at - a.xy;
-                let u = a.z * d.x + a.w * d.y;
-                let v = b.x * d.y;
-                let exponent = b.y - v * v - u * u;
+                let exponent = log2_alpha(along_axes(at - a.xy, a, b), b);
                 if !(exponent >= b.w) {
                     continue;
                 }
@@ -148,22 +136,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     if HOLDOUT {
         t = uncovered(t, out, FARTHEST);
     }
-    for (var c = 0u; c < {QUADS}u; c++) {
-        picture[out * {QUADS}u + c] = sum[c];
-    }
     let own = out * u32(job.rows.y);
-    flat[own] = 1.0 - t - stopped;
-    if MEDIAN > 0u {
-        flat[own + MEDIAN] = median;
-    }
-    if FIRST > 0u {
-        flat[own + FIRST] = nearest;
-    }
-    if COUNT > 0u {
-        flat[own + COUNT] = count;
-    }
-    if HOLDOUT {
-        flat[own + HELD] = stopped;
-        flat[own + HELD + 1u] = f32(taken) / f32(POINTS);
-    }
+    deliver(out, own, t, sum, median, nearest, count);
 }

@@ -2,6 +2,7 @@
 // normal after Box and Muller.
 
 //include common
+//include rotation
 
 struct Job {
     size: vec4u, // rows, key, key, the first one's number
@@ -40,14 +41,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         random = pcg(random);
         normal[i] = radius * cos(6.283185307179586 * f32(random >> 8u) / 16777216.0);
     }
-    var q = vec4f(rotation[4u * row], rotation[4u * row + 1u], rotation[4u * row + 2u], rotation[4u * row + 3u]);
-    q = q / max(length(q), 1e-30);
-    let w = q.x;
-    let v = q.yzw;
-    let axes = mat3x3f(
-        vec3f(1.0 - 2.0 * (v.y * v.y + v.z * v.z), 2.0 * (v.x * v.y + w * v.z), 2.0 * (v.x * v.z - w * v.y)),
-        vec3f(2.0 * (v.x * v.y - w * v.z), 1.0 - 2.0 * (v.x * v.x + v.z * v.z), 2.0 * (v.y * v.z + w * v.x)),
-        vec3f(2.0 * (v.x * v.z + w * v.y), 2.0 * (v.y * v.z - w * v.x), 1.0 - 2.0 * (v.x * v.x + v.y * v.y)));
+    let axes = axes_of(unit_quaternion(vec4f(rotation[4u * row], rotation[4u * row + 1u], rotation[4u * row + 2u], rotation[4u * row + 3u])));
     let size = exp(vec3f(scale[3u * row], scale[3u * row + 1u], scale[3u * row + 2u]));
     let step = axes * (size * size * ((gate * job.reach.x * normal) * axes));
     for (var i = 0u; i < 3u; i++) {

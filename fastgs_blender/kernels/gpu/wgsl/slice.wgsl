@@ -25,61 +25,48 @@ fn four(at: u32) -> vec4f {
     return vec4f(model[at], model[at + 1u], model[at + 2u], model[at + 3u]);
 }
 
+fn temporal_of(n: u32) -> vec4f {
+    var p = vec4f(0.0);
+    for (var i = 0u; i < view.widths.z; i++) {
+        p[i] = model[temporal_at(n) + i];
+    }
+    return p;
+}
+
 fn term(pair: u32) -> u32 { return u32(extra[2u * pair]); }
 fn weight(pair: u32) -> f32 { return extra[2u * pair + 1u]; }
 
-// Temporal opacity (model/temporal.py).
-fn temporal_factor(n: u32, t: f32, mu_tau: f32) -> f32 {
-    let p = temporal_at(n);
-    let delta = t - mu_tau;
-    switch view.kinds.x {
-        case RADIAL: {
-            return exp(-exp(model[p]) * delta * delta);
+// A vector of three numbers, with 0 behind them, or of four.
+fn coefficient(at: u32, width: u32) -> vec4f {
+    if width == 3u {
+        return vec4f(three(at), 0.0);
+    }
+    return four(at);
+}
+
+// A sum of coefficients from number `at` on: `count` of them times powers of delta, or those of the pairs first..last with their weights.
+fn series(at: u32, width: u32, count: u32, centred: bool, first: u32, last: u32, delta: f32) -> vec4f {
+    var sum = vec4f(0.0);
+    if centred {
+        for (var k = count; k > 0u; k--) {
+            sum = (sum + coefficient(at + width * (k - 1u), width)) * delta;
         }
-        case WINDOW: {
-            let early = max(model[p] - t, 0.0) / exp(model[p + 2u]);
-            let late = max(t - model[p + 1u], 0.0) / exp(model[p + 3u]);
-            return exp(-early * early - late * late);
-        }
-        case WINDOWED_RADIAL: {
-            let outside = max(max(model[p + 1u] - t, t - model[p + 2u]), 0.0) / exp(model[p + 3u]);
-            return exp(-exp(model[p]) * delta * delta - outside * outside);
-        }
-        default: {
-            return 1.0;
+    } else {
+        for (var m = first; m < last; m++) {
+            sum += weight(m) * coefficient(at + width * term(m), width);
         }
     }
+    return sum;
 }
 
 fn moved(n: u32, delta: f32) -> vec3f {
-    let c = motion_at(n);
-    var sum = vec3f(0.0);
-    if has(MOTION_CENTRED) {
-        for (var k = view.widths.x; k > 0u; k--) {
-            sum = (sum + three(c + 3u * (k - 1u))) * delta;
-        }
-    } else {
-        for (var m = 0u; m < view.terms.x; m++) {
-            sum += weight(m) * three(c + 3u * term(m));
-        }
-    }
-    return three(position_at(n)) + sum;
+    return three(position_at(n)) + series(motion_at(n), 3u, view.widths.x, has(MOTION_CENTRED), 0u, view.terms.x, delta).xyz;
 }
 
 // The quaternion w x y z before it is normalised.
 fn turned(n: u32, delta: f32) -> vec4f {
-    let c = rotation_motion_at(n);
-    var sum = vec4f(0.0);
-    if has(ROTATION_CENTRED) {
-        for (var k = view.widths.y; k > 0u; k--) {
-            sum = (sum + four(c + 4u * (k - 1u))) * delta;
-        }
-    } else {
-        for (var m = view.terms.x; m < view.terms.x + view.terms.y; m++) {
-            sum += weight(m) * four(c + 4u * term(m));
-        }
-    }
-    return four(rotation_at(n)) + sum;
+    let last = view.terms.x + view.terms.y;
+    return four(rotation_at(n)) + series(rotation_motion_at(n), 4u, view.widths.y, has(ROTATION_CENTRED), view.terms.x, last, delta);
 }
 
 // Column c of the features at this time; a decoder's time features are not yet multiplied by t - mu_tau.
@@ -100,36 +87,8 @@ fn feature(n: u32, c: u32, delta: f32) -> f32 {
     return model[at] + sum;
 }
 
-fn unit_quaternion(q: vec4f) -> vec4f {
-    let norm = length(q);
-    return select(vec4f(1.0, 0.0, 0.0, 0.0), q / max(norm, 1e-30), norm > 1e-12);
-}
-
-// The rotation matrix of a unit quaternion; its columns are the Gaussian's axes.
-fn axes_of(q: vec4f) -> mat3x3f {
-    let w = q.x;
-    let v = q.yzw;
-    return mat3x3f(
-        vec3f(1.0 - 2.0 * (v.y * v.y + v.z * v.z), 2.0 * (v.x * v.y + w * v.z), 2.0 * (v.x * v.z - w * v.y)),
-        vec3f(2.0 * (v.x * v.y - w * v.z), 1.0 - 2.0 * (v.x * v.x + v.z * v.z), 2.0 * (v.y * v.z + w * v.x)),
-        vec3f(2.0 * (v.x * v.z + w * v.y), 2.0 * (v.y * v.z - w * v.x), 1.0 - 2.0 * (v.x * v.x + v.y * v.y)));
-}
-
 fn in_camera(p: vec3f) -> vec3f {
     return vec3f(dot(view.row0.xyz, p) + view.row0.w, dot(view.row1.xyz, p) + view.row1.w, dot(view.row2.xyz, p) + view.row2.w);
-}
-
-// The Jacobian's third column without focal length and depth, and 1 / depth (orthographic: 0, 0, 1).
-fn shear(p: vec3f) -> vec3f {
-    if has(ORTHOGRAPHIC) {
-        return vec3f(0.0, 0.0, 1.0);
-    }
-    return vec3f(-clamp(p.x / p.z, view.limits.x, view.limits.y), -clamp(p.y / p.z, view.limits.z, view.limits.w), 1.0 / p.z);
-}
-
-fn centre_of(p: vec3f) -> vec2f {
-    let q = select(p.xy / p.z, p.xy, has(ORTHOGRAPHIC));
-    return view.lens.xy * q + view.lens.zw;
 }
 
 // The direction in which a position is seen, not yet of unit length.

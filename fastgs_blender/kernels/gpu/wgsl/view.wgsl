@@ -33,18 +33,9 @@ const HIDDEN = 32u;
 const DETACHED = 64u; // of the backward pass: the gradient of mu_tau comes through the temporal opacity alone
 const BLURRED = 128u; // planes of depth have the blur, see rendering/layout.py, by_pixel
 
-const RGB = 0u;
-const SH = 1u;
-const FEATURES = 2u;
-
-const RADIAL = 1u;
-const WINDOW = 2u;
-const WINDOWED_RADIAL = 3u;
+const SH = {APPEARANCE_SH}u;
+const FEATURES = {APPEARANCE_FEATURES}u;
 
 fn has(flag: u32) -> bool {
     return (view.flags.x & flag) != 0u;
-}
-
-fn look_at(which: u32) -> f32 {
-    return view.look[which / 4u][which % 4u];
 }
