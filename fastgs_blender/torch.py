@@ -22,7 +22,7 @@ from .kernels.parameters import DECODER
 from .kernels.protocol import DeviceError, ScreenStatistics
 from .model.appearance import RGB, SH_C0, Features, momentary
 from .model.gaussians import GaussianModel
-from .model.slicing import slice_model
+from .model.slicing import quaternions_at, slice_model
 from .rendering.instances import AS_TRAINED, Instance
 from .rendering.oracle import colours, decode_features
 from .util import rotations
@@ -130,8 +130,7 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
         look = replace(look, **{name: arrays[name] for name in DECODER})
     model = replace(template, appearance=look, **{name: arrays[name] for name in template.arrays})
     now = slice_model(model, t, cull=False)
-    turn, _ = model.rotation_basis.evaluate(model.rotation_motion, t, model.mu_tau.astype(np.float64))
-    quaternions = model.rotation + turn
+    quaternions = quaternions_at(model, t)
     to_world = camera.world_to_camera[:3, :3].T
     shift = ctx.pose.detach().cpu().numpy().astype(np.float64)[3:]
     pivot = to_world @ (shift - camera.world_to_camera[:3, 3])  # the point about which the rotation vector turns

@@ -156,11 +156,13 @@ def bounds(model: GaussianModel) -> tuple[list[float] | None, list[float] | None
     """Lowest and highest centre [3] at the quarters of the clip; None for a model without (finite) Gaussians."""
     import numpy as np
 
+    from ..model.slicing import positions_at
+
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for start in range(0, len(model), CHUNK):
         part = model.take(slice(start, start + CHUNK))
         for t in (0, 0.25, 0.5, 0.75, 1) if model.basis.terms else (0,):
-            centre = part.position + part.basis.evaluate(part.motion, t, part.mu_tau)[0]
+            centre = positions_at(part, t)
             centre = centre[np.isfinite(centre).all(1)]
             low, high = np.minimum(low, centre.min(0, initial=np.inf)), np.maximum(high, centre.max(0, initial=-np.inf))
     return (low.tolist(), high.tolist()) if np.isfinite(low).all() else (None, None)

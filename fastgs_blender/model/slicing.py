@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,11 +47,26 @@ def sigmoid(x: ArrayLike) -> np.ndarray:
     return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float64)))
 
 
+def opacities_at(model: GaussianModel, t: float) -> np.ndarray:
+    """Opacities sigma(t) [N] of all Gaussians (paper, eq. 6)."""
+    return sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+
+
+def positions_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:
+    """Positions mu(t) [M, 3] float64 of the Gaussians of an index (paper, eq. 3-4)."""
+    return model.position[index] + model.basis.evaluate(model.motion[index], t, model.mu_tau[index])[0]
+
+
+def quaternions_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:
+    """Quaternions q(t) [M, 4] float64 of the Gaussians of an index, not yet of unit length (paper, eq. 7)."""
+    return model.rotation[index] + model.rotation_basis.evaluate(model.rotation_motion[index], t, model.mu_tau[index])[0]
+
+
 def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     """The model at time t (any real number).
 
     With cull, Gaussians whose sigma(t) lies under the model's alpha cut are left out first, so that neither
-    their motion nor their colour is read: they cannot touch a pixel.  Paper, eq. 3-4 (position), 6 (opacity), 7 (rotation).
+    their motion nor their colour is read: they cannot touch a pixel.
 
     Example:
         now = fg.slice_model(model, t=0.25)
@@ -58,18 +74,17 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     if not isinstance(model, GaussianModel):
         raise FastGSError(f"a model is wanted, as fg.load(path) reads it, not {shown(model)}.")
     t = real(t, "the time of a model")
-    sigma = sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+    sigma = opacities_at(model, t)
     index = np.flatnonzero(sigma >= model.raster.alpha_cut) if cull else np.arange(len(model))
     mu_tau = model.mu_tau[index].astype(np.float64)
     offset, velocity = model.basis.evaluate(model.motion[index], t, mu_tau)
-    turn, _ = model.rotation_basis.evaluate(model.rotation_motion[index], t, mu_tau)
     features = features_at(model.appearance, model.features[index], t, mu_tau)
     if isinstance(model.appearance, Features):
         features[:, 6:9] *= (t - mu_tau)[:, None]
     return Slice(
         index=index,
         position=model.position[index] + offset,
-        rotation=rotations.unit(model.rotation[index] + turn),
+        rotation=rotations.unit(quaternions_at(model, t, index)),
         scale=np.exp(model.scale[index].astype(np.float64)),
         opacity=sigma[index],
         features=features,

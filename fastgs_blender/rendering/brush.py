@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..model.slicing import positions_at
 from .instances import ViewedInstance
 from .visibility import order
 
@@ -70,8 +71,6 @@ Shape = Box | Stroke | Lasso
 def under(instance: ViewedInstance, camera: Camera, shape: Shape, backend: str = "auto") -> np.ndarray:
     """Indices of an instance's Gaussians that the camera shows and whose centres lie in a shape, however deep."""
     index = order([instance], camera, backend=backend)
-    model = instance.model
-    moved, _ = model.basis.evaluate(model.motion[index], instance.t, model.mu_tau[index].astype(np.float64))
     to_camera = instance.model_to_camera
-    pixel = camera.pixels((model.position[index] + moved) @ to_camera[:3, :3].T + to_camera[:3, 3])
+    pixel = camera.pixels(positions_at(instance.model, instance.t, index) @ to_camera[:3, :3].T + to_camera[:3, 3])
     return np.sort(index[shape.holds(pixel)])

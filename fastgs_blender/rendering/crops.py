@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from ..model.slicing import sigmoid
+from ..model.slicing import opacities_at, positions_at
 from ..util.errors import FastGSError
 from .volumes import Volume
 
@@ -111,11 +111,9 @@ def cropped(model: GaussianModel, crops, per_frame: int = 2) -> GaussianModel:
 
     Moments are taken from the whole clip, per_frame of them in each frame.  Soft edges become sharp where they end.
     """
-    opacity, kept = sigmoid(model.opacity), np.zeros(len(model), bool)
+    kept = np.zeros(len(model), bool)
     count = model.clip.frame_count * per_frame
     for t in np.arange(count) / count:
-        seen = opacity * model.temporal_kind.factor(t, model.mu_tau, model.temporal) >= model.raster.alpha_cut
-        at = np.flatnonzero(seen & ~kept)
-        moved, _ = model.basis.evaluate(model.motion[at], t, model.mu_tau[at])
-        kept[at] = kept_by(crops, model.position[at] + moved)
+        at = np.flatnonzero((opacities_at(model, t) >= model.raster.alpha_cut) & ~kept)
+        kept[at] = kept_by(crops, positions_at(model, t, at))
     return model.take(kept)

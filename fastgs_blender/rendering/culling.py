@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.slicing import sigmoid
+from ..model.slicing import positions_at, sigmoid
 from .crops import crop_share
 from .instances import ViewedInstance
 from .looks import Look, size_factor
@@ -46,9 +46,8 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         if len(instance.hidden):
             kept &= ~instance.hidden
         at = np.flatnonzero(kept)
-        moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
         to_camera = instance.model_to_camera
-        position = model.position[at] + moved
+        position = positions_at(model, instance.t, at)
         p = position @ to_camera[:3, :3].T + to_camera[:3, 3]
         z = p[:, 2]
         per_depth = np.ones_like(z) if camera.orthographic else 1 / z

@@ -13,7 +13,7 @@ import numpy as np
 from ..cameras.viewpoints import camera_of
 from ..model.appearance import SH, SH_C0, momentary
 from ..model.gaussians import GaussianModel
-from ..model.slicing import sigmoid
+from ..model.slicing import opacities_at, positions_at, sigmoid
 from ..util.errors import FastGSError
 from .importance import kept_rank
 from .masks import unpack_mask
@@ -71,7 +71,7 @@ def _lifetime(model, _):
 def _moments(model):
     """Yields times of the clip, and the opacities [N] of the Gaussians then."""
     for t in (np.arange(TIMES) + 0.5) / TIMES:
-        yield t, sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+        yield t, opacities_at(model, t)
 
 
 def _colour(model, colour):
@@ -82,8 +82,7 @@ def _colour(model, colour):
 
 
 def _neighbours(model, _):
-    moved, _ = model.basis.evaluate(model.motion, 0.5, model.mu_tau.astype(np.float64))
-    position = np.nan_to_num(model.position + moved)
+    position = np.nan_to_num(positions_at(model, 0.5))
     low, high = np.percentile(position, (5, 95), axis=0) if len(position) else (np.zeros(3), np.ones(3))
     size = max(CELL * (high - low).max(), 1e-12)
     cell = np.clip(np.floor((position - low) / size), -2**19, 2**19).astype(np.int64) + 2**19
@@ -103,8 +102,7 @@ def _cameras(model, _):
     for t, sigma in _moments(model) if cameras else ():
         at = np.flatnonzero(sigma > best)
         best[at] = sigma[at]
-        moved, _ = model.basis.evaluate(model.motion[at], t, model.mu_tau[at].astype(np.float64))
-        position = model.position[at] + moved
+        position = positions_at(model, t, at)
         count[at] = sum(_in_picture(camera, position) for camera in cameras)
     return count
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ..model.gaussians import GaussianModel
+from ..model.slicing import positions_at, quaternions_at
 from ..util import rotations
 from .instances import LIMIT, Instance, Moment, ViewedInstance
 
@@ -28,7 +29,7 @@ class Shown:
     @cached_property
     def position(self) -> np.ndarray:
         """[M, 3] in the model's space."""
-        return self._position_at(self.instance.t, self.instance.model)
+        return positions_at(self.instance.model, self.instance.t, self.index)
 
     @cached_property
     def world(self) -> np.ndarray:
@@ -59,7 +60,7 @@ class Shown:
         """The same Gaussians of another instance of the model in its camera's picture: their centres [M, 2], and their standard deviations
         along their own axes [M, 2, 3], in pixels."""
         camera, to_camera = instance.camera, instance.model_to_camera
-        view = _transformed(to_camera, self._position_at(instance.t, instance.model))
+        view = _transformed(to_camera, positions_at(instance.model, instance.t, self.index))
         scale = np.exp(instance.model.scale[self.index].astype(np.float64))[:, None]
         spread = to_camera[:3, :3] @ (self._axes_at(instance.t, instance.model) * scale)
         flat = spread[:, :2]
@@ -70,13 +71,7 @@ class Shown:
 
     def _axes_at(self, t: float, model: GaussianModel) -> np.ndarray:
         """Each Gaussian's axes in the model's space, as columns [M, 3, 3]."""
-        i = self.index
-        turn, _ = model.rotation_basis.evaluate(model.rotation_motion[i], t, model.mu_tau[i].astype(np.float64))
-        return rotations.to_matrices(rotations.unit(model.rotation[i] + turn))
-
-    def _position_at(self, t: float, model: GaussianModel) -> np.ndarray:
-        i = self.index
-        return model.position[i] + model.basis.evaluate(model.motion[i], t, model.mu_tau[i].astype(np.float64))[0]
+        return rotations.to_matrices(rotations.unit(quaternions_at(model, t, self.index)))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..model.slicing import positions_at
 from ..util.backends import load_backend
 from .crops import crop_share
 from .instances import ViewedInstance
@@ -29,7 +30,6 @@ def crop_shares(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarra
         model, own = instance.model, np.flatnonzero((order >= done) & (order < done + len(instance.model)))
         if any(crop.soft > 0 for crop in instance.settings.crops):
             at = order[own].astype(np.int64) - done
-            moved, _ = model.basis.evaluate(model.motion[at], instance.t, model.mu_tau[at])
-            share[own] = crop_share(instance.settings.crops, model.position[at] + moved)
+            share[own] = crop_share(instance.settings.crops, positions_at(model, instance.t, at))
         done += len(model)
     return share
