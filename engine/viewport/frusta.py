@@ -12,6 +12,8 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from . import shaders
+
 VERTEX = """
 void main()
 {
@@ -78,21 +80,14 @@ def draw_picture(texture, corners: np.ndarray, to_clip, straight: bool = True) -
 
     Nothing is drawn where it is transparent.
     """
-    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
-    gpu.state.blend_set('ALPHA_PREMULT')
-    gpu.state.depth_test_set('LESS_EQUAL')
-    gpu.state.depth_mask_set(True)
     shader = _shader()
     points = [corners[i].tolist() for i in (0, 1, 3, 2)]
     batch = batch_for_shader(shader, 'TRI_STRIP', {"corner": points, "uv": [UVS[i] for i in (0, 1, 3, 2)]})
-    shader.bind()
-    shader.uniform_float("to_clip", to_clip)
-    shader.uniform_sampler("picture", texture)
-    shader.uniform_bool("straight", straight)
-    batch.draw(shader)
-    gpu.state.blend_set(before[0])
-    gpu.state.depth_test_set(before[1])
-    gpu.state.depth_mask_set(before[2])
+    with shaders.drawing('ALPHA_PREMULT', 'LESS_EQUAL', writes_depth=True):
+        shader.bind()
+        shader.uniform_float("to_clip", to_clip)
+        shader.uniform_bool("straight", straight)
+        shaders.fill(shader, batch, {"picture": texture})
 
 
 def image_frame(user, frame: int) -> int:

@@ -127,12 +127,12 @@ def fill(shader, batch, inputs):
 
 
 @contextmanager
-def drawing(blend, depth_test='NONE'):
-    """Blending and depth test as wanted, no depth is written; as Blender expects it afterwards."""
+def drawing(blend, depth_test='NONE', writes_depth=False):
+    """Blending, depth test and whether depth is written as wanted; as Blender expects it afterwards."""
     before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
     gpu.state.blend_set(blend)
     gpu.state.depth_test_set(depth_test)
-    gpu.state.depth_mask_set(False)
+    gpu.state.depth_mask_set(writes_depth)
     try:
         yield
     finally:

@@ -94,19 +94,30 @@ class CPU:
 
     def measure_stages(self, instance, camera, repeat):
         layout = Layout([instance], depth=False)
-        times = {"slice and project": [], "sort": [], "tiles and rasterise": []}
-        order = np.empty(0, np.int32)
-        for _ in range(repeat):
-            clock = [time.perf_counter()]
-            splats = project_instances([instance], camera, layout)
+        times, splats = timed(
+            repeat, lambda: None, lambda: project_instances([instance], camera, layout), lambda splats: splats.order(),
+            lambda splats, order: rasterise(order, splats.geometry, splats.attributes, splats.channels, camera))
+        return times, 0 if splats is None else len(splats.index)
+
+
+def timed(repeat: int, wait, project, sort, blend):
+    """TrainingBackend.measure_stages() of a backend's three stages, project(), sort(splats) and blend(splats, order), and the splats;
+    wait() waits for its device."""
+    times, splats = {"slice and project": [], "sort": [], "tiles and rasterise": []}, None
+    for _ in range(repeat):
+        clock = [time.perf_counter()]
+
+        def done(made, clock=clock):
+            wait()
             clock.append(time.perf_counter())
-            order = splats.order()
-            clock.append(time.perf_counter())
-            rasterise(order, splats.geometry, splats.attributes, splats.channels, camera)
-            clock.append(time.perf_counter())
-            for values, span in zip(times.values(), np.diff(clock), strict=True):
-                values.append(1000 * span)
-        return {name: statistics.median(values) for name, values in times.items()}, len(order)
+            return made
+
+        splats = done(project())
+        order = done(sort(splats))
+        done(blend(splats, order))
+        for values, span in zip(times.values(), np.diff(clock), strict=True):
+            values.append(1000 * span)
+    return {name: statistics.median(values) for name, values in times.items()}, splats
 
 
 BACKEND = CPU()

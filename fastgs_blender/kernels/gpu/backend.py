@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-import statistics
-import time
-from functools import cache, cached_property
+from functools import cache, cached_property, wraps
 
 import numpy as np
 
 from ...rendering.layout import Layout
-from ..cpu.backend import CPU
+from ..cpu.backend import CPU, timed
 from . import steps, training
 from .adapters import find
 from .blend import How, blend_all
@@ -20,6 +18,11 @@ from .holdout import surface
 from .picture import Bands, DeviceBuffers, Models, colour, draw
 from .rows import Split, as_rows, zero_rows
 from .splats import front_to_back, project
+
+
+def _on_device(work):
+    """The method whose function takes the backend's device first."""
+    return wraps(work)(lambda self, *given, **named: work(self.device, *given, **named))
 
 
 class GPU(CPU):
@@ -89,22 +92,11 @@ class GPU(CPU):
                              lambda: super(GPU, self).measure_stages(instance, camera, repeat))
 
     def _measure_stages(self, instance, camera, repeat):
-        layout, found = Layout([instance], depth=False), [self.models.packs(instance.model)]
-        times, splats = {"slice and project": [], "sort": [], "tiles and rasterise": []}, None
-        for _ in range(repeat):
-            clock = [time.perf_counter()]
-
-            def done(made, clock=clock):
-                self.device.wait()
-                clock.append(time.perf_counter())
-                return made
-
-            splats = done(project(self.device, [instance], camera, layout, found))
-            order = done(front_to_back(self.device, splats))
-            done(blend_all(self.device, order, splats, camera, How(), lambda share: None))
-            for values, begin, end in zip(times.values(), clock, clock[1:]):
-                values.append(1000 * (end - begin))
-        return {name: statistics.median(values) for name, values in times.items()}, 0 if splats is None else splats.drawn(self.device)
+        layout, found, device = Layout([instance], depth=False), [self.models.packs(instance.model)], self.device
+        times, splats = timed(
+            repeat, device.wait, lambda: project(device, [instance], camera, layout, found), lambda splats: front_to_back(device, splats),
+            lambda splats, order: blend_all(device, order, splats, camera, How(), lambda share: None))
+        return times, 0 if splats is None else splats.drawn(device)
 
     # training: its arrays stay on the device, so what fails there ends the step
 
@@ -120,50 +112,24 @@ class GPU(CPU):
     def picture(self, rgb, stored):
         return self.device.array(rgb) if stored is None else training.picture(self.device, stored)
 
-    def splat(self, parameters, template, camera, t, depth=False, band=0.0):
-        return training.splat(self.device, parameters, template, camera, t, depth, band)
-
-    def compare(self, picture, target, weight, background, dssim, opaque_weight, share, least=None):
-        return training.compare(self.device, picture, target, weight, background, dssim, opaque_weight, share, least)
-
-    def agreement(self, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier):
-        return training.agreement(self.device, picture, target, weight, least, background, gain, bias, sides, apart, solid, outlier)
-
-    def over(self, picture, background):
-        return training.over(self.device, picture, background)
-
-    def backward(self, picture, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
-        return training.backward(self.device, picture, rgb, alpha, depth, into, statistics, seen, detach_time)
-
-    def begin_step(self):
-        return steps.begin(self.device)
-
-    def end_step(self, *arrays):
-        return steps.end(self.device, arrays)
+    splat = _on_device(training.splat)
+    compare = _on_device(training.compare)
+    agreement = _on_device(training.agreement)
+    over = _on_device(training.over)
+    backward = _on_device(training.backward)
+    begin_step = _on_device(steps.begin)
+    end_step = _on_device(steps.end)
 
     def rows(self, seen):
         return seen
 
-    def count(self, rows):
-        return steps.count(self.device, rows)
-
-    def waits(self, rows, moved, step):
-        return steps.waits(self.device, rows, moved, step)
-
-    def motion_penalty(self, norm, motion, gradient, scale, waits):
-        return steps.motion_penalty(self.device, norm, motion, gradient, scale, waits)
-
-    def hold(self, features, held, gradient, rows, strength):
-        steps.hold(self.device, features, held, gradient, rows, strength)
-
-    def shrink(self, parameters, gradients, opacity_weight, scale_weight, extent):
-        steps.shrink(self.device, parameters, gradients, opacity_weight, scale_weight, extent)
-
-    def shake(self, parameters, reach, key):
-        steps.shake(self.device, parameters, reach, key)
-
-    def adam(self, rows, tensors, betas, moved, step):
-        steps.adam(self.device, rows, tensors, betas, moved, step)
+    count = _on_device(steps.count)
+    waits = _on_device(steps.waits)
+    motion_penalty = _on_device(steps.motion_penalty)
+    hold = _on_device(steps.hold)
+    shrink = _on_device(steps.shrink)
+    shake = _on_device(steps.shake)
+    adam = _on_device(steps.adam)
 
 
 def named(part: str) -> GPU:

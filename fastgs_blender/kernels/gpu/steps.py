@@ -47,23 +47,23 @@ def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Ar
     return Array(total(device, values).buffer, (1,), np.dtype(np.float64))
 
 
-def count(device: Device, seen: Array) -> Array:
+def count(device: Device, rows: Array) -> Array:
     """TrainingBackend.count()."""
-    return Array(total(device, Array(seen.buffer, (*seen.shape, 1), seen.dtype)).buffer, (1,), np.dtype(np.float64))
+    return Array(total(device, Array(rows.buffer, (*rows.shape, 1), rows.dtype)).buffer, (1,), np.dtype(np.float64))
 
 
-def waits(device: Device, seen: Array, moved: Array, step: int) -> Array:
+def waits(device: Device, rows: Array, moved: Array, step: int) -> Array:
     """TrainingBackend.waits()."""
     asserts.waits(moved)
-    out = device.empty(seen.shape)
-    device.run("waits", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, out)
+    out = device.empty(rows.shape)
+    device.run("waits", len_(rows), [[len_(rows), step, 0, 0]], rows, moved, out)
     return out
 
 
-def hold(device: Device, features: Array, held: Array, gradient: Array, seen: Array, strength: float) -> None:
+def hold(device: Device, features: Array, held: Array, gradient: Array, rows: Array, strength: float) -> None:
     """TrainingBackend.hold()."""
     asserts.hold(features, held, gradient)
-    for _, (some, *arrays) in pieces(seen, features, held, gradient):
+    for _, (some, *arrays) in pieces(rows, features, held, gradient):
         numbers, columns = math.prod(arrays[0].shape), features.shape[1]
         device.run("hold", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
 
@@ -86,7 +86,7 @@ def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) 
         device.run("shake", len_(arrays[0]), job, *arrays, device.spilled)
 
 
-def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
+def adam(device: Device, rows: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
     """TrainingBackend.adam()."""
     asserts.adam(tensors, moved)
     table = _table(device, *betas)
@@ -94,13 +94,13 @@ def adam(device: Device, seen: Array, tensors, betas: tuple[float, float], moved
         columns = math.prod(value.shape[1:])
         rates = np.zeros(-(-columns // 4) * 4, np.float32)
         rates[:columns] = np.asarray(rate, np.float32).reshape(-1)
-        every = steps if shared else seen  # of a shared array all rows move, and nothing asks who was seen
+        every = steps if shared else rows  # of a shared array all rows move, and nothing asks who was seen
         for _, (some, took, *arrays) in pieces(every, steps, gradient, value, mean, square):
             numbers = math.prod(arrays[0].shape)
             job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
             device.run("adam", numbers, job, some, took, table, *arrays, device.spilled, RATES=len(rates) // 4)
-        device.run("adam_count", len_(value), [[len_(value), shared, 0, 0]], seen, steps, device.spilled)
-    device.run("moved", len_(seen), [[len_(seen), step, 0, 0]], seen, moved, device.spilled)
+        device.run("adam_count", len_(value), [[len_(value), shared, 0, 0]], rows, steps, device.spilled)
+    device.run("moved", len_(rows), [[len_(rows), step, 0, 0]], rows, moved, device.spilled)
 
 
 def begin(device: Device) -> int:
@@ -109,7 +109,7 @@ def begin(device: Device) -> int:
     return AHEAD
 
 
-def end(device: Device, arrays) -> Callable[[], list[np.ndarray] | None]:
+def end(device: Device, *arrays: Array) -> Callable[[], list[np.ndarray] | None]:
     """TrainingBackend.end_step()."""
     device.guessing = False
     guesses, count = list(device.guesses.values()), len(arrays)

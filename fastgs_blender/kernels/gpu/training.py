@@ -57,8 +57,8 @@ class Seen:
         return [rows_of(each, first, first + pack.count) for each in every]
 
 
-def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool,
-          band: float) -> Splatted:
+def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float,
+          depth: bool = False, band: float = 0.0) -> Splatted:
     """TrainingBackend.splat()."""
     asserts.splat(parameters, template)
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
@@ -154,7 +154,7 @@ def agreement(device: Device, picture: Splatted, target: Array, weight: Array | 
 
 
 def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
-            share: float, least: Array | None) -> Comparison:
+            share: float, least: Array | None = None) -> Comparison:
     """TrainingBackend.compare()."""
     asserts.compare(picture, target, weight, background, least)
     height, width = target.shape[:2]
@@ -207,8 +207,8 @@ def total(device: Device, values: Array) -> Array:
     return Array(values.buffer, (columns,), values.dtype) if rows else device.zeros((columns,))
 
 
-def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array | None, depth: Array | None, into, statistics,
-             seen: Array | None, detach_time: bool) -> dict[str, Array]:
+def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *, into=None,
+             statistics=None, seen: Array | None = None, detach_time: bool = False) -> dict[str, Array]:
     """TrainingBackend.backward()."""
     asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
     view: Seen = picture.state
