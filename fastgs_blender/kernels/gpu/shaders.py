@@ -2,8 +2,9 @@
 """Assembles the text of a shader: wgsl/<stage>.wgsl with the files that it includes, and with its constants filled in.
 
 A line `//include NAME` is replaced by wgsl/NAME.wgsl or the shared ../equations/NAME.wgsl, or, for a device with subgroups, by
-wgsl/NAME_subgroups.wgsl where there is one.  {NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each number is
-written in one place only.
+wgsl/NAME_subgroups.wgsl where there is one.  `//threads COUNT` is replaced by wgsl/threads.wgsl, the entry point of a stage that says in
+thread(n) what each of so many threads does.  {NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each number
+is written in one place only.
 """
 from __future__ import annotations
 
@@ -37,7 +38,11 @@ def source(stage: str, subgroups: bool = False, **constants) -> str:
         forward, _, backward = text.read(_file(found[1], subgroups)).partition(text.BACKWARD)
         return forward + backward * stage.endswith("_backward")
 
-    return text.filled(re.sub(r"(?m)^//include (\w+)$", included, text.read(_file(stage))), CONSTANTS | constants)
+    def threads(found) -> str:
+        return text.read(_file("threads")).replace("COUNT {", f"{found[1]} {{")
+
+    own = re.sub(r"(?m)^//threads (.+)$", threads, text.read(_file(stage)))
+    return text.filled(re.sub(r"(?m)^//include (\w+)$", included, own), CONSTANTS | constants)
 
 
 def _file(name: str, subgroups: bool = False) -> Path:

@@ -1,7 +1,7 @@
 // Take a step of Adam (kernels/cpu/adam.py) for each parameter of the rows (Gaussians) that this step saw, or of all rows.  adam_count.wgsl
 // counts the rows' steps afterwards.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,  // numbers, columns, whether all rows move, length of the table
@@ -19,10 +19,8 @@ struct Job {
 @group(0) @binding(7) var<storage, read_write> square: array<f32>;
 @group(0) @binding(8) var<storage, read> spilled: array<u32>; // a step that did not fit changes nothing (tiles_pad.wgsl)
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.x || spilled[0] != 0u {
+fn thread(i: u32) {
+    if spilled[0] != 0u {
         return;
     }
     let row = i / job.size.y;

@@ -1,7 +1,7 @@
 // Add the gradients of each splat's entries in the tile lists to its sums, in the order of its tiles.  Bands go on where the one above
 // them ended, so the sums have the same bytes however the picture is divided.
 
-//include common
+//threads length.x
 
 @group(0) @binding(0) var<uniform> length: vec4u; // splats; first Gaussian of `sums`, and their number
 @group(0) @binding(1) var<storage, read> order: array<u32>;
@@ -11,10 +11,8 @@
 
 const WIDTH = {QUADS}u + 2u;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= length.x || runs[k] == runs[k + 1u] {
+fn thread(k: u32) {
+    if runs[k] == runs[k + 1u] {
         return;
     }
     let row = order[k] - length.y;

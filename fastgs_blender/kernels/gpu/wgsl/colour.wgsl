@@ -1,6 +1,6 @@
 // The colour of one group of channels, added to the picture's (CPU._group_colour): plain, or features through a decoder.
 
-//include common
+//threads view.size.x
 //include decoder
 
 @group(0) @binding(0) var<uniform> view: Decoder;
@@ -14,12 +14,7 @@
 //include srgb
 //include looks
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let pixel = place(group, groups) * 256u + lane;
-    if pixel >= view.size.x {
-        return;
-    }
+fn thread(pixel: u32) {
     let first = pixel * view.size.z + view.plan.x;
     var colour = vec3f(channels[first], channels[first + 1u], channels[first + 2u]);
     if view.plan.w != PLAIN {

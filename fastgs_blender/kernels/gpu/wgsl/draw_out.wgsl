@@ -1,7 +1,7 @@
 // Widen the splats that move too far from one sample of an exposure to the next: along their way, or all around where the lens spreads them.
 // Their optical depth spreads with them, so that what is opaque stays so (kernels/cpu/expose.py, _draw_out).
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,  // splats
@@ -16,10 +16,8 @@ struct Job {
 
 const SCALE = 0.849321800288019; // as in slice.wgsl
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = place(group, groups) * 256u + lane;
-    if n >= job.size.x || depths[n] == 0xffffffffu {
+fn thread(n: u32) {
+    if depths[n] == 0xffffffffu {
         return;
     }
     let path = paths[n];

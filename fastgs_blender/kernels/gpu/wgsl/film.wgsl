@@ -1,6 +1,6 @@
 // Add a sample of an exposure to the film: its colour as light, and its alpha, each tile's with its weight (kernels/cpu/expose.py, collect).
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,   // pixels of the band, of those before it; width; numbers of a pixel in `flat`
@@ -16,12 +16,7 @@ struct Job {
 //include srgb
 //include tile_of
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.x {
-        return;
-    }
+fn thread(i: u32) {
     let weight = weights[tile_of(job.size.y + i)];
     if weight == 0.0 {
         return;

@@ -1,6 +1,6 @@
 // Add some numbers of each pixel of an exposure's sample to their sums, each tile's with its weight.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,   // numbers of the band; pixels before it; width; numbers of a pixel
@@ -15,12 +15,7 @@ struct Job {
 
 //include tile_of
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.x {
-        return;
-    }
+fn thread(i: u32) {
     let pixel = i / job.size.w;
     let value = values[pixel * job.place.y + job.place.x + i % job.size.w];
     sums[job.size.y * job.size.w + i] += weights[tile_of(job.size.y + pixel)] * value;

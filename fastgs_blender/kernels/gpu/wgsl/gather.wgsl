@@ -1,7 +1,7 @@
 // Copy rows of a piece of the splats, in the order of depth, to those that have a place, one after the other, as far as
 // there is room.
 
-//include common
+//threads job.x
 
 @group(0) @binding(0) var<uniform> job: vec4u; // splats, first row of the piece, its rows, numbers of a row
 @group(0) @binding(1) var<storage, read> order: array<u32>;
@@ -9,10 +9,8 @@
 @group(0) @binding(3) var<storage, read> values: array<u32>;
 @group(0) @binding(4) var<storage, read_write> copies: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= job.x || places[k] == places[k + 1u] {
+fn thread(k: u32) {
+    if places[k] == places[k + 1u] {
         return;
     }
     let row = order[k] - job.y;

@@ -1,6 +1,6 @@
 // The numbers of the rows that gather.wgsl copies.  Where there is room for more, the rest is not drawn; checks the room, if it was guessed.
 
-//include common
+//threads job.x
 
 @group(0) @binding(0) var<uniform> job: vec4u; // splats, room
 @group(0) @binding(1) var<storage, read> order: array<u32>;
@@ -12,12 +12,7 @@
 
 //include guessed
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= job.x {
-        return;
-    }
+fn thread(k: u32) {
     let number = places[job.x];
     if k == 0u {
         check(number, job.y);

@@ -1,7 +1,7 @@
 // Add the gradient of the pull of features towards their held values (training/core/hold.py), for the Gaussians that this step saw.  A held
 // value that is not finite means: this Gaussian is not held.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u, // numbers, columns
@@ -14,12 +14,7 @@ struct Job {
 @group(0) @binding(3) var<storage, read> held: array<u32>;
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.x {
-        return;
-    }
+fn thread(i: u32) {
     let row = i / job.size.y;
     if seen[row] != 0.0 && (held[row * job.size.y] & 0x7f800000u) != 0x7f800000u {
         gradient[i] += job.strength.x * (features[i] - bitcast<f32>(held[i]));

@@ -1,18 +1,13 @@
 // Weighted sums along the rows of three planes.
 
-//include common
+//threads job.strip.y
 //include loss
 
 @group(0) @binding(0) var<uniform> job: Loss;
 @group(0) @binding(1) var<storage, read> slopes: array<f32>;
 @group(0) @binding(2) var<storage, read_write> across: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let thread = place(group, groups) * 256u + lane;
-    if thread >= job.strip.y {
-        return;
-    }
+fn thread(thread: u32) {
     let i = job.strip.x + thread;
     let n = job.strip.w;
     let own = i - job.strip.z;

@@ -1,6 +1,6 @@
 // What a picture is compared with: the target, or, where that is only a lower bound, the picture if it is brighter.
 
-//include common
+//threads job.x
 
 @group(0) @binding(0) var<uniform> job: vec4u; // numbers
 @group(0) @binding(1) var<storage, read> picture: array<f32>;
@@ -8,10 +8,6 @@
 @group(0) @binding(3) var<storage, read> least: array<u32>;
 @group(0) @binding(4) var<storage, read_write> compared: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i < job.x {
-        compared[i] = select(bound[i], max(bound[i], picture[i]), least[i] != 0u);
-    }
+fn thread(i: u32) {
+    compared[i] = select(bound[i], max(bound[i], picture[i]), least[i] != 0u);
 }

@@ -1,6 +1,6 @@
 // Weighted sums along the rows of x, y, x^2, y^2 and x y, plane by plane.
 
-//include common
+//threads job.strip.y
 //include loss
 
 @group(0) @binding(0) var<uniform> job: Loss;
@@ -9,12 +9,7 @@
 @group(0) @binding(3) var<storage, read> weights: array<f32>;
 @group(0) @binding(4) var<storage, read_write> moments: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let thread = place(group, groups) * 256u + lane;
-    if thread >= job.strip.y {
-        return;
-    }
+fn thread(thread: u32) {
     let i = job.strip.x + thread;
     let x = i32(i / 3u % job.size.x);
     var mean = vec2f(0.0);

@@ -1,6 +1,6 @@
 // Add one view to the statistics of density control: the number of views that showed a Gaussian, and its largest radius on the screen.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,    // Gaussians
@@ -15,10 +15,8 @@ struct Job {
 @group(0) @binding(5) var<storage, read_write> radius: array<f32>;
 @group(0) @binding(6) var<storage, read> spilled: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = place(group, groups) * 256u + lane;
-    if n >= job.size.x || depths[n] == 0xffffffffu || spilled[0] != 0u {
+fn thread(n: u32) {
+    if depths[n] == 0xffffffffu || spilled[0] != 0u {
         return;
     }
     let a = splat_a[n];

@@ -2,7 +2,7 @@
 //
 // The coefficients [K, 3] are turned into R rows by the matrix in `table` [R, K], after which it holds the weights [3 R] / (N extent).
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,  // Gaussians, K, R, whether there is a matrix
@@ -19,12 +19,7 @@ struct Job {
 
 //include penalty_row
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = place(group, groups) * 256u + lane;
-    if n >= job.size.x {
-        return;
-    }
+fn thread(n: u32) {
     let weights = select(0u, job.size.y * job.size.z, job.size.w != 0u);
     var total = 0.0;
     for (var r = 0u; r < job.size.z; r++) {

@@ -1,6 +1,6 @@
 // The squares of all rows [N, 3 R] (penalty.wgsl).
 
-//include common
+//threads job.size.x * job.size.z
 
 struct Job {
     size: vec4u, // Gaussians, K, R, whether there is a matrix
@@ -14,12 +14,7 @@ struct Job {
 
 //include penalty_row
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let i = place(group, groups) * 256u + lane;
-    if i >= job.size.x * job.size.z {
-        return;
-    }
+fn thread(i: u32) {
     let row = row_of(i / job.size.z, i % job.size.z);
     squares[3u * i] = row.x * row.x;
     squares[3u * i + 1u] = row.y * row.y;

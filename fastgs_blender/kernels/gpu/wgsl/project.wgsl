@@ -3,7 +3,7 @@
 // A splat is a = (centre in pixels of the image, L11, L21), b = (L22, log2 of its opacity, highest alpha, log2 of the cut), and its channels:
 // log2(alpha) = log2(opacity) - (L11 dx + L21 dy)^2 - (L22 dy)^2.
 
-//include common
+//threads view.size.x
 //include view
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -53,12 +53,7 @@ fn captured(source: vec2i, k: i32) -> vec4f {
     return vec4f(extra[at], extra[at + 1u], extra[at + 2u], extra[at + 3u]);
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = place(group, groups) * 256u + lane;
-    if n >= view.size.x {
-        return;
-    }
+fn thread(n: u32) {
     let row = view.size.y + n;
     depths[row] = NOWHERE;
     if has(HIDDEN) {

@@ -1,7 +1,7 @@
 // Backward pass of project.wgsl: from the sums of each splat to the gradients of its Gaussian (kernels/cpu/project_backward.py).  What the
 // forward pass computed is computed again.  `gradient` is laid out as `model` and holds zeros.
 
-//include common
+//threads view.size.x
 //include view
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -28,7 +28,8 @@ fn spread(at: u32, width: u32, count: u32, centred: bool, first: u32, last: u32,
     if centred {
         var power = 1.0;
         for (var k = 0u; k < count; k++) {
-            slope += f32(k + 1u) * power * dot(g, coefficient(at + width * k, width));
+            let c = coefficient(at + width * k, width);
+            slope += f32(k + 1u) * power * select(dot(g, c), dot(g.xyz, c.xyz), width == 3u); // three are not added up as four are
             power *= delta;
             for (var i = 0u; i < width; i++) {
                 gradient[at + width * k + i] = g[i] * power;
@@ -85,12 +86,7 @@ fn quaternion_slope(sum: vec4f, g: mat3x3f) -> vec4f {
     return (by - dot(by, q) * q) / norm;
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = place(group, groups) * 256u + lane;
-    if n >= view.size.x {
-        return;
-    }
+fn thread(n: u32) {
     let row = view.size.y + n;
     if depths[row] == 0xffffffffu {
         return;

@@ -1,7 +1,7 @@
 // Write the start values of the backward pass for each pixel: (transmittance, place of the last splat, d loss / d alpha, _), then
 // d loss / d channels.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,  // pixels of the band, its first pixel in the picture, channels of the colour, depth + 1 or 0
@@ -15,12 +15,7 @@ struct Job {
 @group(0) @binding(4) var<storage, read> by_depth: array<f32>;
 @group(0) @binding(5) var<storage, read_write> pixels: array<vec4f>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let pixel = place(group, groups) * 256u + lane;
-    if pixel >= job.size.x {
-        return;
-    }
+fn thread(pixel: u32) {
     let own = job.size.y + pixel;
     let first = pixel * ({QUADS}u + 1u);
     pixels[first] = vec4f(flat[3u * pixel + 1u], flat[3u * pixel + 2u], by_alpha[own], 0.0);

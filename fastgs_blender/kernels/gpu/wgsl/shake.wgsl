@@ -1,7 +1,7 @@
 // Move nearly transparent Gaussians at random, each in its own shape (MCMC).  The random numbers are PCG's of the row and the key, made
 // normal after Box and Muller.
 
-//include common
+//threads job.size.x
 //include rotation
 
 struct Job {
@@ -22,10 +22,8 @@ fn pcg(x: u32) -> u32 {
     return (word >> 22u) ^ word;
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let row = place(group, groups) * 256u + lane;
-    if row >= job.size.x || spilled[0] != 0u {
+fn thread(row: u32) {
+    if spilled[0] != 0u {
         return;
     }
     let o = 1.0 / (1.0 + exp(-opacity[row]));

@@ -1,6 +1,6 @@
 // The gradients of MCMC's weights on opacities and scales.
 
-//include common
+//threads job.size.x
 
 struct Job {
     size: vec4u,    // rows
@@ -13,12 +13,7 @@ struct Job {
 @group(0) @binding(3) var<storage, read_write> by_opacity: array<f32>;
 @group(0) @binding(4) var<storage, read_write> by_scale: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let row = place(group, groups) * 256u + lane;
-    if row >= job.size.x {
-        return;
-    }
+fn thread(row: u32) {
     let o = 1.0 / (1.0 + exp(-opacity[row]));
     by_opacity[row] += job.weights.x * o * (1.0 - o);
     for (var i = 3u * row; i < 3u * row + 3u; i++) {

@@ -1,6 +1,6 @@
 // How many tiles each splat touches, in the order of the splats' depth.
 
-//include common
+//threads grid.size.x
 //include ellipse
 
 @group(0) @binding(0) var<uniform> grid: Grid;
@@ -16,12 +16,7 @@ fn is_wanted(tile: i32) -> bool {
     return {ALL} || wanted[grid.size.z + u32(tile)] != 0u;
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= grid.size.x {
-        return;
-    }
+fn thread(k: u32) {
     let row = order[k];
     var count = 0u;
     if depths[row] != 0xffffffffu {

@@ -1,7 +1,7 @@
 // Write the entries of the tile lists: for each splat, in the order of depth, a run of the tiles that it touches; an entry's value is its
 // own place.
 
-//include common
+//threads grid.size.x
 //include ellipse
 
 @group(0) @binding(0) var<uniform> grid: Grid;
@@ -19,12 +19,7 @@ fn is_wanted(tile: i32) -> bool {
     return {ALL} || wanted[grid.size.z + u32(tile)] != 0u;
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= grid.size.x {
-        return;
-    }
+fn thread(k: u32) {
     var at = starts[k];
     if at == starts[k + 1u] {
         return;

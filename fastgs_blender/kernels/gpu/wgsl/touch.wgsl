@@ -1,6 +1,6 @@
 // 1 for each splat of a piece, in the order of depth, that may touch the grid; the others stay as they are.
 
-//include common
+//threads grid.size.x
 //include ellipse
 
 @group(0) @binding(0) var<uniform> grid: Grid; // size: splats, first row of the piece, its rows
@@ -10,12 +10,7 @@
 @group(0) @binding(4) var<storage, read> splat_b: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> touches: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let k = place(group, groups) * 256u + lane;
-    if k >= grid.size.x {
-        return;
-    }
+fn thread(k: u32) {
     let row = order[k] - grid.size.y;
     if row >= grid.size.z || depths[row] == 0xffffffffu { // what lies before the piece is far beyond it, too
         return;

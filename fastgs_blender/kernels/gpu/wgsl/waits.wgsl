@@ -1,16 +1,12 @@
 // For each row (Gaussian) that this step sees, the number of steps since its last update; 0 for all others.
 
-//include common
+//threads job.x
 
 @group(0) @binding(0) var<uniform> job: vec4u; // rows, step
 @group(0) @binding(1) var<storage, read> seen: array<f32>;
 @group(0) @binding(2) var<storage, read> moved: array<i32>;
 @group(0) @binding(3) var<storage, read_write> waits: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let row = place(group, groups) * 256u + lane;
-    if row < job.x {
-        waits[row] = select(0.0, f32(i32(job.y) - moved[row]), seen[row] != 0.0);
-    }
+fn thread(row: u32) {
+    waits[row] = select(0.0, f32(i32(job.y) - moved[row]), seen[row] != 0.0);
 }
