@@ -16,12 +16,12 @@ from ...rendering.distance import MARGIN, STEEP
 from ...rendering.instances import LIMIT
 from . import raster
 from .crop import crop_share, in_ball
-from .jit import inline, kernel
+from .jit import exp, inline, kernel
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .spherical import sh_colour
+from .temporal import temporal_factor
 
 RGB, SH, FEATURES = range(3)
-ALWAYS, RADIAL, WINDOW, WINDOWED_RADIAL = range(4)
 REACH = oracle.REACH
 PIXEL = 4
 """Place of a view's pixel size in distance.Sampling.row."""
@@ -34,27 +34,6 @@ def rows_of(view):
     """The rows of view [5, 3] as numbers: arrays would be read again after every write."""
     return ((view[0, 0], view[0, 1], view[0, 2]), (view[1, 0], view[1, 1], view[1, 2]), (view[2, 0], view[2, 1], view[2, 2]),
             (view[3, 0], view[3, 1], view[3, 2]), (view[4, 0], view[4, 1], view[4, 2]))
-
-
-@inline
-def _exp(x):
-    """exp in float32 (enough for what comes from float32), as float64."""
-    return np.float64(math.exp(np.float32(x)))
-
-
-@inline
-def _temporal_factor(code, t, mu_tau, p, n):
-    """Temporal opacity; p[n] are the Gaussian's parameters (temporal.py)."""
-    if code == RADIAL:
-        delta = t - mu_tau
-        return _exp(-_exp(p[n, 0]) * delta * delta)
-    if code == WINDOW:
-        early, late = max(p[n, 0] - t, 0.0) / _exp(p[n, 2]), max(t - p[n, 1], 0.0) / _exp(p[n, 3])
-        return _exp(-early * early - late * late)
-    if code == WINDOWED_RADIAL:
-        delta, outside = t - mu_tau, max(p[n, 1] - t, t - p[n, 2], 0.0) / _exp(p[n, 3])
-        return _exp(-_exp(p[n, 0]) * delta * delta - outside * outside)
-    return 1.0
 
 
 @inline
@@ -252,10 +231,10 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     for n in range(first, last):
         if (filtered and hidden[n]) or not in_ball(position, n, ball):
             continue
-        faintness = 1.0 + _exp(-opacity[n])
+        faintness = 1.0 + exp(-opacity[n])
         if faintness > look[FAINTEST]:
             continue
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * opaqueness
+        sigma = temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * opaqueness
         if not (sigma >= alpha_cut):
             continue
         delta = t - np.float64(mu_tau[n])
@@ -275,11 +254,11 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
         axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
-        resized = size_factor(_exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look) if sized else 1.0
+        resized = size_factor(exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look) if sized else 1.0
         if bends and not orthographic and (a02 != -(x / z) or a12 != -(y / z)):
-            near_by = _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, _exp(scale[n, 0]) * resized),
-                                _turned(axis1, row0, row1, row2, _exp(scale[n, 1]) * resized),
-                                _turned(axis2, row0, row1, row2, _exp(scale[n, 2]) * resized))
+            near_by = _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, exp(scale[n, 0]) * resized),
+                                _turned(axis1, row0, row1, row2, exp(scale[n, 1]) * resized),
+                                _turned(axis2, row0, row1, row2, exp(scale[n, 2]) * resized))
             if near_by != per_depth:
                 per_depth = near_by
                 mx, my = fx * ((x + a02 * z) * per_depth - a02) + lens[2], fy * ((y + a12 * z) * per_depth - a12) + lens[3]
@@ -289,11 +268,11 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
         unit = per_depth
         if sized:
             unit *= resized
-        size0, size1, size2 = _exp(scale[n, 0]) * unit, _exp(scale[n, 1]) * unit, _exp(scale[n, 2]) * unit
+        size0, size1, size2 = exp(scale[n, 0]) * unit, exp(scale[n, 1]) * unit, exp(scale[n, 2]) * unit
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
         blur, small = trained_blur, trained_blur
         if sampled:
-            largest = _exp(max(scale[n, 0], scale[n, 1], scale[n, 2])) * resized
+            largest = exp(max(scale[n, 0], scale[n, 1], scale[n, 2])) * resized
             blur, small = _blurs(px, py, pz, 1.0 if orthographic else z, largest, trained_blur, sampling)
         s00, s01, s11, sharp, det = _covariance(u, v, blur)
         if not (det > 0.0 and s00 + s11 < np.inf):

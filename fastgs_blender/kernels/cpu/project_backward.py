@@ -11,19 +11,15 @@ import numpy as np
 from numba import float32
 
 from . import raster
-from .jit import inline, kernel
+from .jit import exp, inline, kernel
 from .project import (
     FEATURES,
-    RADIAL,
     SCALE,
     SH,
-    WINDOW,
-    WINDOWED_RADIAL,
     _axes,
     _covariance,
     _cross,
     _direction,
-    _exp,
     _moved3,
     _moved4,
     _project_axis,
@@ -32,6 +28,7 @@ from .project import (
     rows_of,
 )
 from .spherical import sh_colour, sh_slope
+from .temporal import temporal_slope
 
 PER_LN2 = 1.0 / math.log(2.0)
 
@@ -67,28 +64,6 @@ def _moves_nothing(row, g_geometry, g_log2, g_channels):
     for i in range(g_channels.shape[1]):
         moved = moved or g_channels[row, i] != 0.0
     return not moved
-
-
-@inline
-def _temporal_slope(code, t, mu_tau, p, n, g, out):
-    """g is the gradient of the factor's logarithm; writes that of the parameters, returns that of mu_tau."""
-    if code in (RADIAL, WINDOWED_RADIAL):
-        delta, speed = t - mu_tau, _exp(p[n, 0])
-        out[n, 0] = -g * speed * delta * delta
-        if code == WINDOWED_RADIAL:
-            width = _exp(p[n, 3])
-            outside = max(p[n, 1] - t, t - p[n, 2], 0.0) / width
-            before = p[n, 1] - t >= t - p[n, 2]
-            out[n, 1] = -2.0 * g * outside / width if before else 0.0
-            out[n, 2] = 0.0 if before else 2.0 * g * outside / width
-            out[n, 3] = 2.0 * g * outside * outside
-        return 2.0 * g * speed * delta
-    if code == WINDOW:
-        before, after = _exp(p[n, 2]), _exp(p[n, 3])
-        early, late = max(p[n, 0] - t, 0.0) / before, max(t - p[n, 1], 0.0) / after
-        out[n, 0], out[n, 1] = -2.0 * g * early / before, 2.0 * g * late / after
-        out[n, 2], out[n, 3] = 2.0 * g * early * early, 2.0 * g * late * late
-    return 0.0
 
 
 @inline
@@ -183,14 +158,14 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
         u0, v0 = _project_axis(axes[0], row0, row1, row2, a02, a12)
         u1, v1 = _project_axis(axes[1], row0, row1, row2, a02, a12)
         u2, v2 = _project_axis(axes[2], row0, row1, row2, a02, a12)
-        size0, size1, size2 = _exp(scale[n, 0]) * per_depth, _exp(scale[n, 1]) * per_depth, _exp(scale[n, 2]) * per_depth
+        size0, size1, size2 = exp(scale[n, 0]) * per_depth, exp(scale[n, 1]) * per_depth, exp(scale[n, 2]) * per_depth
         u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
         _, s01, s11, sharp, det = _covariance(u, v, blur)
 
         # opacity
         g_sigma = PER_LN2 * np.float64(g_log2[row])
-        g_opacity[n] = g_sigma * (1.0 - 1.0 / (1.0 + _exp(-opacity[n])))
-        g_mu = _temporal_slope(temporal_code, t, np.float64(mu_tau[n]), temporal, n, g_sigma, g_temporal)
+        g_opacity[n] = g_sigma * (1.0 - 1.0 / (1.0 + exp(-opacity[n])))
+        g_mu = temporal_slope(temporal_code, t, np.float64(mu_tau[n]), temporal, n, g_sigma, g_temporal)
 
         # the triangle of the inverse covariance: L11 = SCALE sqrt(s11 / det), L21 = -SCALE s01 / sqrt(s11 det), L22 = SCALE / sqrt(s11)
         root, root_det = math.sqrt(s11), math.sqrt(det)

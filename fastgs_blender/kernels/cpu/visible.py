@@ -11,11 +11,12 @@ from ...rendering.culling import scale_bound, spread
 from ...rendering.distance import MARGIN
 from ...util.threads import ranges, run
 from .crop import crop_share, in_ball
-from .jit import kernel
+from .jit import exp, kernel
 from .look import FAINTEST, OPACITY, SIZED, size_factor
-from .project import PIXEL, _exp, _moved3, _temporal_factor, coarsest
+from .project import PIXEL, _moved3, coarsest
 from .sort import order_by
 from .splats import CHUNK, plain, weights_at
+from .temporal import temporal_factor
 
 
 @kernel
@@ -49,10 +50,10 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
             continue
         if (filtered and hidden[n]) or not in_ball(position, n, ball):
             continue
-        faintness = 1.0 + _exp(-opacity[n])
+        faintness = 1.0 + exp(-opacity[n])
         if faintness > look[FAINTEST]:
             continue
-        sigma = _temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * look[OPACITY]
+        sigma = temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * look[OPACITY]
         if not (sigma >= cut):
             continue
         px, py, pz = _moved3(motion, n, terms, weights, centred, t - np.float64(mu_tau[n]))
@@ -68,7 +69,7 @@ def visible(first, last, offset, look, arrays, times, view, lens, constants, box
         y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
         per_depth = 1.0 if orthographic else 1.0 / z
         mx, my = fx * x * per_depth + cx, fy * y * per_depth + cy
-        size = _exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
+        size = exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
         if look[SIZED] != 0.0:
             size *= size_factor(size, look)
         size *= per_depth
