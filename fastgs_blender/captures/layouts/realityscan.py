@@ -66,7 +66,7 @@ def _table(file: Path) -> list[opencv.Calibrated]:
         heading, pitch, roll = (opencv.from_rodrigues(angle * np.eye(3)[axis], where) for angle, axis in zip(angles, (2, 0, 1)))
         to_world = np.eye(4)
         to_world[:3, :3] = heading @ pitch @ roll
-        to_world[:3, 3] = value["x"], value["y"], value["alt"]
+        to_world[:3, 3] = poses.near(np.array([value["x"], value["y"], value["alt"]]), where)
         lens = _lens("brown4t2", [value[key] for key in COEFFICIENTS], value["f"], where)
         pose = poses.from_opengl(to_world)
         found.append(_calibrated(Path(row["name"]).stem, value["f"], value["px"], value["py"], 1.0, lens, pose, where))

@@ -135,6 +135,15 @@ def test_metadata_of_realityscan(tmp_path, tmp_path_factory):
             open_capture(tmp_path)
 
 
+def test_a_table_with_a_camera_beyond_reason(tmp_path):
+    """Its square would be no number any more."""
+    tiny_captures.scan_table(tmp_path)
+    table = tmp_path / "cameras.csv"
+    table.write_text(table.read_text().replace(",2,3,", ",2e200,3,", 1))
+    with pytest.raises(FastGSError, match="farther than"):
+        open_capture(tmp_path)
+
+
 def test_lenses_of_other_models_are_fitted():
     """Brown's fourth coefficient, and the division model, of which the pinhole's radius is r / (1 + k r^2)."""
     r = np.linspace(0.01, 0.8, 50)
