@@ -8,7 +8,9 @@ from pathlib import Path
 
 import mutations
 import numpy as np
+import ply_files
 import pytest
+from ply_files import INRIA
 from random_models import random_model
 
 import fastgs_blender as fg
@@ -42,8 +44,11 @@ def spz(folder):
     return {"written": {"m.spz": saved(folder, "m.spz", appearance="sh2")}, **written}
 
 
-def compressed_ply(folder):
-    return {f"sh{degree}": {"m.ply": saved(folder, "m.compressed.ply", appearance=f"sh{degree}")} for degree in (0, 1, 3)}
+def plys(folder):
+    """Compressed ones, and one of Mip-Splatting."""
+    table = ply_files.columns(np.random.default_rng(4), [*INRIA, "filter_3D"], 9)
+    compressed = {f"sh{degree}": {"m.ply": saved(folder, "m.compressed.ply", appearance=f"sh{degree}")} for degree in (0, 1, 3)}
+    return {"filter_3D": {"m.ply": ply_files.ply(table)}, **compressed}
 
 
 def ksplat(folder):
@@ -85,7 +90,7 @@ def gltf(folder):
     return {"beside": {"m.gltf": json.dumps(values).encode(), "m.bin": data[28 + size:]}}
 
 
-SEEDS = {"m.glb": glb, "m.gltf": gltf, "m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": compressed_ply, "m.splat": splat,
+SEEDS = {"m.glb": glb, "m.gltf": gltf, "m.sog": sog, "meta.json": sog_folder, "m.ksplat": ksplat, "m.ply": plys, "m.splat": splat,
          "m.spz": spz}
 
 
