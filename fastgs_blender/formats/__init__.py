@@ -28,6 +28,7 @@ from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
 from .gltf import Gltf
+from .gsd import Gsd
 from .inria import Inria
 from .katsumata import Katsumata
 from .ksplat import Ksplat
@@ -38,20 +39,28 @@ from .realtime4dgs import Realtime4DGS
 from .rotor import RotorGaussians
 from .sequences import NumberedFiles, SequenceFormat, ZippedFiles, numbered_files, place_of, settled, stands_for_many
 from .sog import Sog
+from .sog4d import Sog4d
+from .sog4d_frames import Sog4dFrames
 from .splat import Splat
+from .splat4d import Splat4d
 from .splat_checkpoints import GsplatCheckpoint, NerfstudioCheckpoint
+from .splats4d import Splats4D
 from .splatv import Splatv
 from .spz import Spz
 from .stg import SpacetimeGaussians
 from .streamed_sog import StreamedSog
+from .supersplat_ply import SuperSplatPly
+from .tsog import Tsog
 from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
-                               Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians())
+                               Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
+                               Sog4d(), SuperSplatPly(), Splat4d())
 STATIC: tuple[Format, ...] = (CompressedPly(), Spz(), Ksplat(), StreamedSog(), Sog(), GsplatCheckpoint(), NerfstudioCheckpoint(), Gltf(),
                               Usd(), Splat())
-FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), ZippedFiles(), *STATIC)
+SEQUENCES: tuple[Format, ...] = (Gsd(), Splats4D(), Sog4dFrames(), ZippedFiles())
+FORMATS: tuple[Format, ...] = (Native(), SpacetimeGaussians(), *DYNAMIC, Inria(), Splatv(), *SEQUENCES, *STATIC)
 """Asked in this order to read.  Splat comes last: its files have no mark to know them by."""
 FILES, STREAMED = NumberedFiles(), StreamedSog()
 """What a path that is no file may be."""

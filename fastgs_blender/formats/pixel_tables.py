@@ -112,6 +112,17 @@ class Archive:
             raise FastGSError(f"{name} cannot be unpacked ({error}); copy the file again.") from error
 
 
+def meta_of(head: bytes, path: Path) -> dict:
+    """What meta.json in a zip file says, empty for any other file and for a broken one; head: the file's first bytes."""
+    if not head.startswith(b"PK\x03\x04"):
+        return {}
+    try:
+        with Archive(path) as files:
+            return files.meta() if files.has("meta.json") else {}
+    except FastGSError:
+        return {}
+
+
 def plain(name) -> str:
     """The name of a file in the same folder, and nothing else; it may begin with "./"."""
     name = name.removeprefix("./") if isinstance(name, str) else name
@@ -153,9 +164,9 @@ def bounds(part: dict, count: int) -> tuple[np.ndarray, np.ndarray]:
     return numbers(part.get("mins"), count)[:count], numbers(part.get("maxs"), count)[:count]
 
 
-def table(part: dict) -> np.ndarray:
+def table(part: dict, key: str = "codebook") -> np.ndarray:
     """A table of 256 values; what it has too few of is 0."""
-    values = numbers(part.get("codebook"), 1)[:256]
+    values = numbers(part.get(key), 1)[:256]
     return np.concatenate([values, np.zeros(256 - len(values))])
 
 

@@ -47,7 +47,7 @@ EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".
 """Of files that are taken for frames."""
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
-ALONE = (".safetensors", ".4dgs", ".splatv", *EXTENSIONS)
+ALONE = (".safetensors", ".4dgs", ".splat4d", ".splatv", *EXTENSIONS)
 """Of models in a zip file without a sequence; the first of them is read."""
 CHECKPOINTS = (".pt", ".pth", ".ckpt")
 """Of models in a zip file that holds none of ALONE, beside which these are decoders, or the same model before it was exported."""

@@ -27,6 +27,7 @@ from .base import STEEP, Format, generator
 from .description import comments, from_comments, restored
 from .fitting import bell_opacity, linear_rotation, plain_colour, polynomial_motion
 from .inria import NORMAL, POSITION, ROTATION, SCALE
+from .supersplat_ply import is_dynamic
 
 KEYS = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space", "provenance", "surroundings")
 OMEGA = ("omega_0", "omega_1", "omega_2", "omega_3")
@@ -48,7 +49,8 @@ class SpacetimeGaussians(Format):
     keeps_cameras = True
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        return head.startswith(b"ply") and not ply.read_header(path).names.isdisjoint(("trbf_center", "trbf_scale", "omega_0"))
+        names = ply.read_header(path).names if head.startswith(b"ply") else frozenset()
+        return not names.isdisjoint(("trbf_center", "trbf_scale", "omega_0")) and not is_dynamic(names)
 
     def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)

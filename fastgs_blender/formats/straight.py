@@ -34,11 +34,11 @@ class Timeline:
 
 
 def straight(position: ArrayLike, velocity: ArrayLike | None, centre: ArrayLike, ln_sigma: ArrayLike, timeline: Timeline = Timeline(),
-             window: tuple[Any, Any] | None = None) -> dict[str, Any]:
+             window: tuple[Any, Any] | None = None, closed: bool = False) -> dict[str, Any]:
     """Keyword arguments for GaussianModel: position, motion, mu_tau, temporal and their kinds.
 
     position [N, 3]; velocity [N, 3] or None; centre [N]; ln_sigma [N], inf: no fading; window (begin, end), each [N] or a number,
-    with Gaussians seen at begin <= T < end.  All in the file's unit of time.
+    with Gaussians seen at begin <= T < end, or, if closed, at begin <= T <= end.  All in the file's unit of time.
     """
     position, centre = np.asarray(position, np.float64), np.asarray(centre, np.float64)
     with np.errstate(all="ignore"):  # what is no number is found by usable()
@@ -48,7 +48,8 @@ def straight(position: ArrayLike, velocity: ArrayLike | None, centre: ArrayLike,
             arrays |= {"motion": timeline.length * np.asarray(velocity, np.float64)[:, None], "basis": Polynomial(1)}
         if window is None:
             return _narrow(arrays) | {"temporal_kind": Radial()}
-        ends = [np.clip(np.broadcast_to(timeline.t(end), len(position)) - SLACK, -1e6, 1e6) for end in window]
+        slack = (-SLACK, SLACK if closed else -SLACK)
+        ends = [np.clip(np.broadcast_to(timeline.t(end), len(position)) + s, -1e6, 1e6) for end, s in zip(window, slack)]
         flank = np.full(len(position), -STEEP)
         arrays["temporal"] = np.stack([arrays["temporal"][:, 0], *ends, flank], -1)
         return _narrow(arrays) | {"temporal_kind": WindowedRadial()}

@@ -110,14 +110,16 @@ class Sequence:
     read    read(i) -> the model of frame at[i], which does not change in time; safe to call from any thread
     state   state(i) -> a value that changes when that model's file does
     about   for error messages: what the frames come from
+    alike   whether all frames are known to hold the same Gaussians in the same order; else their places tell
 
     Example:
         source = fg.open_source("still_####.ply")
     """
 
     def __init__(self, clip: Clip, at: np.ndarray, read: Callable[[int], GaussianModel], state: Callable[[int], object] = lambda i: None,
-                 about: str = "the sequence"):
+                 about: str = "the sequence", alike: bool = False):
         self.clip, self.at, self._read, self._state, self.about = clip, np.asarray(at, np.float64), read, state, about
+        self._alike = alike
         self._owner = next(_owners)
         self._matches: dict[tuple, bool] = {}
         self._last: int | None = None
@@ -165,6 +167,8 @@ class Sequence:
 
     def matches(self, i: int, j: int, read: bool = True) -> bool:
         """Whether the i-th and the j-th frame hold the same Gaussians in the same order; NotRead as in frame()."""
+        if self._alike:
+            return len(self.frame(i, read)) == len(self.frame(j, read))  # some may have been left out, because they are not finite
         key = i, self._state(i), self._state(j)
         if key not in self._matches:
             self._matches[key] = match(self.frame(i, read), self.frame(j, read))

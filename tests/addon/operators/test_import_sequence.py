@@ -56,7 +56,7 @@ def test_selected_files_and_dropped_ones(folder, module):
     assert imported(names) == [("take_####.ply", FRAMES)]
     assert imported(names[1:3]) == [("take_[002-003].ply", 2)]
     assert imported(names[:2], as_sequence=False) == [(name, 1) for name in names[:2]]
-    assert {".zip"} <= set(bpy.types.FASTGS_FH_import.bl_file_extensions.split(";"))
+    assert {".zip", ".gsd"} <= set(bpy.types.FASTGS_FH_import.bl_file_extensions.split(";"))
 
 
 def test_a_folder_for_each_frame_and_one_of_sog(scene, module, fg, folder, tmp_path):

@@ -26,15 +26,23 @@ KINDS = {
 def made_elsewhere(rng) -> dict[str, bytes]:
     """Files of formats that are only read, from the tests that assemble them."""
     import test_formats_ksplat
+    import test_formats_sog4d
+    import test_formats_splats4d
     import test_formats_spz
+    import test_formats_straight
+    import test_formats_tsog
 
     arrays = test_formats_spz.packed(rng, 4, COUNT, 1)
     return {
         "m.ksplat": test_formats_ksplat.file([test_formats_ksplat.gaussians(rng, COUNT, 2)], 1)[0],
-        "v4.spz": test_formats_spz.file(4, COUNT, 1, arrays)}
+        "v4.spz": test_formats_spz.file(4, COUNT, 1, arrays), "m.splats4d": test_formats_splats4d.file(test_formats_splats4d.clip(rng)),
+        "m.sog4d": test_formats_sog4d.zipped(test_formats_sog4d.moving(rng)[0]),
+        "frames.sog4d": test_formats_sog4d.zipped(test_formats_sog4d.frames(rng)[0]),
+        "m.tsog": test_formats_tsog.package(rng, {"type": 1, "mins": [0, 0.1], "maxs": [1, 0.5]})[0],
+        "m.splat4d": test_formats_straight.records(rng, COUNT).tobytes()}
 
 
-COUNTS = {"packed.safetensors": 211}
+COUNTS = {"packed.safetensors": 211, "m.splats4d": 21, "m.sog4d": 13, "frames.sog4d": 13, "m.tsog": 14}
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +56,13 @@ def files(tmp_path_factory) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in KINDS} | made_elsewhere(rng)
 
 
-@pytest.mark.parametrize("name", [*KINDS, "m.ksplat", "v4.spz"])
+@pytest.mark.parametrize("name", [*KINDS, "m.ksplat", "v4.spz", "m.splats4d", "m.sog4d", "frames.sog4d", "m.tsog", "m.splat4d"])
 def test_no_memory_on_the_word_of_a_file(files, tmp_path, name):
     path, told = tmp_path / Path(name).name.removeprefix("packed."), 0
     for what, data in liars(files[name], COUNTS.get(name, COUNT)):
         path.write_bytes(data)
         told += refused(lambda: fg.open_source(path), len(data), what)
-    assert told or name == "m.splat", "none of its claims is refused"
+    assert told or name in ("m.splat", "m.splat4d"), "none of its claims is refused"
 
 
 def read_first_moment(path: Path):

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Formats of Gaussians with linear motion and bell-shaped temporal opacity, against their own formulas: FreeTimeGS, Mediastorm.
+"""Formats of Gaussians with linear motion and bell-shaped temporal opacity, against their own formulas: FreeTimeGS, Mediastorm, splat4d.
 
 Transcribed: FreeTimeGsVanilla (raiscui@ff48035, src/simple_trainer_freetime_4d_pure_relocation.py: compute_temporal_opacity and
 compute_positions_at_time, lines 1932-1958, checkpoints 2624-2629, canonical_4d.npz 2965-2990; OpsiClear-4DGS@662a832, freetime_ops.py,
 and export_ftgs_ply.py@9dbf862).  gsplat normalises quaternions, so their length means nothing.  FreeTimeGS++: see plus_plus().
-Mediastorm's law is that of the nodes of its viewer, which is no text.
+gsplat-unity (raiscui@a92f847): records and unit quaternions as Editor/GsplatSplat4DImporter.cs decodes them (lines 303-340), weights of
+time as Runtime/Shaders/Gsplat.compute, 576-590.  Mediastorm's law is that of the nodes of its viewer, which is no text.
 """
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 
 import evaluated
@@ -190,6 +192,111 @@ def test_checkpoint_of_wrong_shapes(tmp_path, rng, key, shape):
         fg.load(tmp_path / "a.npz")
 
 
+RECORD = np.dtype([("p", "<f4", 3), ("s", "<f4", 3), ("c", "u1", 4), ("q", "u1", 4), ("v", "<f4", 3), ("time", "<f4"), ("duration", "<f4"),
+                   ("pad", "<f4", 3)])
+
+
+def records(rng, n=N, inside=True) -> np.ndarray:
+    out = np.zeros(n, RECORD)
+    out["p"], out["v"], out["s"] = rng.normal(size=(2, n, 3)).tolist() + [np.exp(rng.normal(-2, 0.5, (n, 3)))]
+    out["c"] = rng.integers(1, 255, (n, 4))
+    q = rng.normal(size=(n, 4))
+    out["q"] = np.clip(np.round(q / np.linalg.norm(q, axis=1, keepdims=True) * 128 + 128), 0, 255)
+    out["time"] = rng.uniform(0, 0.8, n) if inside else rng.uniform(-0.5, 1.5, n)
+    out["duration"] = rng.uniform(0.05, 0.4, n)
+    return out
+
+
+def splat4d(r, t: float, bell: bool, cutoff: float = 0.01, higher=None) -> dict:
+    """What gsplat-unity's shader makes of records."""
+    time, duration = r["time"].astype(np.float64), r["duration"].astype(np.float64)
+    if bell:
+        weight = np.exp(-0.5 * ((t - time) / duration) ** 2)
+        weight = np.where(weight < cutoff, 0, weight)
+    else:
+        weight = ((t >= time) & (t <= time + duration)).astype(np.float64)
+    rgb = r["c"][:, :3] / 255.0
+    coefficients = ((rgb - 0.5) / 0.28209479177387814)[:, None]
+    if higher is not None:
+        coefficients = np.concatenate([coefficients, higher], 1)
+    return {"position": r["p"] + r["v"].astype(np.float64) * (t - time)[:, None], "rotation": (r["q"].astype(np.float64) - 128) / 128,
+            "scale": r["s"], "opacity": r["c"][:, 3] / 255.0 * weight, "colour": spherical(directions(len(r)), coefficients)}
+
+
+def second_layout(r, time_model: int, palettes=(), cutoff=0.05, frames=0, later=None) -> bytes:
+    """A file of layout 2; palettes: (coefficients [entries, 2 b + 1, 3], labels [N], type code) for each band."""
+    body, sections = bytearray(64), []
+
+    def add(kind, data, band=0, start=0, count=0):
+        sections.append((kind, band, start, count, len(body), len(data)))
+        body.extend(data)
+
+    add(b"RECS", r.tobytes())
+    infos = [(len(p), code, 2 if frames else 1, 0) for p, _, code in palettes] + [(0, 0, 0, 0)] * (3 - len(palettes))
+    add(b"META", struct.pack("<IfII12I", 1, cutoff, 0, 0, *(v for info in infos for v in info)))
+    for band, (palette, labels, code) in enumerate(palettes, 1):
+        add(b"SHCT", palette.astype({1: "<f2", 2: "<f4"}[code]).tobytes(), band)
+        add(b"SHLB", labels.astype("<u2").tobytes(), band, 0, frames)
+        if frames:
+            head = b"SPL4DLB1" + struct.pack("<5I", 1, 0, frames, len(r), len(palette))
+            add(b"SHDL", head + struct.pack("<I", 0) * (frames - 1), band, 0, frames)
+    if later is not None:
+        add(b"SHLB", later.astype("<u2").tobytes(), 1, frames, frames)
+    table = len(body)
+    body += struct.pack("<4s3I", b"SECT", 1, len(sections), 0)
+    for kind, *numbers in sections:
+        body += struct.pack("<4s3I2Q", kind, *numbers)
+    body[:64] = struct.pack("<8s8I3Q", b"SPL4DV02", 2, 64, len(sections), 64, len(r), len(palettes), time_model, frames, table, 0, 0)
+    return bytes(body)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_splat4d_layout_1(tmp_path, rng, inside):
+    """Windows, unless times leave 0..1: then bells."""
+    r, path = records(rng, inside=inside), tmp_path / "a.splat4d"
+    path.write_bytes(r.tobytes())
+    model = fg.load(path)
+    for t in TIMES:
+        assert_shows(model, t, **splat4d(r, t, not inside))
+    assert fg.formats.identify(path).name == "splat4d"
+
+
+@pytest.mark.parametrize("time_model", [1, 2])
+@pytest.mark.parametrize("bands", [0, 1, 3])
+def test_splat4d_layout_2(tmp_path, rng, time_model, bands):
+    r, path = records(rng), tmp_path / "a.splat4d"
+    palettes = [(rng.normal(0, 0.2, (5, 2 * b + 1, 3)).astype(np.float16), rng.integers(0, 5, N), 1 + b % 2) for b in range(1, bands + 1)]
+    path.write_bytes(second_layout(r, time_model, palettes))
+    higher = np.concatenate([p[labels].astype(np.float64) for p, labels, _ in palettes], 1) if bands else None
+    model = fg.load(path)
+    for t in TIMES:
+        assert_shows(model, t, **splat4d(r, t, time_model == 2, 0.05, higher))
+
+
+def test_splat4d_edges_of_windows(tmp_path, rng):
+    """A record is seen at both ends of its window, however float32 rounds them."""
+    r, path = records(rng, 300), tmp_path / "a.splat4d"
+    r["time"] = np.arange(300, dtype=np.float32) / 331
+    r["duration"] = np.float32(7 / 331)
+    path.write_bytes(r.tobytes())
+    model = fg.load(path)
+    for i in range(0, 300, 7):
+        seen = fg.slice_model(model, i / 331, cull=False).opacity > 0
+        assert seen[max(0, i - 7):i + 1].all()
+        assert seen.sum() == min(i, 7) + 1
+
+
+def test_splat4d_colour_that_changes(tmp_path, rng):
+    r, path = records(rng), tmp_path / "a.splat4d"
+    palette = (rng.normal(size=(4, 3, 3)), rng.integers(0, 4, N), 2)
+    path.write_bytes(second_layout(r, 2, [palette], frames=5))
+    assert fg.load(path).clip.frame_count == 4
+    path.write_bytes(second_layout(r, 2, [palette], frames=5, later=(palette[1] + 1) % 4))
+    with pytest.warns(fg.LossWarning, match="first frame's is kept"):
+        model = fg.load(path)
+    assert_shows(model, 0.5, **splat4d(r, 0.5, True, 0.05, palette[0][palette[1]]))
+
+
 def zip_of(arrays) -> bytes:
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)
@@ -209,12 +316,14 @@ def test_an_array_that_lies_about_its_size(tmp_path):
 
 
 def test_damaged_files(tmp_path, rng):
-    a = raw(rng, 3)
+    a, r = raw(rng, 3), records(rng)
+    palette = (rng.normal(size=(4, 3, 3)), rng.integers(0, 4, N), 1)
     checkpoint(tmp_path / "c.pt", a)
     motion = {f"motion_{i}": a["velocities"][:, i] for i in range(3)}
     contents = {
         "ftgs": ftgs(a, ["n_frames 61"]), "npz": zip_of(a | {"n_frames": 5}), "pt": (tmp_path / "c.pt").read_bytes(),
-        "mediastorm": ply_files.ply(columns(a) | motion | {"t": a["times"][:, 0], "t_scale": a["durations"][:, 0]})}
+        "mediastorm": ply_files.ply(columns(a) | motion | {"t": a["times"][:, 0], "t_scale": a["durations"][:, 0]}),
+        "layout 1": r.tobytes(), "layout 2": second_layout(r, 2, [palette], frames=3)}
 
     def read(folder):
         model = fg.load(folder / "m")

@@ -43,6 +43,14 @@ def static(rng, degree: int = 1) -> dict[str, np.ndarray]:
     return {name: rng.normal(-1 if name.startswith("scale") else 0, 0.5, N).astype(np.float32) for name in names}
 
 
+def supersplat(rng) -> dict[str, dict[str, bytes]]:
+    table = static(rng) | {f"motion_{i}": rng.normal(size=N) for i in range(3)}
+    table |= {"trbf_center": rng.uniform(0, 3, N), "trbf_scale": rng.normal(size=N)}
+    said = ["cfg_args: start=2.0, duration=3.0, fps=20.0, sh_degree=1"]
+    return {"comment": {"m.ply": ply_files.ply(table, comments=said)},
+            "cfg_args": {"m.ply": ply_files.ply(table), "cfg_args": b"Namespace(start=2.0, duration=3.0, fps=20.0)"}}
+
+
 def freetime(rng) -> dict[str, dict[str, bytes]]:
     """FreeTimeGS++: gates that are open or shut, and gates between, which make a model of each time."""
     renamed = {"sh0": "sh_0", "shN": "sh_n", "velocities": "velocity_model"}
@@ -70,7 +78,7 @@ def deformable(folder: Path, rng, six: bool) -> dict[str, bytes]:
             "deform/iteration_9/deform.pth": (folder / "deform.pth").read_bytes()}
 
 
-@pytest.mark.parametrize(("name", "file", "made"), [("freetime++", "m.npz", freetime)])
+@pytest.mark.parametrize(("name", "file", "made"), [("supersplat ply", "m.ply", supersplat), ("freetime++", "m.npz", freetime)])
 def test_files_of_one_part(tmp_path, rng, name, file, made):
     told = mutations.campaign(name, lambda folder: shown(folder / file), made(rng), tmp_path)
     assert min(told.values(), default=1) > 0
@@ -93,13 +101,14 @@ def test_numbered_files(tmp_path, rng):
 
 
 def test_cfg_args(tmp_path, rng):
-    """The settings of trainers that models are read with: one file for several formats."""
-    seeds = {"ex4dgs": test_formats_ex4dgs.files(rng)[0]}
+    """The settings of trainers that models are read with: one file for four formats."""
+    seeds = {"supersplat": {"m.ply": supersplat(rng)["cfg_args"]["m.ply"], "cfg_args": b"Namespace(start=2.0, duration=3.0, fps=20.0)"},
+             "ex4dgs": test_formats_ex4dgs.files(rng)[0]}
 
     def read(folder):
-        shown(folder / "dynamic_point_cloud.ply")
+        shown(next(folder / name for name in ("m.ply", "dynamic_point_cloud.ply") if (folder / name).exists()))
 
-    told = mutations.campaign("cfg_args", read, seeds, tmp_path, fixed=["point_cloud.ply", "dynamic_point_cloud.ply"])
+    told = mutations.campaign("cfg_args", read, seeds, tmp_path, fixed=["m.ply", "point_cloud.ply", "dynamic_point_cloud.ply"])
     assert min(told.values(), default=1) > 0
 
 
