@@ -50,7 +50,7 @@ class Step:
 
     def __call__(self):
         backend, arrays, seen = self.backend, self.optimiser.arrays, self.backend.zeros((len(self.model),))
-        picture = backend.splat(arrays, self.model, self.camera, TIME)
+        picture = backend.forward(arrays, self.model, self.camera, TIME)
         difference = backend.compare(picture, self.target, None, None, 0.2, 0.0, 1.0)
         gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics, seen=seen)
         rows = backend.rows(seen)

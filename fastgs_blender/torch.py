@@ -91,7 +91,7 @@ class _Picture(torch.autograd.Function):
         ctx.view = template, camera if pose is None else moved(camera, pose), t
         with _told():
             parameters = {name: ctx.backend.array(value.detach().cpu().numpy()) for name, value in zip(names, values)}
-            ctx.picture = ctx.backend.splat(parameters, *ctx.view, depth, band)
+            ctx.picture = ctx.backend.forward(parameters, *ctx.view, depth, band)
             made = [ctx.picture.rgb, ctx.picture.alpha, *([] if ctx.picture.depth is None else [ctx.picture.depth])]
             found = [np.array(ctx.backend.numpy(array)) for array in made]
         found += [np.empty(0, np.float32)] * (3 - len(found))

@@ -139,7 +139,7 @@ def _reach(ready: Prepared) -> np.ndarray:
 def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Shot) -> tuple[dict[str, np.ndarray], float]:
     """Gradients of the mean squared difference between a shot's two pictures by the model's arrays, and this difference."""
     truth = pictures(original, [shot])[0]
-    picture = backend.splat(parameters_of(model, backend), model, shot.camera, float(shot.t))
+    picture = backend.forward(parameters_of(model, backend), model, shot.camera, float(shot.t))
     rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
     seen = rgb + shot.background * (1 - alpha)[..., None]
     slope = ((seen - truth) * ((seen >= 0) & (seen <= 1)) * (2 / rgb.size)).astype(np.float32)

@@ -186,7 +186,7 @@ def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[fl
     parameters["opacity"] = backend.array(np.minimum(model.opacity, OPAQUE))
     n, rows = len(model), {}
     for k, (camera, t, background) in enumerate(series):
-        picture = backend.splat(parameters, model, camera, float(t))
+        picture = backend.forward(parameters, model, camera, float(t))
         rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
         seen = rgb + background * (1 - alpha)[..., None]
         signs = np.random.default_rng([k, 12]).integers(0, 2, rgb.shape).astype(np.float32) * 2 - 1

@@ -39,8 +39,8 @@ def surface(triangles) -> None:
     shapes((triangles, "f 3 3"))
 
 
-def splat(parameters, template: GaussianModel) -> None:
-    """TrainingBackend.splat()."""
+def forward(parameters, template: GaussianModel) -> None:
+    """TrainingBackend.forward()."""
     assert template.arrays.keys() <= parameters.keys(), "parameters of another kind of model"
     for name, array in template.arrays.items():
         shapes((parameters["position"], "n 3"), (parameters[name], " ".join(["n", *map(str, array.shape[1:])])))
@@ -70,8 +70,8 @@ def backward(picture, rgb, alpha, depth, into, statistics, seen) -> None:
            *((array, "n ...") for name, array in (into or {}).items() if name not in DECODER), *_decoder(into or {}))
 
 
-def waits(moved) -> None:
-    """TrainingBackend.waits()."""
+def steps_since(moved) -> None:
+    """TrainingBackend.steps_since()."""
     shapes((moved, "n"))
 
 
@@ -82,18 +82,18 @@ def motion_penalty(norm, motion, gradient, waits) -> None:
     shapes((norm.weights, str(3 * rows)))
 
 
-def hold(features, held, gradient) -> None:
-    """TrainingBackend.hold()."""
+def anchor(features, held, gradient) -> None:
+    """TrainingBackend.anchor()."""
     shapes((features, "n f"), (held, "n f"), (gradient, "n f"))
 
 
-def shrink(parameters, gradients) -> None:
-    """TrainingBackend.shrink()."""
+def mcmc_penalty(parameters, gradients) -> None:
+    """TrainingBackend.mcmc_penalty()."""
     shapes(*((arrays[name], wanted) for arrays in (parameters, gradients) for name, wanted in (("opacity", "n"), ("scale", "n 3"))))
 
 
-def shake(parameters) -> None:
-    """TrainingBackend.shake()."""
+def mcmc_noise(parameters) -> None:
+    """TrainingBackend.mcmc_noise()."""
     shapes(*((parameters[name], wanted) for name, wanted in
              (("opacity", "n"), ("position", "n 3"), ("scale", "n 3"), ("rotation", "n 4"))))
 

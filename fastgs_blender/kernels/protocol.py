@@ -94,7 +94,7 @@ class PictureBackend(Protocol):
 
 
 @dataclass(eq=False)
-class Splatted:
+class ForwardPass:
     """A picture of a model in training, and what its backward pass needs, in `state`.
 
     rgb [h, w, 3] premultiplied, alpha [h, w]; depth [h, w] sum of the splats' depths times their weights, or None
@@ -151,15 +151,15 @@ class TrainingBackend(PictureBackend, Protocol):
 
     # one view, forward and backward
 
-    def splat(self, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
-              band: float = 0.0) -> Splatted:
+    def forward(self, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
+              band: float = 0.0) -> ForwardPass:
         """The model's picture at time t, for backward(); the parameters must not change in between.
 
         parameters  by name, each [N, ...], as the head of this class says
         band  alpha fades in over this width above the cut: 0 but for checks of the gradients by differences
         """
 
-    def compare(self, picture: Splatted, target: Array, weight: Array | None, background: np.ndarray | None, dssim: float,
+    def compare(self, picture: ForwardPass, target: Array, weight: Array | None, background: np.ndarray | None, dssim: float,
                 opaque_weight: float, share: float, least: Array | None = None) -> Comparison:
         """The loss of a picture over its background against a target, and its gradient.
 
@@ -173,8 +173,8 @@ class TrainingBackend(PictureBackend, Protocol):
         least       [h, w, 3] bool, where the target is only a lower bound, so that what is brighter is right, or None: nowhere
         """
 
-    def agreement(self, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background: np.ndarray | None,
-                  gain: np.ndarray, bias: np.ndarray, sides: tuple[Splatted, Splatted] | None, apart: float, solid: float,
+    def agreement(self, picture: ForwardPass, target: Array, weight: Array | None, least: Array | None, background: np.ndarray | None,
+                  gain: np.ndarray, bias: np.ndarray, sides: tuple[ForwardPass, ForwardPass] | None, apart: float, solid: float,
                   outlier: float) -> Array:
         """Sums over pixels by which a camera's exposure and clock are estimated (training/core/camera_response.py), float64 [19].
 
@@ -188,13 +188,13 @@ class TrainingBackend(PictureBackend, Protocol):
         background  [3] on the host, or None for black;  gain [3], bias [3]
         """
 
-    def over(self, picture: Splatted, background: np.ndarray | None) -> tuple[Array, Array]:
+    def over(self, picture: ForwardPass, background: np.ndarray | None) -> tuple[Array, Array]:
         """A picture [h, w, 3] over its background, and its alpha [h, w], as end_step() brings them back (training/core/camera_turns.py).
 
         background  [3] on the host, or None for black
         """
 
-    def backward(self, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
+    def backward(self, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
                  into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, seen: Array | None = None,
                  detach_time: bool = False) -> dict[str, Array]:
         """d loss / d parameters by name, [N, ...], from d loss / d rgb [h, w, 3], alpha [h, w] and depth [h, w] (None: zeros).
@@ -208,14 +208,14 @@ class TrainingBackend(PictureBackend, Protocol):
     # one step
 
     def begin_step(self) -> int:
-        """From here to end_step() the backend may guess how large the things are that splat() makes, so that it need not wait for them.
+        """From here to end_step() the backend may guess how large the things are that forward() makes, so that it need not wait for them.
         Returns how many further steps had better begin before this one's end is asked for."""
 
     def end_step(self, *arrays: Array) -> Callable[[], list[np.ndarray] | None]:
         """A function that gives read() of the arrays [...], as [...] each, and waits for the device as far as it has to; further steps may
         begin before it is called.  It gives None where a guess was wrong: this step and those after it have then left the statistics,
         the parameters and Adam's moments as they were, and have to be taken again.  The functions are called in the order of their
-        steps; after None those that were made before are not called any more.  All splat() of a step come before its first
+        steps; after None those that were made before are not called any more.  All forward() of a step come before its first
         backward()."""
 
     def rows(self, seen: Array) -> Rows:
@@ -224,7 +224,7 @@ class TrainingBackend(PictureBackend, Protocol):
     def count(self, rows: Rows) -> Array:
         """The number of these rows, [1] float64."""
 
-    def waits(self, rows: Rows, moved: Array, step: int) -> Array:
+    def steps_since(self, rows: Rows, moved: Array, step: int) -> Array:
         """[N]: for the rows, step - moved (the steps that their next move stands for); 0 for all others.
 
         moved  [N] int64, the step in which each Gaussian moved last
@@ -233,18 +233,18 @@ class TrainingBackend(PictureBackend, Protocol):
     def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
         """The penalty of motion [N, K, 3], [1] float64; scale * waits[n] * its gradient is added to gradient [N, K, 3]."""
 
-    def hold(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
+    def anchor(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
         """Add strength * (features [N, F] - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN
         (training/core/anchor.py)."""
 
-    def shrink(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
+    def mcmc_penalty(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
                extent: float) -> None:
         """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC).
 
         parameters, gradients  by name, of the same shapes; opacity [N] and scale [N, 3] are looked at
         """
 
-    def shake(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...]) -> None:
+    def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...]) -> None:
         """Move nearly transparent Gaussians at random, each in its own shape, by about reach (MCMC); key: whole numbers that decide
         the random numbers.  Of the parameters, position [N, 3] is written to."""
 

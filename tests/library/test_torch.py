@@ -113,7 +113,7 @@ def test_a_device_that_fails_is_a_sentence(monkeypatch):
     model, camera = model_and_camera(3, "rgb")
 
     class Lost(CPU):
-        def splat(self, *given):
+        def forward(self, *given):
             raise DeviceError("it is lost")
 
     monkeypatch.setitem(backends.loaded, "lost", Lost())

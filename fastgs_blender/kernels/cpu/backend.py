@@ -66,9 +66,9 @@ class CPU:
     surface = staticmethod(surface)
     front_to_back = staticmethod(visible.front_to_back)
 
-    def splat(self, parameters, template, camera, t, depth=False, band=0.0):
+    def forward(self, parameters, template, camera, t, depth=False, band=0.0):
         announce()
-        return training.splat(parameters, template, camera, t, depth, band)
+        return training.forward(parameters, template, camera, t, depth, band)
 
     compare = staticmethod(training.compare)
     agreement = staticmethod(training.agreement)
@@ -81,11 +81,11 @@ class CPU:
     def count(self, rows):
         return np.array([len(rows)], np.float64)
 
-    waits = staticmethod(steps.waits)
+    steps_since = staticmethod(steps.steps_since)
     motion_penalty = staticmethod(steps.motion_penalty)
-    hold = staticmethod(steps.hold)
-    shrink = staticmethod(steps.shrink)
-    shake = staticmethod(steps.shake)
+    anchor = staticmethod(steps.anchor)
+    mcmc_penalty = staticmethod(steps.mcmc_penalty)
+    mcmc_noise = staticmethod(steps.mcmc_noise)
     adam = staticmethod(steps.adam)
     neighbour_distance = staticmethod(initial.neighbour_distance)
     project_points = staticmethod(initial.project_points)

@@ -52,33 +52,33 @@ def _norms(norm: MotionNorm, values, gradient, scale, waits) -> float:
     return float((size - smooth) @ norm.weights / norm.extent)
 
 
-def waits(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
-    """TrainingBackend.waits()."""
-    asserts.waits(moved)
+def steps_since(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
+    """TrainingBackend.steps_since()."""
+    asserts.steps_since(moved)
     out = np.zeros(len(moved), np.float32)
     out[rows] = step - moved[rows]
     return out
 
 
-def hold(features: np.ndarray, held: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
-    """TrainingBackend.hold()."""
-    asserts.hold(features, held, gradient)
+def anchor(features: np.ndarray, held: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
+    """TrainingBackend.anchor()."""
+    asserts.anchor(features, held, gradient)
     rows = rows[np.isfinite(held[rows, 0])]
     gradient[rows] += np.float32(strength) * (features[rows] - held[rows])
 
 
-def shrink(parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
-    """TrainingBackend.shrink()."""
-    asserts.shrink(parameters, gradients)
+def mcmc_penalty(parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
+    """TrainingBackend.mcmc_penalty()."""
+    asserts.mcmc_penalty(parameters, gradients)
     n = max(len(parameters["opacity"]), 1)
     o = sigmoid(parameters["opacity"])
     gradients["opacity"] += (opacity_weight / n * o * (1 - o)).astype(np.float32)
     gradients["scale"] += (scale_weight / (3 * n) * np.exp(parameters["scale"]) / extent).astype(np.float32)
 
 
-def shake(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
-    """TrainingBackend.shake()."""
-    asserts.shake(parameters)
+def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+    """TrainingBackend.mcmc_noise()."""
+    asserts.mcmc_noise(parameters)
     opacity = sigmoid(parameters["opacity"])
     gate = 1 / (1 + np.exp(-SHARPNESS * ((1 - opacity) - GATE)))
     rows = np.flatnonzero(gate > NEGLIGIBLE)

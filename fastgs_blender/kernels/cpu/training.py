@@ -14,7 +14,7 @@ from ...rendering.layout import Layout
 from ...util.threads import run
 from .. import asserts
 from ..parameters import DECODER, model_of
-from ..protocol import Comparison, Splatted
+from ..protocol import Comparison, ForwardPass
 from .decoder import decode_backward, decode_features
 from .loss import photometric
 from .project_backward import observe
@@ -24,7 +24,7 @@ from .splats import ProjectedSplats, project_backward, project_instances
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What splat() stores for backward(): the instance, its layout, its splats, the blended channels [h, w, C], and the rasteriser's
+    """What forward() stores for backward(): the instance, its layout, its splats, the blended channels [h, w, C], and the rasteriser's
     state."""
 
     instance: ViewedInstance
@@ -34,10 +34,10 @@ class View:
     raster: RasterState
 
 
-def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
-          band: float = 0.0) -> Splatted:
-    """TrainingBackend.splat()."""
-    asserts.splat(parameters, template)
+def forward(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Camera, t: float, depth: bool = False,
+          band: float = 0.0) -> ForwardPass:
+    """TrainingBackend.forward()."""
+    asserts.forward(parameters, template)
     instance = Instance(model_of(template, parameters), np.eye(4), t, AS_TRAINED).viewed(camera)
     layout = Layout([instance], depth, opaque=True)
     splats = project_instances([instance], camera, layout)
@@ -50,10 +50,10 @@ def splat(parameters: dict[str, np.ndarray], template: GaussianModel, camera: Ca
     else:
         rgb = channels if channels.shape[2] == 3 else channels[..., :3]
     deep = None if layout.depth is None else channels[..., layout.depth]
-    return Splatted(rgb, alpha, deep, View(instance, layout, splats, channels, state), features)
+    return ForwardPass(rgb, alpha, deep, View(instance, layout, splats, channels, state), features)
 
 
-def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,
+def compare(picture: ForwardPass, target: np.ndarray, weight: np.ndarray | None, background: np.ndarray | None, dssim: float,
             opaque_weight: float, share: float, least: np.ndarray | None = None) -> Comparison:
     """TrainingBackend.compare()."""
     asserts.compare(picture, target, weight, background, least)
@@ -74,18 +74,18 @@ def compare(picture: Splatted, target: np.ndarray, weight: np.ndarray | None, ba
     return Comparison(np.array([loss, l1, ssim, error]), grad_rgb, grad_alpha)
 
 
-def _over(picture: Splatted, background: np.ndarray | None) -> np.ndarray:
+def _over(picture: ForwardPass, background: np.ndarray | None) -> np.ndarray:
     """The picture [h, w, 3] over its background."""
     return picture.rgb if background is None else picture.rgb + (1 - picture.alpha)[..., None] * background
 
 
-def over(picture: Splatted, background: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def over(picture: ForwardPass, background: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """TrainingBackend.over()."""
     asserts.over(picture, background)
     return _over(picture, background), picture.alpha
 
 
-def agreement(picture: Splatted, target: np.ndarray, weight, least, background, gain, bias, sides, apart, solid, outlier) -> np.ndarray:
+def agreement(picture: ForwardPass, target: np.ndarray, weight, least, background, gain, bias, sides, apart, solid, outlier) -> np.ndarray:
     """TrainingBackend.agreement()."""
     asserts.agreement(picture, target, weight, least, background, gain, bias, sides)
     rgb, clock = _over(picture, background), np.zeros(4)
@@ -106,7 +106,7 @@ def agreement(picture: Splatted, target: np.ndarray, weight, least, background, 
     return np.concatenate([np.stack(colour, -1).ravel(), clock])
 
 
-def backward(picture: Splatted, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
+def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
     """TrainingBackend.backward()."""
     asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
     view: View = picture.state

@@ -112,7 +112,7 @@ class GPU(CPU):
     def picture(self, rgb, stored):
         return self.device.array(rgb) if stored is None else training.picture(self.device, stored)
 
-    splat = _on_device(training.splat)
+    forward = _on_device(training.forward)
     compare = _on_device(training.compare)
     agreement = _on_device(training.agreement)
     over = _on_device(training.over)
@@ -124,11 +124,11 @@ class GPU(CPU):
         return seen
 
     count = _on_device(steps.count)
-    waits = _on_device(steps.waits)
+    steps_since = _on_device(steps.steps_since)
     motion_penalty = _on_device(steps.motion_penalty)
-    hold = _on_device(steps.hold)
-    shrink = _on_device(steps.shrink)
-    shake = _on_device(steps.shake)
+    anchor = _on_device(steps.anchor)
+    mcmc_penalty = _on_device(steps.mcmc_penalty)
+    mcmc_noise = _on_device(steps.mcmc_noise)
     adam = _on_device(steps.adam)
 
 

@@ -20,7 +20,7 @@ class How:
 
     probes    which of layout.PROBES are wanted, in their order
     trace     keep what the backward pass needs, instead of probes
-    band      alpha fades in over this width above the cut (protocol.TrainingBackend.splat)
+    band      alpha fades in over this width above the cut (protocol.TrainingBackend.forward)
     tiles     one number for each tile of the window: only those are drawn whose number is not 0; None: all
     occluder  the triangles of a holdout, or None.  It needs the splats' planes, and so does
     by_pixel  sorting in each pixel (layout.Layout)

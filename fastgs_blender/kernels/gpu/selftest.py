@@ -183,10 +183,10 @@ def _gradients(backend: CPU, look, camera: Camera, n: int = N) -> dict[str, np.n
     weight = backend.array(rng.uniform(0.5, 1, stored.shape[:2]).astype(np.float32))
     least = backend.array(rng.uniform(size=stored.shape) < 0.2)
     backend.begin_step()
-    picture = backend.splat(parameters, model, camera, TIME, True)
+    picture = backend.forward(parameters, model, camera, TIME, True)
     goal = backend.picture(stored.astype(np.float32) / 255, stored)
     loss = backend.compare(picture, goal, weight, np.array([0.2, 0.3, 0.4], np.float32), 0.2, 0.01, 1.0, least)
-    sides = [backend.splat(parameters, model, camera, TIME + apart) for apart in (0.05, -0.05)]
+    sides = [backend.forward(parameters, model, camera, TIME + apart) for apart in (0.05, -0.05)]
     three = np.array([0.2, 0.3, 0.4], np.float32)
     agreement = backend.agreement(picture, goal, weight, least, three, 1 + three, three, sides, 0.1, 0.5, 0.1)
     depth = backend.array(np.full(stored.shape[:2], 1e-4, np.float32))
@@ -213,21 +213,21 @@ def _gradients_in_small_buffers(backend: CPU) -> dict[str, np.ndarray]:
 
 
 def _step(backend: CPU) -> dict[str, np.ndarray]:
-    """What follows the gradients, each on random numbers: penalties, hold, Adam, and MCMC's terms and random moves."""
+    """What follows the gradients, each on random numbers: penalties, anchors, Adam, and MCMC's terms and random moves."""
     rng, model = np.random.default_rng(4), _model(SH(1))
     parameters = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
     slopes = {name: backend.array(rng.normal(0, 1, array.shape).astype(np.float32)) for name, array in model.arrays.items()}
     rows = backend.rows(backend.array((np.arange(N) % 2).astype(np.float32)))
     held = backend.array(np.where(np.arange(N)[:, None] % 3 == 0, np.nan, 0.5 * model.features).astype(np.float32))
     moved = backend.array(np.arange(N) % 5)
-    waits = backend.waits(rows, moved, 9)
+    waits = backend.steps_since(rows, moved, 9)
     found = {"waits": waits, "count": backend.count(rows)}
     weights = np.linspace(0, 2, 3 * model.basis.terms)
     for reading in ("mean", "group"):
         norm = MotionNorm(None, 100 * weights, 2.0, 1e-2, reading)
         found[f"penalty {reading}"] = backend.motion_penalty(norm, parameters["motion"], slopes["motion"], 0.3, waits)
-    backend.hold(parameters["features"], held, slopes["features"], rows, 2.0)
-    backend.shrink(parameters, slopes, 1000.0, 1000.0, 2.0)
+    backend.anchor(parameters["features"], held, slopes["features"], rows, 2.0)
+    backend.mcmc_penalty(parameters, slopes, 1000.0, 1000.0, 2.0)
     tensors = [(backend.zeros(model.arrays[name].shape), slopes[name], *(backend.zeros(model.arrays[name].shape) for _ in range(2)),
                 backend.zeros((N,), np.int32), 1e-2, name == "scale") for name in ("motion", "scale", "opacity", "features")]
     backend.adam(rows, tensors, (0.9, 0.999), moved, 9)
@@ -240,7 +240,7 @@ def _moves(backend: CPU, model: GaussianModel) -> np.ndarray:
     """Whether MCMC's random moves are as large as they should be: the random numbers themselves are each backend's own."""
     arrays = dict(model.arrays) | {"opacity": np.full(N, -8, np.float32)}
     parameters = {name: backend.array(array.copy()) for name, array in arrays.items()}
-    backend.shake(parameters, 2.0, (1, 2))
+    backend.mcmc_noise(parameters, 2.0, (1, 2))
     size = np.linalg.norm(backend.numpy(parameters["position"]) - model.position, axis=1)
     wanted = 2.0 / (1 + np.exp(-SHARPNESS * (1 - 1 / (1 + np.exp(8.0)) - GATE))) * np.sqrt(np.exp(4.0 * model.scale).sum(1))
     return np.array([abs(np.sqrt(np.mean((size / wanted) ** 2)) - 1) < 0.2, np.isfinite(size).all()])

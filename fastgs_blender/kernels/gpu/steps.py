@@ -52,38 +52,38 @@ def count(device: Device, rows: Array) -> Array:
     return Array(total(device, Array(rows.buffer, (*rows.shape, 1), rows.dtype)).buffer, (1,), np.dtype(np.float64))
 
 
-def waits(device: Device, rows: Array, moved: Array, step: int) -> Array:
-    """TrainingBackend.waits()."""
-    asserts.waits(moved)
+def steps_since(device: Device, rows: Array, moved: Array, step: int) -> Array:
+    """TrainingBackend.steps_since()."""
+    asserts.steps_since(moved)
     out = device.empty(rows.shape)
-    device.run("waits", len_(rows), [[len_(rows), step, 0, 0]], rows, moved, out)
+    device.run("steps_since", len_(rows), [[len_(rows), step, 0, 0]], rows, moved, out)
     return out
 
 
-def hold(device: Device, features: Array, held: Array, gradient: Array, rows: Array, strength: float) -> None:
-    """TrainingBackend.hold()."""
-    asserts.hold(features, held, gradient)
+def anchor(device: Device, features: Array, held: Array, gradient: Array, rows: Array, strength: float) -> None:
+    """TrainingBackend.anchor()."""
+    asserts.anchor(features, held, gradient)
     for _, (some, *arrays) in pieces(rows, features, held, gradient):
         numbers, columns = math.prod(arrays[0].shape), features.shape[1]
-        device.run("hold", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
+        device.run("anchor", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
 
 
-def shrink(device: Device, parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
-    """TrainingBackend.shrink()."""
-    asserts.shrink(parameters, gradients)
+def mcmc_penalty(device: Device, parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
+    """TrainingBackend.mcmc_penalty()."""
+    asserts.mcmc_penalty(parameters, gradients)
     n = len_(parameters["opacity"])
     weights = [opacity_weight / max(n, 1), scale_weight / (3 * max(n, 1) * extent), 0.0, 0.0]
     for _, arrays in pieces(parameters["opacity"], parameters["scale"], gradients["opacity"], gradients["scale"]):
-        device.run("shrink", len_(arrays[0]), [[len_(arrays[0]), 0, 0, 0], weights], *arrays)
+        device.run("mcmc_penalty", len_(arrays[0]), [[len_(arrays[0]), 0, 0, 0], weights], *arrays)
 
 
-def shake(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
-    """TrainingBackend.shake()."""
-    asserts.shake(parameters)
+def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+    """TrainingBackend.mcmc_noise()."""
+    asserts.mcmc_noise(parameters)
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
     for first, arrays in pieces(*(parameters[name] for name in ("opacity", "rotation", "scale", "position"))):
         job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE]]
-        device.run("shake", len_(arrays[0]), job, *arrays, device.spilled)
+        device.run("mcmc_noise", len_(arrays[0]), job, *arrays, device.spilled)
 
 
 def adam(device: Device, rows: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:

@@ -18,7 +18,7 @@ from ...rendering.instances import AS_TRAINED, Instance, ViewedInstance
 from ...rendering.layout import Layout
 from .. import asserts
 from ..parameters import DECODER
-from ..protocol import Comparison, Splatted
+from ..protocol import Comparison, ForwardPass
 from .blend import Band, How, blend_all
 from .device import Array, Device, Failure
 from .picture import Bands, decoder
@@ -35,7 +35,7 @@ PIXELS = 128
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What splat() stores for backward(); matrices: the decoder's, or None; smooth: constants of the shaders; shapes: of all
+    """What forward() stores for backward(); matrices: the decoder's, or None; smooth: constants of the shaders; shapes: of all
     parameters."""
 
     instance: ViewedInstance
@@ -57,10 +57,10 @@ class Seen:
         return [rows_of(each, first, first + pack.count) for each in every]
 
 
-def splat(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float,
-          depth: bool = False, band: float = 0.0) -> Splatted:
-    """TrainingBackend.splat()."""
-    asserts.splat(parameters, template)
+def forward(device: Device, parameters: dict[str, Array], template: GaussianModel, camera: Camera, t: float,
+          depth: bool = False, band: float = 0.0) -> ForwardPass:
+    """TrainingBackend.forward()."""
+    asserts.forward(parameters, template)
     instance = Instance(template, np.eye(4), t, AS_TRAINED).viewed(camera)
     layout, found = Layout([instance], depth, opaque=True), packs(device, parameters, parameters["position"].shape[0])
     splats = project(device, [instance], camera, layout, [found])
@@ -79,7 +79,7 @@ def splat(device: Device, parameters: dict[str, Array], template: GaussianModel,
     deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
     shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
     seen = Seen(instance, camera, layout, found, matrices, splats, bands, how.smooth, shapes)
-    return Splatted(rgb, alpha, deep, seen, features)
+    return ForwardPass(rgb, alpha, deep, seen, features)
 
 
 def _bands(parts: list[Array]) -> Bands:
@@ -121,7 +121,7 @@ def _behind(background: np.ndarray | None) -> list[float]:
     return [0.0, 0.0, 0.0, 0.0] if background is None else [*map(float, background), 1.0]
 
 
-def _over(device: Device, picture: Splatted, background: np.ndarray | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _over(device: Device, picture: ForwardPass, background: np.ndarray | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """The picture [h, w, 3], its shape, over its background, and its alpha [h, w]."""
     whole, cover, done = device.empty(shape), device.empty(shape[:2]), 0
     for rgb, alpha in zip(picture.rgb.parts, picture.alpha.parts):
@@ -132,13 +132,13 @@ def _over(device: Device, picture: Splatted, background: np.ndarray | None, shap
     return whole, cover
 
 
-def over(device: Device, picture: Splatted, background: np.ndarray | None) -> tuple[Array, Array]:
+def over(device: Device, picture: ForwardPass, background: np.ndarray | None) -> tuple[Array, Array]:
     """TrainingBackend.over()."""
     asserts.over(picture, background)
     return _over(device, picture, background, picture.rgb.shape)
 
 
-def agreement(device: Device, picture: Splatted, target: Array, weight: Array | None, least: Array | None, background, gain, bias, sides,
+def agreement(device: Device, picture: ForwardPass, target: Array, weight: Array | None, least: Array | None, background, gain, bias, sides,
               apart: float, solid: float, outlier: float) -> Array:
     """TrainingBackend.agreement()."""
     asserts.agreement(picture, target, weight, least, background, gain, bias, sides)
@@ -153,7 +153,7 @@ def agreement(device: Device, picture: Splatted, target: Array, weight: Array | 
     return Array(total(device, sums).buffer, (19,), np.dtype(np.float64))
 
 
-def compare(device: Device, picture: Splatted, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
+def compare(device: Device, picture: ForwardPass, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
             share: float, least: Array | None = None) -> Comparison:
     """TrainingBackend.compare()."""
     asserts.compare(picture, target, weight, background, least)
@@ -207,7 +207,7 @@ def total(device: Device, values: Array) -> Array:
     return Array(values.buffer, (columns,), values.dtype) if rows else device.zeros((columns,))
 
 
-def backward(device: Device, picture: Splatted, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *, into=None,
+def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *, into=None,
              statistics=None, seen: Array | None = None, detach_time: bool = False) -> dict[str, Array]:
     """TrainingBackend.backward()."""
     asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)

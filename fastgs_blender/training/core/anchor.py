@@ -49,4 +49,4 @@ def anchor(backend, arrays: dict, gradients: dict, rows, pixels: int) -> None:
     pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels
     """
     if ANCHOR in arrays:
-        backend.hold(arrays["features"], arrays[ANCHOR], gradients["features"], rows, PIXELS / (3 * OFF * pixels))
+        backend.anchor(arrays["features"], arrays[ANCHOR], gradients["features"], rows, PIXELS / (3 * OFF * pixels))

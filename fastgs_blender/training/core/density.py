@@ -155,7 +155,7 @@ class MCMC(Strategy):
     most = 51
 
     def penalise(self, backend, arrays, gradients):
-        backend.shrink(arrays, gradients, *WEIGHTS, self.extent)
+        backend.mcmc_penalty(arrays, gradients, *WEIGHTS, self.extent)
 
     def after_step(self, iteration, optimiser, statistics, rates):
         if not self.due(iteration):
@@ -206,7 +206,7 @@ class MCMC(Strategy):
     def add_noise(self, backend, iteration, arrays, rates):
         if iteration <= self.last:
             strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
-            backend.shake(arrays, strength, (self.settings.seed, NOISE, iteration))
+            backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration))
 
 
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}

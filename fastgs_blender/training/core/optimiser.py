@@ -89,7 +89,7 @@ class Optimiser:
 
     def steps_since_update(self, rows):
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
-        return self.backend.waits(rows, self.moved, self.steps + 1)
+        return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
     def step(self, gradients: dict, rows, rates: dict) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates.

@@ -13,7 +13,7 @@ from ...captures.capture import Shot
 from ...captures.viewpoints import viewpoints
 from ...evaluation.training_record import corrections_entry
 from ...kernels.parameters import DECODER
-from ...kernels.protocol import Comparison, Splatted
+from ...kernels.protocol import Comparison, ForwardPass
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
 from ...model.surroundings import Surroundings
@@ -44,7 +44,7 @@ class View:
     rgb: Any
     weight: Any
     least: Any
-    picture: Splatted | None = None
+    picture: ForwardPass | None = None
     loss: Comparison | None = None
 
 
@@ -198,9 +198,9 @@ class Trainer:
             self._prepared = i, views
         return self._prepared[1]
 
-    def _splat(self, view: View, later: float = 0.0) -> Splatted:
+    def _splat(self, view: View, later: float = 0.0) -> ForwardPass:
         """The model's picture of a view, or a little later or earlier."""
-        return self.backend.splat(self.optimiser.arrays, self.template, view.target.camera, view.target.t + later)
+        return self.backend.forward(self.optimiser.arrays, self.template, view.target.camera, view.target.t + later)
 
     def _compare(self, view: View) -> Comparison:
         """The loss of a view's picture, and its gradient."""

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from fastgs_blender.kernels.protocol import Comparison, Splatted, TrainingBackend
+from fastgs_blender.kernels.protocol import Comparison, ForwardPass, TrainingBackend
 from fastgs_blender.rendering.layout import Buffers
 from fastgs_blender.training.core.statistics import Statistics
 from fastgs_blender.util.backends import load_backend
@@ -44,7 +44,7 @@ def wrapped(value):
         return tuple(wrapped(each) for each in value)
     if isinstance(value, dict):
         return {key: wrapped(each) for key, each in value.items()}
-    if isinstance(value, (Splatted, Comparison, Buffers)):
+    if isinstance(value, (ForwardPass, Comparison, Buffers)):
         return replace(value, **{field.name: wrapped(getattr(value, field.name)) for field in fields(value) if field.name != "state"})
     return value
 
@@ -59,7 +59,7 @@ def unwrapped(value):
         return {key: unwrapped(each) for key, each in value.items()}
     if isinstance(value, Statistics):
         return SimpleNamespace(**{name: unwrapped(each) for name, each in vars(value).items()})
-    if is_dataclass(value) and isinstance(value, (Splatted, Comparison, Buffers)):
+    if is_dataclass(value) and isinstance(value, (ForwardPass, Comparison, Buffers)):
         return replace(value, **{field.name: unwrapped(getattr(value, field.name)) for field in fields(value) if field.name != "state"})
     return value
 

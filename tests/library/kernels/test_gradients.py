@@ -75,7 +75,7 @@ class Functional:
 
     def gradients(self, parameters, model, t=T, band=BAND, **options) -> dict[str, np.ndarray]:
         """Its gradients by the kernels."""
-        picture = CPU.splat(parameters, model, self.camera, t, self.depth, band)
+        picture = CPU.forward(parameters, model, self.camera, t, self.depth, band)
         return CPU.backward(picture, self.rgb, self.alpha, self.deep if self.depth else None, **options)
 
     def of_reference(self, model, t=T) -> float:
@@ -193,7 +193,7 @@ def test_pictures_are_the_renderers(rng, appearance):
         instance = Instance(model, np.eye(4), T, AS_TRAINED).viewed(camera)
         drawn = CPU.draw([instance], camera, Layout([instance], True), (), lambda fraction: None)
         for depth in (False, True):
-            got = CPU.splat(parameters_of(model), model, camera, T, depth)
+            got = CPU.forward(parameters_of(model), model, camera, T, depth)
             np.testing.assert_array_equal(got.rgb, wanted["rgb"])
             np.testing.assert_array_equal(got.alpha, wanted["alpha"])
         assert wanted["alpha"].any()
@@ -304,7 +304,7 @@ def test_torch_gets_the_same_pictures_and_gradients(rng):
         wanted = gradients_of(model, functional)
         tensors = {name: torch.from_numpy(array).requires_grad_() for name, array in parameters_of(model).items()}
         picture = differentiable.render(tensors, model, functional.camera, T, depth=depth, band=BAND)
-        np.testing.assert_array_equal(picture.rgb.detach(), CPU.splat(parameters_of(model), model, functional.camera, T, depth, BAND).rgb)
+        np.testing.assert_array_equal(picture.rgb.detach(), CPU.forward(parameters_of(model), model, functional.camera, T, depth, BAND).rgb)
         value = (picture.rgb * torch.from_numpy(functional.rgb)).sum() + (picture.alpha * torch.from_numpy(functional.alpha)).sum()
         if depth:
             value = value + (picture.depth * torch.from_numpy(functional.deep)).sum()
@@ -332,7 +332,7 @@ def test_a_model_without_gaussians_takes_a_step(rng, appearance):
     model = random_model(rng, 0, "cubic", "line", "window", appearance)
     look, camera = model.appearance, fg.Camera(20, 16, 16, 16, 10, 8, np.eye(4))
     parameters = dict(model.arrays) | ({"w1": look.w1.copy(), "w2": look.w2.copy()} if appearance == "sigmoid" else {})
-    gradients = CPU.backward(CPU.splat(parameters, model, camera, T), np.ones((16, 20, 3), np.float32))
+    gradients = CPU.backward(CPU.forward(parameters, model, camera, T), np.ones((16, 20, 3), np.float32))
     assert {name: array.shape for name, array in gradients.items()} == {name: array.shape for name, array in parameters.items()}
     tensors = [(value, gradients[name], np.zeros_like(value), np.zeros_like(value), np.zeros(len(value), np.int32), 1e-2, False)
                for name, value in parameters.items() if len(value) == 0]

@@ -8,7 +8,7 @@ import pytest
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import loss
 from fastgs_blender.kernels.cpu.steps import motion_penalty
-from fastgs_blender.kernels.protocol import Splatted
+from fastgs_blender.kernels.protocol import ForwardPass
 from fastgs_blender.training.core import losses
 from fastgs_blender.util import threads
 from fastgs_blender.util.backends import load_backend
@@ -62,7 +62,7 @@ def test_the_loss_of_a_picture_over_a_background(rng, background, opaque_weight,
     rgb, target, weight = pictures(rng, 20, 31, True)
     alpha = rng.uniform(0, 1, (20, 31)).astype(np.float32)
     ground = None if background is None else np.array(background, np.float32)
-    got = load_backend("cpu").compare(Splatted(rgb, alpha, None, None), target, weight, ground, 0.2, opaque_weight, share)
+    got = load_backend("cpu").compare(ForwardPass(rgb, alpha, None, None), target, weight, ground, 0.2, opaque_weight, share)
     tensors = [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (rgb, alpha)]
     shown = tensors[0] if ground is None else tensors[0] + (1 - tensors[1])[..., None] * torch.tensor(ground, dtype=torch.float64)
     value, l1, ssim = plain(shown, torch.tensor(target, dtype=torch.float64), torch.tensor(weight, dtype=torch.float64), 0.2)

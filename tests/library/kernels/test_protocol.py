@@ -85,9 +85,9 @@ def test_training_through_the_protocol(fake, density, mask, options):
     assert len(ours) > len(points)
     for mine, other in zip(ours.state()[0].items(), theirs.state()[0].items()):
         assert mine[0] == other[0] and np.array_equal(mine[1], other[1], equal_nan=True), mine[0]
-    needed = {"splat", "compare", "backward", "rows", "count", "waits", "motion_penalty", "hold", "adam", "array", "zeros",
+    needed = {"forward", "compare", "backward", "rows", "count", "steps_since", "motion_penalty", "anchor", "adam", "array", "zeros",
               "begin_step", "end_step"}
-    assert needed | ({"shrink", "shake"} if density == "mcmc" else set()) <= used <= METHODS
+    assert needed | ({"mcmc_penalty", "mcmc_noise"} if density == "mcmc" else set()) <= used <= METHODS
     again = Trainer(capture, store, chosen, backend="fake")
     again.restore(*theirs.state())
     assert ours.step() == again.step()

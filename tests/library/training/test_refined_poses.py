@@ -69,7 +69,7 @@ def test_a_turn_is_found_from_the_slopes_of_one_picture():
     for _ in range(12):
         for shot in capture.training:
             camera = found.camera(shot.view, shot.camera)
-            picture = backend.splat(arrays, truth, camera, 0.0)
+            picture = backend.forward(arrays, truth, camera, 0.0)
             goal = SimpleNamespace(camera=camera, rgb=store.pixels(shot).rgb, weight=None, least=None)
             found.update(**found.accumulate([(shot, found.measure(shot, goal, *backend.over(picture, None)))]))
     right = np.array([-WRONG.get(view, np.zeros(3)) for view in found.views])

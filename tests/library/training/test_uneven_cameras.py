@@ -16,7 +16,7 @@ from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.report import table
 from fastgs_blender.evaluation.training_record import corrections, corrections_entry, sentence
-from fastgs_blender.kernels.protocol import Splatted
+from fastgs_blender.kernels.protocol import ForwardPass
 from fastgs_blender.training.core.camera_response import ALIKE_PIXELS, CameraResponse
 from fastgs_blender.training.core.measure import measure
 from fastgs_blender.training.core.settings import settings
@@ -57,7 +57,7 @@ def goal(rgb):
 def shown(found, view, target, rgb, change=None):
     """What a picture of a view says, where the model shows `rgb`, and `change` more a frame later."""
     alpha = np.ones(rgb.shape[:2], np.float32)
-    picture, *sides = (Splatted(image, alpha, None, None) for image in (rgb, *(() if change is None else (change / 2, -change / 2))))
+    picture, *sides = (ForwardPass(image, alpha, None, None) for image in (rgb, *(() if change is None else (change / 2, -change / 2))))
     sums = found.measure(load_backend("cpu"), shot(view), picture, target.rgb, target.weight, target.least, None, sides or None)
     return found.accumulate([(shot(view), sums)])
 
@@ -124,7 +124,7 @@ def test_overexposed_pixels_are_lower_bounds_in_pictures_that_are_darkened():
     target = Target(None, 0.0, seen.rgb, None, None, None, True, seen.least)
     ones = np.ones((4, 4), np.float32)
     for drawn, wanted in ((0.9, 0), (0.3, -1)):
-        picture = Splatted(np.full_like(rgb, drawn), ones, None, None)
+        picture = ForwardPass(np.full_like(rgb, drawn), ones, None, None)
         slope = load_backend("cpu").compare(picture, target.rgb, None, None, 0.0, 0.0, 1.0, target.least).rgb
         assert np.sign(slope[0, 0, 1]) == wanted and (np.sign(slope[1:]) == np.sign(drawn - 0.4)).all()
     wild = np.full_like(rgb, 0.4)

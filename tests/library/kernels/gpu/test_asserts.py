@@ -33,12 +33,12 @@ def calls(backend, make_model, rng):
     def parameters(*names):
         return {name: backend.array(arrays[name].copy()) for name in names or arrays}
 
-    picture = backend.splat(parameters(), model, CAMERA, 0.4)
+    picture = backend.forward(parameters(), model, CAMERA, 0.4)
     least = backend.array(np.ones((*pixels, 3), bool))
     rows = backend.rows(backend.array(np.ones(N, np.float32)))
     image, other = rng.random((6, 8, 3), np.float32), rng.random((5, 7, 3), np.float32)
     return {
-        "splat": {"parameters": parameters(), "template": model, "camera": CAMERA, "t": 0.4},
+        "forward": {"parameters": parameters(), "template": model, "camera": CAMERA, "t": 0.4},
         "compare": {"picture": picture, "target": some(*pixels, 3), "weight": some(*pixels), "background": np.ones(3, np.float32),
                     "dssim": 0.2, "opaque_weight": 0.1, "share": 1.0, "least": least},
         "agreement": {"picture": picture, "target": some(*pixels, 3), "weight": some(*pixels), "least": least,
@@ -47,13 +47,13 @@ def calls(backend, make_model, rng):
         "over": {"picture": picture, "background": np.ones(3, np.float32)},
         "backward": {"picture": picture, "rgb": some(*pixels, 3), "alpha": some(*pixels), "depth": some(*pixels), "seen": some(N),
                      "into": parameters(), "statistics": SimpleNamespace(gradient=some(N), absolute=some(N), seen=some(N), radius=some(N))},
-        "waits": {"rows": rows, "moved": backend.zeros((N,), np.int64), "step": 1},
+        "steps_since": {"rows": rows, "moved": backend.zeros((N,), np.int64), "step": 1},
         "motion_penalty": {"norm": MotionNorm(None, np.ones(3 * terms), 1.0, 0.1, "mean"), "motion": some(N, terms, 3),
                            "gradient": some(N, terms, 3), "scale": 1.0, "waits": some(N)},
-        "hold": {"features": some(N, 9), "held": some(N, 9), "gradient": some(N, 9), "rows": rows, "strength": 1.0},
-        "shrink": {"parameters": parameters("opacity", "scale"), "gradients": parameters("opacity", "scale"), "opacity_weight": 1.0,
+        "anchor": {"features": some(N, 9), "held": some(N, 9), "gradient": some(N, 9), "rows": rows, "strength": 1.0},
+        "mcmc_penalty": {"parameters": parameters("opacity", "scale"), "gradients": parameters("opacity", "scale"), "opacity_weight": 1.0,
                    "scale_weight": 1.0, "extent": 1.0},
-        "shake": {"parameters": parameters("opacity", "scale", "rotation", "position"), "reach": 1.0, "key": (1,)},
+        "mcmc_noise": {"parameters": parameters("opacity", "scale", "rotation", "position"), "reach": 1.0, "key": (1,)},
         "adam": {"rows": rows, "tensors": [(some(N, 3), some(N, 3), some(N, 3), some(N, 3), backend.zeros((N,), np.int32), 0.1, False)],
                  "betas": (0.9, 0.999), "moved": backend.zeros((N,), np.int64), "step": 1},
         "surface": {"triangles": rng.normal(size=(4, 3, 3)), "camera": CAMERA},
@@ -103,6 +103,6 @@ def test_arrays_of_a_wrong_shape(backend, calls):
 
 
 def test_parameters_of_another_model(backend, calls):
-    given = calls["splat"]
+    given = calls["forward"]
     with pytest.raises(AssertionError, match="another kind"):
-        backend.splat(**given | {"parameters": {name: array for name, array in given["parameters"].items() if name != "motion"}})
+        backend.forward(**given | {"parameters": {name: array for name, array in given["parameters"].items() if name != "motion"}})

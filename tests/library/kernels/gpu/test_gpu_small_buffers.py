@@ -43,10 +43,10 @@ def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
         for reading in ("mean", "group"):
             norm = MotionNorm(None, weights, 2.0, 1e-2, reading)
             found[f"penalty {reading}"] = backend.numpy(
-                backend.motion_penalty(norm, arrays["motion"], slopes["motion"], 0.3, backend.waits(rows, moved, 3)))
-        backend.hold(arrays["features"], backend.array(held), slopes["features"], rows, 0.2)
-        backend.shrink(arrays, slopes, 0.1, 0.2, 2.0)
-        backend.shake(arrays, 100.0, (1, 2))
+                backend.motion_penalty(norm, arrays["motion"], slopes["motion"], 0.3, backend.steps_since(rows, moved, 3)))
+        backend.anchor(arrays["features"], backend.array(held), slopes["features"], rows, 0.2)
+        backend.mcmc_penalty(arrays, slopes, 0.1, 0.2, 2.0)
+        backend.mcmc_noise(arrays, 100.0, (1, 2))
         tensors = [(arrays[name], slopes[name], backend.zeros(arrays[name].shape), backend.zeros(arrays[name].shape),
                     backend.zeros((n,), np.int32), 1e-2, False) for name in names]
         for step in (1, 2):

@@ -85,11 +85,11 @@ def test_steps_are_the_cpus(gpu, rng, reading):
     for backend in (cpu, gpu):
         a = {name: backend.array(array.copy()) for name, array in draw.items()}
         moved, rows = backend.array(np.arange(n) % 7), backend.rows(backend.array(seen.copy()))
-        waits = backend.waits(rows, moved, 9)
+        waits = backend.steps_since(rows, moved, 9)
         out = {"waits": waits, "count": backend.count(rows)}
         out["penalty"] = backend.motion_penalty(norm, a["motion"], a["by motion"], 0.3, waits)
-        backend.hold(a["features"], backend.array(held.copy()), a["by features"], rows, 0.2)
-        backend.shrink(a, {"opacity": a["by opacity"], "scale": a["by scale"]}, 0.1, 0.2, 2.0)
+        backend.anchor(a["features"], backend.array(held.copy()), a["by features"], rows, 0.2)
+        backend.mcmc_penalty(a, {"opacity": a["by opacity"], "scale": a["by scale"]}, 0.1, 0.2, 2.0)
         tensors = []
         for name, rate in (("motion", 1e-3), ("features", np.linspace(1e-3, 1e-2, 9)), ("w2", 1e-2)):
             parts = [backend.zeros(draw[name].shape) for _ in range(2)]
@@ -114,7 +114,7 @@ def test_shaking_moves_the_nearly_transparent_in_their_own_shape(gpu, rng):
     moved = []
     for key in ((1, 2), (1, 2), (1, 3)):
         parameters = {name: gpu.array(array.copy()) for name, array in arrays.items()}
-        gpu.shake(parameters, 10.0, key)
+        gpu.mcmc_noise(parameters, 10.0, key)
         moved.append(gpu.numpy(parameters["position"]) - arrays["position"])
     assert np.array_equal(moved[0], moved[1]) and not np.array_equal(moved[0], moved[2])
     assert not moved[0][2000:].any()
@@ -162,7 +162,8 @@ def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
 
     monkeypatch.setattr(Device, "_pipeline", failing)
     steps()
-    assert {"project", "tiles_pad", "raster", "loss_slope", "raster_backward", "project_backward", "penalty", "hold", "shrink", "shake",
+    assert {"project", "tiles_pad", "raster", "loss_slope", "raster_backward", "project_backward", "penalty", "anchor", "mcmc_penalty",
+            "mcmc_noise",
             "adam", "moved", "observe"} <= used
     for stage in sorted(used):
         broken[:] = [stage]

@@ -1,4 +1,4 @@
-// Add the gradient of the pull of features towards their held values (training/core/hold.py), for the Gaussians that this step saw.  A held
+// Add the gradient of the pull of features towards their held values (training/core/anchor.py), for the Gaussians that this step saw.  A held
 // value that is not finite means: this Gaussian is not held.
 
 //threads job.size.x
