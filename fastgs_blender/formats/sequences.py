@@ -22,11 +22,9 @@ import shutil
 import tempfile
 import warnings
 import zipfile
-from collections import defaultdict
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,36 +38,36 @@ from ..util.reading import open_file, reading
 from ..util.zip_files import opened_zip
 from . import sog, streamed_sog
 from .base import Format, Loader
+from .frame_names import (
+    CHECKPOINTS,
+    EXTENSIONS,
+    SAVED,
+    is_frame,
+    is_packed_frame,
+    models_among,
+    once,
+    one_sequence,
+    pattern_of,
+    sequences_among,
+    state_of,
+)
 from .turning import with_axes
 from .zipped import members
 
-EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf")
-"""Of files that are taken for frames."""
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
-ALONE = (".safetensors", ".4dgs", ".splat4d", ".splatv", *EXTENSIONS)
-"""Of models in a zip file without a sequence; the first of them is read."""
-CHECKPOINTS = (".pt", ".pth", ".ckpt")
-"""Of models in a zip file that holds none of ALONE, beside which these are decoders, or the same model before it was exported."""
-HIDDEN = re.compile(r"(^|/)(\.(?!\.?/)|__MACOSX/)")
 COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
 """What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
-POINTS = ("input.ply", "points3d.ply", "sparse_pc.ply")
-"""What trainers call the points that they began with, which lie beside their models."""
 META, LEVELS = sog.META, streamed_sog.META
 """Of SOG in a folder, and of its levels of detail in folders beside each other."""
 DEPTH = 4
 """Folders below the one that was chosen in which frames are looked for: frame_0001/point_cloud/iteration_7000/point_cloud.ply."""
-SAVED = re.compile(r"(?<![^/])(?:(?:coarse_)?iteration_(\d{1,18})/|ckpt_(\d{1,18})_rank\d+\.pt$|step-(\d{1,18})\.ckpt$)")
-"""One of several states of a training: INRIA's folder, gsplat's and nerfstudio's checkpoints.  gsplat's ranks are read together."""
-MOST_FRAMES = 1_000_000
 MOST_FOLDERS = 10_000
 """After so many folders below the one that was chosen, none in them is looked into."""
 SPARSE = 100
 """Numbers whose range is this many times as long as their list are names, not times: the frames then follow each other closely."""
 RATIO = 100
 """How many times larger a file may be than what a zip file holds of it; models are packed two to five times."""
-ADVICE = "name them with their frames' numbers, as in frame_0001.ply"
 
 
 class SequenceFormat(Format):
@@ -105,7 +103,7 @@ class ZippedFiles(SequenceFormat):
     reads = (".zip",)
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        return bool(_models(members(head, path)))
+        return bool(models_among(members(head, path)))
 
     def single(self, path: Path, load: Loader) -> GaussianModel | None:
         infos, taken, beside = _contents(path)
@@ -129,9 +127,10 @@ def settled(path: Path, below: bool = True) -> Path:
         if os.path.isfile(meta):
             with reading(meta), open_file(meta) as stream:
                 return meta if known.sniff(stream.read(512), meta) else path
-    if not below or not os.path.isdir(path) or any(map(_is_packed_frame, _names(path))):
+    if not below or not os.path.isdir(path):
         return path
-    found = _models(_names_below(path))
+    names = _names(path)
+    found = models_among(names if any(map(is_packed_frame, names)) else _names_below(path))
     return path / found[0] if len(found) == 1 and SAVED.search(found[0]) else path
 
 
@@ -187,16 +186,16 @@ def numbered_files(path: Path, below: bool = True) -> list[tuple[int, Path]]:
     """
     if path.is_dir():
         names = _names(path)
-        found = names if any(map(_is_frame, names)) or not below else _names_below(path)
-        return [(n, path / name) for n, name in _one_sequence(found, "the folder")]
+        found = names if any(map(is_frame, names)) or not below else _names_below(path)
+        return [(n, path / name) for n, name in one_sequence(found, "the folder")]
     place = PLACE.search(path.name)
-    number = _pattern(path.name[:place.start()], path.name[place.end():])
+    number = pattern_of(path.name[:place.start()], path.name[place.end():])
     found = sorted((int(m[1]), path.parent / m[0]) for m in map(number.fullmatch, _names(path.parent)) if m)
     if place[1] is not None:
         found = [pair for pair in found if int(place[1]) <= pair[0] <= int(place[2])]
     if not found:
         raise FastGSError("there are no such files; check the folder and the name.")
-    return _once(found)
+    return once(found)
 
 
 def grouped(paths: Iterable[Path]) -> list[Path]:
@@ -204,10 +203,10 @@ def grouped(paths: Iterable[Path]) -> list[Path]:
     paths = list(dict.fromkeys(paths))
     found: dict[Path, Path] = {}
     for folder in dict.fromkeys(path.parent for path in paths):
-        names = [path.name for path in paths if path.parent == folder and _is_frame(path.name)]
+        names = [path.name for path in paths if path.parent == folder and is_frame(path.name)]
         there = _names(folder) if folder.is_dir() else names
-        for (before, after), rows in _sequences(names).items():
-            everything = sum(1 for name in there if _pattern(before, after).fullmatch(name))
+        for (before, after), rows in sequences_among(names).items():
+            everything = sum(1 for name in there if pattern_of(before, after).fullmatch(name))
             inside = "####" if everything == len(rows) else f"[{rows[0].digits}-{rows[-1].digits}]"
             found |= {folder / row.name: folder / f"{before}{inside}{after}" for row in rows}
     return list(dict.fromkeys(found.get(path, path) for path in paths))
@@ -227,31 +226,13 @@ def _names_below(folder: Path) -> list[str]:
         with contextlib.suppress(FastGSError):
             names = [name for name in _names(folder / above) if not name.startswith(".")]
         if above:
-            found += [above + name for name in names if _is_frame(name) or name == META or name.endswith(CHECKPOINTS)]
+            found += [above + name for name in names if is_frame(name) or name == META or name.endswith(CHECKPOINTS)]
         for name in names if above.count("/") < DEPTH and len(places) < MOST_FOLDERS else ():
             real = os.path.realpath(folder / above / name)  # a link may lead back
             if real not in seen and os.path.isdir(real):
                 seen.add(real)
                 places.append(f"{above}{name}/")
     return found
-
-
-def _is_frame(name: str) -> bool:
-    return (name.lower().endswith(EXTENSIONS) and not os.path.basename(name).startswith(".") and "__MACOSX" not in name) or (
-        "/" in name and os.path.basename(name) == META)
-
-
-def _is_packed_frame(name: str) -> bool:
-    """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not, and no trainer's points."""
-    return _is_frame(name) and os.path.basename(name).lower() not in (META, *POINTS)
-
-
-def _models(names: Iterable[str]) -> list[str]:
-    """Those of a folder's or a zip file's names that are models, the one to read before others first.  Hidden ones are passed over."""
-    names = [name for name in names if not HIDDEN.search(name) and os.path.basename(name).lower() not in (META, *POINTS)]
-    order = {extension: i for i, extension in enumerate(ALONE)}
-    found = [name for name in names if name.lower().endswith(ALONE)] or [name for name in names if name.lower().endswith(CHECKPOINTS)]
-    return sorted(_latest(found), key=lambda name: (order.get(os.path.splitext(name.lower())[1], len(order)), name))
 
 
 def _contents(path: Path, tell: bool = True) -> tuple[dict[str, zipfile.ZipInfo], list[tuple[int, str]], list[zipfile.ZipInfo]]:
@@ -261,94 +242,19 @@ def _contents(path: Path, tell: bool = True) -> tuple[dict[str, zipfile.ZipInfo]
     """
     with reading(path), opened_zip(path) as archive:
         infos = {info.filename: info for info in archive.infolist() if not info.is_dir()}
-    models = _models(infos)
-    frames = [name for name in models if _is_packed_frame(name)]
-    several = len(frames) > 1 and (_sequences(frames) or _sequences(frames, loose=True))
-    taken = _one_sequence(frames, "the zip file") if several else [(0, models[0])]
+    models = models_among(infos)
+    frames = [name for name in models if is_packed_frame(name)]
+    several = len(frames) > 1 and (sequences_among(frames) or sequences_among(frames, loose=True))
+    taken = one_sequence(frames, "the zip file") if several else [(0, models[0])]
     others = sorted(set(models) - {name for _, name in taken})
     if others and tell:
         what = taken[0][1] if len(taken) == 1 else f"the sequence {taken[0][1]} to {taken[-1][1]}"
         more = f" and {len(others) - 3} others" if len(others) > 3 else ""
         warnings.warn(LossWarning(f"{path}: of the models in it, {what} is opened; {', '.join(others[:3])}{more} can be opened if the zip "
                                   "file is unpacked."), stacklevel=4)
-    state = _state(taken[0][1])
-    beside = [info for name, info in infos.items() if f"/{name}".endswith(COMPANIONS) and _state(name) in (-1, state)]
+    state = state_of(taken[0][1])
+    beside = [info for name, info in infos.items() if f"/{name}".endswith(COMPANIONS) and state_of(name) in (-1, state)]
     return infos, taken, beside
-
-
-def _pattern(before: str, after: str) -> re.Pattern:
-    """The names of a sequence, with the number as their group."""
-    return re.compile(re.escape(before) + r"(\d{1,18})" + re.escape(after), re.IGNORECASE)
-
-
-class _Row(NamedTuple):
-    """A frame: its number, as a number and as it is written, and its name."""
-
-    number: int
-    digits: str
-    name: str
-
-
-def _sequences(names: Iterable[str], loose: bool = False) -> dict[tuple[str, str], list[_Row]]:
-    """{(before, after the number): frames, by number} of names that differ in one number, two names at least.
-
-    Where several numbers differ, the last one is the frame's.
-    loose  the first one is, and the others may differ as they like: times, say
-    """
-    alike = defaultdict(list)
-    for name in names:
-        alike[tuple(re.split(r"\d+", name.lower()))].append(name)
-    found: dict[tuple[str, str], list[_Row]] = {}
-    for group in alike.values():
-        digits = [re.findall(r"\d+", name) for name in group]
-        differing = [c for c in range(len(digits[0])) if len({row[c] for row in digits}) > 1]
-        parts: dict[tuple, list[_Row]] = defaultdict(list)
-        for name, row in zip(group, digits, strict=True) if differing else ():
-            c = differing[0 if loose else -1]
-            parts[() if loose else (*row[:c], *row[c + 1:])].append(_Row(int(row[c][:18]), row[c], name))
-        for rows in parts.values():
-            if len(rows) > 1:
-                rows.sort()
-                texts = re.split(r"\d+", rows[0].name)
-                row, c = re.findall(r"\d+", rows[0].name), differing[0 if loose else -1]
-                before = "".join(text + number for text, number in zip(texts, row[:c])) + texts[c]
-                found[before, rows[0].name[len(before) + len(row[c]):]] = rows
-    return found
-
-
-def _state(name: str) -> int:
-    """The number of the state of a training that a name is of; -1 where it is of none."""
-    saved = SAVED.search(name)
-    return int(saved[saved.lastindex]) if saved else -1
-
-
-def _latest(names: Iterable[str]) -> list[str]:
-    """The names without those of earlier iterations of a training."""
-    last: dict[str, tuple[int, str]] = {}
-    for name in names:
-        key = SAVED.sub("/", name)
-        last[key] = max(last.get(key, (-1, "")), (_state(name), name))
-    return [name for _, name in last.values()]
-
-
-def _one_sequence(names: Iterable[str], where: str) -> list[tuple[int, str]]:
-    """Numbers and names of the one sequence among names; raises FastGSError."""
-    names = _latest(name for name in names if _is_frame(name))
-    found = _sequences(names) or _sequences(names, loose=True)
-    if not found:
-        raise FastGSError(f"{where} holds no numbered model files ({', '.join(EXTENSIONS)}); choose a file, or {ADVICE}.")
-    if len(found) > 1:
-        patterns = sorted(f"{before}####{after}" for before, after in found)
-        unpack = "" if where == "the folder" else "unpack it and "
-        raise FastGSError(f"{where} holds {len(found)} sequences ({', '.join(patterns[:4])}); {unpack}choose one of them by its name.")
-    return _once([(row.number, row.name) for rows in found.values() for row in rows])
-
-
-def _once(found: list) -> list:
-    """The same, each number once: 7.ply and 07.ply are one frame."""
-    if len(found) > MOST_FRAMES:
-        raise FastGSError(f"there are {len(found)} frames; at most {MOST_FRAMES} are read, so choose a part of them.")
-    return list({n: (n, name) for n, name in found}.values())
 
 
 def _sequence(numbers: list[int], read, state, about: str) -> Sequence:

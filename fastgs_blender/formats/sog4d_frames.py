@@ -24,7 +24,8 @@ from ..util.reading import reading
 from . import pixel_tables as tables
 from .base import usable
 from .description import whole_number
-from .sequences import MOST_FRAMES, SequenceFormat
+from .frame_names import MOST_FRAMES
+from .sequences import SequenceFormat
 from .static import logits, plausible_count
 
 BANDS = {"sh1": 3, "sh2": 5, "sh3": 7}

@@ -28,7 +28,8 @@ from ..util.reading import open_file, reading
 from . import pixel_tables, zstd
 from .base import usable
 from .description import read_json, whole_number
-from .sequences import MOST_FRAMES, SequenceFormat
+from .frame_names import MOST_FRAMES
+from .sequences import SequenceFormat
 from .static import logits, plausible_count
 
 MAGIC = b"SP4D"

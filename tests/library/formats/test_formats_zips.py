@@ -117,6 +117,23 @@ def test_other_models_in_a_zip_are_told(make_model, rng, tmp_path):
         fg.open_source(zipped(tmp_path / "in"))
 
 
+@pytest.mark.parametrize(("numbers", "frames"), [((6999, 29999), 0), ((99,), 0), ((98, 99, 100, 199), 102), ((6998, 6999), 2)])
+def test_of_gsplat_s_ply_folder_the_last_step_counts(make_model, rng, tmp_path, numbers, frames):
+    """examples/simple_trainer.py of gsplat at 00877bf: ply/point_cloud_{step}.ply at `step in [i - 1 for i in cfg.ply_steps]`.
+
+    Of other numbers the files are frames.
+    """
+    (tmp_path / "out" / "ply").mkdir(parents=True)
+    (tmp_path / "out" / "cfg.yml").write_text("antialiased: false\n")
+    for number in numbers:
+        fg.save(make_model(rng, number % 90 + 1, appearance="rgb"), tmp_path / "out" / "ply" / f"point_cloud_{number}.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fg.LossWarning)  # of missing frames
+        for path in (tmp_path / "out", tmp_path / "out" / "ply", zipped(tmp_path / "out")):
+            found = fg.open_source(path)
+            assert found.clip.frame_count == frames if frames else len(found) == len(fg.load(path)) == numbers[-1] % 90 + 1
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_what_is_said_of_a_model_in_a_zip_names_both(make_model, rng, tmp_path, count):
     """And never the folder that it is unpacked into, which is gone by then."""
