@@ -15,6 +15,8 @@ from . import composite_nodes, mesh_scene
 from .holdout import with_meshes
 
 MESHES, JOIN = "FAST-GS Meshes", "FAST-GS Join"
+PATIENCE = 0.5
+"""Seconds until a change is tried again that a render would not survive."""
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""
 NEEDED = ("depth", "holdout")
@@ -32,30 +34,55 @@ def changed(scene, depsgraph) -> None:
 
     Not at once: Blender 5.2 crashes if objects are linked here while the compositor shows another scene.  A render does not wait for it.
     """
-    if depsgraph.mode == 'VIEWPORT' and not bpy.app.background and not bpy.app.timers.is_registered(_follow_all) and any(
-            each.fastgs.render_meshes != 'OFF' for each in bpy.data.scenes):
-        bpy.app.timers.register(_follow_all, first_interval=0.0)
+    if depsgraph.mode == 'VIEWPORT' and any(each.fastgs.render_meshes != 'OFF' for each in bpy.data.scenes):
+        _settle_later()
 
 
-def _follow_all():
-    for scene in bpy.data.scenes:
-        follow(scene)
+def chosen(scene) -> None:
+    """Set up what the scene's *Render With Meshes* asks for, or take away all of it; a render that is under way keeps its scenes."""
+    if _rendering():
+        _settle_later()
+    else:
+        _settle(scene)
+
+
+def _settle_later():
+    if not bpy.app.background and not bpy.app.timers.is_registered(_settle_all):
+        bpy.app.timers.register(_settle_all, first_interval=0.0)
+
+
+def _settle_all():
+    if _rendering():
+        return PATIENCE
+    for scene in [scene for scene in bpy.data.scenes if not mesh_scene.is_one(scene)]:
+        _settle(scene)
+    return None
+
+
+def _settle(scene):
+    if scene.fastgs.render_meshes == 'OFF' and mesh_scene.of(scene) is not None:
+        _part(scene)
+        mesh_scene.remove(scene)
+        _renew_passes(scene)
+    follow(scene)
+
+
+def _rendering() -> bool:
+    return bpy.app.is_job_running('RENDER')
+
+
+def _renew_passes(scene):
+    for layer in scene.view_layers:
+        layer.update_render_passes()
 
 
 def follow(scene) -> None:
     """Bring the scene of the meshes and the compositor into step, if *Render With Meshes* is chosen."""
     if scene.fastgs.render_meshes != 'OFF' and scene.is_editable and not mesh_scene.is_one(scene):
+        new = mesh_scene.of(scene) is None
         _join_all(scene, mesh_scene.follow(scene, _engine(scene.fastgs.render_meshes)))
-
-
-def chosen(scene) -> None:
-    """Set up what the scene's *Render With Meshes* asks for, or take away all of it."""
-    if scene.fastgs.render_meshes == 'OFF':
-        _part(scene)
-        mesh_scene.remove(scene)
-    follow(scene)
-    for layer in scene.view_layers:
-        layer.update_render_passes()
+        if new:
+            _renew_passes(scene)
 
 
 def _engine(chosen: str) -> str:

@@ -248,6 +248,11 @@ class Monkey:
                 bpy.ops.wm.window_close()
             yield 0.3
 
+    def do_render_with_meshes(self):
+        bpy.context.window_manager.windows[0].scene.fastgs.render_meshes = self.random.choice(('OFF', 'CYCLES', 'EEVEE'))
+        for scene in bpy.data.scenes:
+            scene.cycles.samples = scene.eevee.taa_render_samples = 1
+
     def do_render(self):
         scene = bpy.context.window_manager.windows[0].scene
         if scene.camera is None or scene.render.engine != 'FASTGS':

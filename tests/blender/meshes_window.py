@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stories in Blender's window (see inside.py): *Render With Meshes*."""
+from __future__ import annotations
+
+import os
+
+import bpy
+from background import bring, look
+from window import area_of, f12, shot, until, within
+
+
+def joined(model, engine):
+    """Choose an engine, then add a wall as a user does; F12; then Off.  What the two scenes hold, and the picture's file."""
+    scene = bring(model)
+    look(scene, 320, 240)
+    scene.view_settings.view_transform = 'Raw'
+    area = area_of()
+    scene.fastgs.render_meshes = engine
+    other = next(each for each in bpy.data.scenes if each != scene)
+    other.cycles.samples, other.cycles.use_denoising, other.eevee.taa_render_samples = 4, False, 4
+    with within(area):
+        bpy.ops.mesh.primitive_plane_add(size=1.2, location=(1.0, -1.4, 1.2), rotation=(1.2, 0, 0.63))
+    wall = bpy.context.view_layer.objects.active
+    material = bpy.data.materials.new("Green")
+    material.use_nodes = True
+    emission = material.node_tree.nodes.new('ShaderNodeEmission')
+    emission.inputs["Color"].default_value = (0, 1, 0, 1)
+    material.node_tree.links.new(emission.outputs[0], material.node_tree.get_output_node('ALL').inputs["Surface"])
+    wall.data.materials.append(material)
+    scene.render.motion_blur_shutter = 0.75
+    followed = yield from until(lambda: wall.name in other.objects)
+    yield from f12(area)
+    shot(f"with-meshes-{engine.lower()}")
+    picture = f"with-meshes-{engine.lower()}.png"
+    scene.render.image_settings.file_format = 'PNG'
+    bpy.data.images["Render Result"].save_render(os.path.abspath(picture), scene=scene)
+    facts = {"followed": followed, "shutter": other.render.motion_blur_shutter, "picture": picture, "engine": other.render.engine}
+    scene.fastgs.render_meshes = 'OFF'
+    yield 1.0
+    return {**facts, "scenes": len(bpy.data.scenes)}
