@@ -46,6 +46,8 @@ def run(args: argparse.Namespace) -> None:
     first = first_clocks(args.capture, args.layout)
     capture = open_capture(args.capture, layout=args.layout, offsets=first, frames=part)
     check(capture)
+    for text in capture.notes:
+        note(f"{text}.")
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
     with progress(len(capture), "picture", "comparing", quiet=args.quiet) as bar:

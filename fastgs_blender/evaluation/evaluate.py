@@ -69,6 +69,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     store = _filled(FrameStore(capture, 0), shots) if store is None else store
     turns = {view: np.radians(turn) for view, turn in differed.get("poses", {}).items()}
     clock, notes = _clock(model, capture, beyond=frames is not None)
+    notes = [*capture.notes, *notes]
     times = {id(shot): t for shot in shots if (t := clock(shot)[0]) is not None}
     covered = [shot for shot in shots if id(shot) in times]
     if not covered:

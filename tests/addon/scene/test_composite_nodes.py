@@ -33,5 +33,6 @@ def test_what_meshes_and_splats_make_together(joined):
     assert held == pytest.approx([0.2, 0.3, 0.3, 1], abs=1e-3)  # splats + straight meshes x 0.3 + what is left of the world
     assert joined(Splat_Holdout=0.0, Splat_Depth=2.0) == pytest.approx([0.2, 0.3, 0.3, 1], abs=1e-3)  # splats over meshes
     assert joined(Splat_Depth=5.0) == pytest.approx([0.1, 0.5, 0.3, 1], abs=1e-3)  # meshes over splats
-    assert joined(Splat_Shadow=0.5) == pytest.approx([0.1, 0.25, 0.3, 1], abs=1e-3)
+    assert joined(Splat_Shadow=0.5) == pytest.approx([0.1, 0.5, 0.3, 1], abs=1e-3)  # the lamp has no light there
+    assert joined(Lamp=(0, 0.5, 0, 1)) == pytest.approx([0.1, 0.25, 0.3, 1], abs=1e-3)
     assert joined(Shadow_Strength=0.5) == pytest.approx([0.1, 0.375, 0.3, 1], abs=1e-3)

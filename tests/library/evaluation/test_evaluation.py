@@ -183,11 +183,11 @@ def test_what_cannot_be_evaluated(run, arguments, words):
     assert code == 2 and out == "" and words in err and len(err.splitlines()) == 1
 
 
-def test_a_missing_picture_is_told_before_anything_is_rendered(run, work):
+def test_a_damaged_picture_is_left_out_with_a_line(run, work):
     (work / "cap" / "cam00" / "0003.png").write_bytes(b"nonsense")
-    code, _, err = run("--quiet")
-    assert code == 2 and "0003.png" in err and len(err.splitlines()) == 1
-    assert not (work / "out" / "evaluation.json").exists()
+    code, out, err = run("--json")
+    assert code == 0 and "left out: 1 of" in err
+    assert [row["frame"] for row in json.loads(out)["rows"]] == [0, 1, 3], "frame 2 is the picture 0003.png"
 
 
 def test_the_folder_of_a_training_run(run, work, model):

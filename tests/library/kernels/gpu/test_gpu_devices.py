@@ -11,7 +11,8 @@ from toy_captures import toy_capture
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu.backend import CPU
-from fastgs_blender.kernels.gpu import adapters, choice, pace, selftest, training
+from fastgs_blender.kernels.gpu import adapters, choice, pace, selftest
+from fastgs_blender.kernels.gpu.backend import GPU
 from fastgs_blender.kernels.gpu.device import Device, Failure
 from fastgs_blender.kernels.gpu.selftest import self_test
 from fastgs_blender.training.core import settings
@@ -117,7 +118,7 @@ def test_the_self_test_passes_here_and_finds_what_is_wrong(adapter, fresh, monke
         with monkeypatch.context() as patch:
             patch.setattr(Device, "run", wrong)
             assert what in self_test(sound).fault
-    monkeypatch.setattr(training, "compare", lambda *rest: (_ for _ in ()).throw(Failure("it is lost")))
+    monkeypatch.setattr(GPU, "compare", lambda *rest: (_ for _ in ()).throw(Failure("it is lost")))
     assert self_test(sound) == Verdict("it is lost")
 
 
@@ -219,7 +220,7 @@ def run_command(capsys):
 def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path, monkeypatch, capsys):
     capture, store, points = toy_capture(frames=2, views=3)
     monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
-    compare, calls = training.compare, []
+    compare, calls = GPU.compare, []
 
     def lost(*given):
         calls.append(1)
@@ -227,7 +228,7 @@ def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path,
             raise Failure("Parent device is lost")
         return compare(*given)
 
-    monkeypatch.setattr(training, "compare", lost)
+    monkeypatch.setattr(GPU, "compare", lost)
     options = {"iterations": 5, "checkpoint_seconds": 0.0, "preview_every": 0, "max_gaussians": 500}
     plan = plans.begin(tmp_path, options, lambda wanted: settings.settings(**wanted), False, False)
     report = session.run(capture, store, plan, tmp_path, quiet=True, backend=fresh.name)
