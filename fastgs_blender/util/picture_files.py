@@ -1,29 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""PNG and EXR pictures, written with NumPy and zlib alone: the same bytes in every Python, without Pillow and OpenEXR.
+"""PNG and EXR pictures, written with NumPy and zlib alone, because Blender's Python has neither Pillow nor OpenEXR.
 
-EXR as its specification has it (openexr.com, "OpenEXR File Layout"): scan lines with ZIP compression, in blocks of 16.  OpenEXR reads them.
+EXR as its specification has it (openexr.com, "OpenEXR File Layout"): scan lines, one part or several; written with ZIP compression
+(blocks of 16 lines), read with ZIP, ZIPS or none.
 """
 from __future__ import annotations
 
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .reading import open_file, reading
+from .reading import read_bytes, reading
 from .threads import ranges, run
 
-MAGIC, LONG_NAMES, ZIP = 20000630, 0x400, 3
-BLOCK = 16
-"""Lines that are compressed together."""
+MAGIC, MULTIPART, LONG_NAMES, TILED_OR_DEEP = 20000630, 0x1000, 0x400, 0xA00
+TYPES: dict[int, np.dtype] = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
+LINES = {0: 1, 2: 1, 3: 16}
+"""Lines of a block by the number of the compression: none, ZIPS, ZIP."""
+ZIP = 3
 LEVEL = 4
 """zlib's: higher ones take twice the time for a few percent."""
 SLAB = 64
 """Rows of a PNG that are filtered and compressed as one piece."""
+DENSEST = 1032
+"""How many times its packed size data can have that zlib packed."""
+LARGEST = 2 << 30
+"""Bytes of an EXR that is read."""
 
 
 def write_png(path: str | os.PathLike, pixels: np.ndarray) -> None:
@@ -90,13 +96,13 @@ def write_exr(path: str | os.PathLike, planes: Mapping[str, np.ndarray], texts: 
     lines = np.empty((height, len(names), width), "<f4")
     for i, name in enumerate(names):
         lines[:, i] = planes[name]
-    blocks = run(lambda start, stop: _zipped(lines[start:stop].tobytes()), ranges(height, BLOCK))
+    blocks = run(lambda start, stop: _zipped(lines[start:stop].tobytes()), ranges(height, LINES[ZIP]))
     sizes = np.array([8 + len(block) for block in blocks])
     offsets = len(header) + 8 * len(blocks) + np.cumsum(sizes) - sizes
     with open(path, "wb") as stream:
         stream.write(header + offsets.astype("<u8").tobytes())
         for i, block in enumerate(blocks):
-            stream.write(struct.pack("<ii", i * BLOCK, len(block)) + block)
+            stream.write(struct.pack("<ii", i * LINES[ZIP], len(block)) + block)
 
 
 def _zipped(data: bytes) -> bytes:
@@ -108,18 +114,107 @@ def _zipped(data: bytes) -> bytes:
     return packed if len(packed) < len(data) else data
 
 
-def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """(planes {"Part.Channel" or "Channel": [h, w]}, attributes of all parts) of an EXR, top row first.  Raises FastGSError."""
-    import OpenEXR
+def _unzipped(data: bytes, size: int) -> bytes:
+    """The inverse of _zipped(): `size` bytes; raises ValueError where there are others."""
+    if len(data) == size:
+        return data
+    unpacker = zlib.decompressobj()
+    values = np.frombuffer(unpacker.decompress(data, size + 1), np.uint8)
+    if len(values) != size:
+        raise ValueError("a block has another size than its lines")
+    values = values.copy()
+    values[1:] -= np.uint8(128)
+    values = np.cumsum(values, dtype=np.uint8)
+    out = np.empty(size, np.uint8)
+    half = (size + 1) // 2
+    out[::2], out[1::2] = values[:half], values[half:]
+    return out.tobytes()
 
-    open_file(path).close()  # OpenEXR opens it by name: a pipe must not get that far
-    with reading(path, "this is no EXR picture, or it is damaged, so render it again"), OpenEXR.File(str(path), True) as file:
-        planes: dict[str, np.ndarray] = {}
-        attributes: dict[str, Any] = {}
-        for part in file.parts:
-            prefix = f"{part.name()}." if len(file.parts) > 1 else ""
-            planes |= {prefix + name.removeprefix(prefix): np.ascontiguousarray(channel.pixels) for name, channel in part.channels.items()}
-            attributes |= part.header
-        if not planes:  # OpenEXR leaves out parts that it cannot read
-            raise ValueError("it is cut short")
+
+def read_exr(path: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, bytes]]:
+    """(planes {"Part.Channel" or "Channel": [h, w]}, attributes of all parts) of an EXR without compression or with ZIP, top row first.
+
+    Raises FastGSError for another kind of EXR, and for a damaged one.
+    """
+    with reading(path, "this is no EXR picture of scan lines without compression or with ZIP, or it is damaged, so render it again"):
+        return _read_exr(read_bytes(path, LARGEST))
+
+
+def _read_exr(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, bytes]]:
+    magic, version = struct.unpack_from("<ii", data)
+    if magic != MAGIC or version & TILED_OR_DEEP:
+        raise ValueError("it has no scan lines")
+    several = bool(version & MULTIPART)
+    parts, at = [], 8
+    while True:
+        header, at = _header(data, at)
+        if not header:
+            break
+        parts.append(header)
+        if not several:
+            break
+    planes: dict[str, np.ndarray] = {}
+    attributes: dict[str, bytes] = {}
+    left = DENSEST * len(data)
+    for header in parts:
+        compression = header["compression"][0]
+        if compression not in LINES:
+            raise ValueError("it is compressed in another way")
+        x0, y0, x1, y1 = struct.unpack("<4i", header["dataWindow"])
+        width, height = x1 - x0 + 1, y1 - y0 + 1
+        channels = _channels(header["channels"])
+        line = np.dtype([(name, dtype, (width,)) for name, dtype in channels])
+        count = -(-height // LINES[compression])
+        left -= height * line.itemsize * (1 if compression else DENSEST)
+        if min(width, height, line.itemsize) <= 0 or left < 0 or 8 * count > len(data) - at:
+            raise ValueError(f"it says {width} x {height} pixels, more than the file holds")
+        offsets = struct.unpack_from(f"<{count}Q", data, at)
+        at += 8 * count
+        lines = _lines(data, offsets, compression, line, height, 4 if several else 0)
+        prefix = header["name"].decode() + "." if several else ""
+        for name, _ in channels:
+            planes[name if name.startswith(prefix) else prefix + name] = np.ascontiguousarray(lines[name])
+        attributes |= header
     return planes, attributes
+
+
+def _lines(data: bytes, offsets: Sequence[int], compression: int, line: np.dtype, height: int, skip: int) -> np.ndarray:
+    """The lines [h] of one part; skip: bytes of the part's number in front of each block."""
+    pieces = []
+    for i, offset in enumerate(offsets):
+        if not 0 <= offset <= len(data) - 8 - skip:
+            raise ValueError("a line lies beyond its end")
+        size, = struct.unpack_from("<i", data, offset + skip + 4)
+        begin = offset + skip + 8
+        if not 0 <= size <= len(data) - begin:
+            raise ValueError("it is cut short")
+        rows = min(LINES[compression], height - i * LINES[compression])
+        block = data[begin:begin + size]
+        block = _unzipped(block, rows * line.itemsize) if compression else block
+        pieces.append(np.frombuffer(block, line, rows))
+    return np.concatenate(pieces)
+
+
+def _header(data: bytes, at: int) -> tuple[dict[str, bytes], int]:
+    found: dict[str, bytes] = {}
+    while data[at]:
+        end = data.index(b"\0", at)
+        name = data[at:end].decode()
+        at = data.index(b"\0", end + 1) + 1
+        size, = struct.unpack_from("<i", data, at)
+        if size < 0 or at + 4 + size > len(data):
+            raise ValueError("it is cut short")
+        found[name] = data[at + 4:at + 4 + size]
+        at += 4 + size
+    return found, at + 1
+
+
+def _channels(data: bytes) -> list[tuple[str, np.dtype]]:
+    found: list[tuple[str, np.dtype]] = []
+    at = 0
+    while data[at]:
+        end = data.index(b"\0", at)
+        kind, = struct.unpack_from("<i", data, end + 1)
+        found.append((data[at:end].decode(), TYPES[kind]))
+        at = end + 17
+    return found

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures written with NumPy are what Pillow and OpenEXR read; generated rigs look where they should; held files are told."""
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
+import mutations
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,19 +58,39 @@ def test_exrs_of_openexr_are_read(tmp_path, rng, compression):
         assert again[name].dtype == plane.dtype and np.array_equal(again[name], plane)
 
 
-def test_parts_come_back_by_name_and_cut_ones_are_refused(tmp_path, rng):
+def test_mutations_of_exrs(tmp_path, rng):
     openexr = pytest.importorskip("OpenEXR")
-    planes = {name: rng.random((20, 7)).astype("f4") for name in ("a", "b")}
-    openexr.File([openexr.Part({"type": openexr.scanlineimage, "comments": name}, {"Z": plane}, name)
-                  for name, plane in planes.items()]).write(str(tmp_path / "parts.exr"))
-    again, attributes = read_exr(tmp_path / "parts.exr")
-    assert again.keys() == {"a.Z", "b.Z"} and all(np.array_equal(again[f"{name}.Z"], plane) for name, plane in planes.items())
-    assert attributes["comments"] == "b"
-    write_exr(tmp_path / "whole.exr", {"Z": planes["a"]})
+    seeds = {}
+    for name in ("NO_COMPRESSION", "ZIP_COMPRESSION"):
+        header = {"compression": getattr(openexr, name), "type": openexr.scanlineimage}
+        parts = [openexr.Part(dict(header), {c: rng.random((20, 7)).astype("f4")}, c) for c in ("a", "b")]
+        openexr.File(parts).write(str(tmp_path / f"{name}.exr"))
+        seeds[name] = {"a.exr": (tmp_path / f"{name}.exr").read_bytes()}
+
+    def read(folder):
+        planes, _ = read_exr(folder / "a.exr")
+        assert all(plane.ndim == 2 for plane in planes.values())
+
+    told = mutations.campaign("exr", read, seeds, tmp_path)
+    assert min(told.values()) > 0
+    plain = seeds["NO_COMPRESSION"]["a.exr"]
+    at = plain.index(struct.pack("<Q", plain.index(struct.pack("<iii", 0, 0, 28))))
+    attacks = {"an offset beyond 2^63": {"a.exr": plain[:at] + b"\xff" * 8 + plain[at + 8:]},
+               "2^31 lines": {"a.exr": plain.replace(struct.pack("<4i", 0, 0, 6, 19), struct.pack("<4i", 0, 0, 2**31 - 2, 2**31 - 2))},
+               "one line many times": {"a.exr": plain.replace(struct.pack("<4i", 0, 0, 6, 19), struct.pack("<4i", 0, 0, 6, -1))}}
+    assert mutations.attacks("exr", read, attacks, tmp_path) == {"accepted": 0, "refused": 3}
+
+
+def test_other_exrs_and_cut_ones_are_refused(tmp_path):
+    openexr = pytest.importorskip("OpenEXR")
+    plane = np.zeros((4, 5), np.float32)
+    with openexr.File({"compression": openexr.PIZ_COMPRESSION, "type": openexr.scanlineimage}, {"Z": plane}) as file:
+        file.write(str(tmp_path / "piz.exr"))
+    write_exr(tmp_path / "whole.exr", {"Z": plane})
     whole = (tmp_path / "whole.exr").read_bytes()
-    for i, data in enumerate((b"", b"\x89PNG", whole[:40], whole[:-1])):
+    for i, data in enumerate(((tmp_path / "piz.exr").read_bytes(), b"", b"\x89PNG", whole[:40], whole[:-1])):
         (tmp_path / f"{i}.exr").write_bytes(data)
-        with pytest.raises(fg.FastGSError, match="no EXR picture"):
+        with pytest.raises(fg.FastGSError, match="no EXR picture of scan lines"):
             read_exr(tmp_path / f"{i}.exr")
 
 
