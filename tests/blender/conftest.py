@@ -10,6 +10,7 @@ import models
 import numpy as np
 import pytest
 from blenders import User
+from browser import Browser
 from PIL import Image
 
 import fastgs_blender as fg
@@ -64,6 +65,18 @@ def small_model(newcomer):
     model = models.knot(4_000, seed=5)
     fg.save(model, newcomer.folder / "small.safetensors")
     return model, "small.safetensors"
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A Chromium that opens the pages in its folder, `browser.folder`: the root's, or the one that FASTGS_BROWSER names."""
+    command = "chromium" if ROOT else os.environ.get("FASTGS_BROWSER", "")
+    if not command or (ROOT and not Path(ROOT, "usr", "bin", command).exists()):
+        pytest.skip("the browser is in the root of Debian trixie; elsewhere FASTGS_BROWSER names one")
+    folder = OUTPUT / "pages" if ROOT else tmp_path_factory.mktemp("pages")
+    folder.mkdir(parents=True, exist_ok=True)
+    with Browser(folder, ROOT, command) as browser:
+        yield browser
 
 
 def library_camera(facts) -> fg.Camera:
