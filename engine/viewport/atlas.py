@@ -9,10 +9,11 @@ from __future__ import annotations
 import gpu
 import numpy as np
 
+from ...fastgs_blender.kernels.gl import model_texels
+from ...fastgs_blender.kernels.gl.model_texels import WIDTH, Place
 from ...fastgs_blender.model.gaussians import GaussianModel
-from . import model_texels, shaders
-from .model_texels import Place
-from .textures import FORMATS, ROWS, WIDTH, rows_of, upload
+from . import shaders
+from .textures import FORMATS, ROWS, rows_of, upload
 
 KINDS = ("geometry", "colour")
 HALF = {"geometry": False, "colour": True}

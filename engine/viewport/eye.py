@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.kernels.gl.frame_table import Depths
 from ...scene.camera import OPENCV
-from .frame_table import Depths
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 

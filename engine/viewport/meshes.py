@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.kernels.gl.frame_table import Depths
 from ...fastgs_blender.util.backends import load_backend
-from .frame_table import Depths
 from .picture import SceneDepth
 
 

@@ -14,16 +14,16 @@ import gpu
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
+from ...fastgs_blender.kernels.gl.frame_table import ORDER_WIDTH, Depths, ViewTexel, frame_table
+from ...fastgs_blender.kernels.gl.resolve_table import resolve_table
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.layout import decoding
 from ...scene.sky import Panorama
 from . import shaders
 from .atlas import Atlas
-from .covering_table import covering_table
+from .covering import covering_table
 from .eye import WHOLE
-from .frame_table import Depths, ViewTexel, frame_table
-from .resolve_table import resolve_table
-from .textures import ORDER_WIDTH, upload, upload_list
+from .textures import upload, upload_list
 
 FORMAT = 'RGBA16F'
 HALF = 65_504

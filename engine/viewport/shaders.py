@@ -8,7 +8,8 @@ from functools import cache
 import gpu
 from gpu_extras.batch import batch_for_shader
 
-from . import glsl
+from ...fastgs_blender.kernels import gl
+from .covering import FRAGMENT as COVERING_FRAGMENT
 
 CORNERS = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
 
@@ -36,7 +37,7 @@ def splats(features: bool, own: bool):
     _samplers(info, ("t_table", "t_order", "t_geometry", "t_colour", "t_depth"))
     for slot, name in enumerate(outputs):
         info.fragment_out(slot, 'VEC4', name)
-    return _finish(info, glsl.SPLAT_VERTEX, glsl.SPLAT_FRAGMENT)
+    return _finish(info, gl.SPLAT_VERTEX, gl.SPLAT_FRAGMENT)
 
 
 @cache
@@ -54,7 +55,7 @@ def resolve(features: bool, own: bool, sky: bool):
         info.define("SKY")
         names.append("t_sky")
     _samplers(info, names)
-    return _finish(info, glsl.RESOLVE_VERTEX, glsl.RESOLVE_FRAGMENT)
+    return _finish(info, gl.RESOLVE_VERTEX, gl.RESOLVE_FRAGMENT)
 
 
 @cache
@@ -71,7 +72,7 @@ def show(deep: bool, fading: bool = False):
         _deep(info)
         names += ["t_resolve", "t_own"]
     _samplers(info, names)
-    return _finish(info, glsl.RESOLVE_VERTEX, glsl.SHOW_FRAGMENT)
+    return _finish(info, gl.RESOLVE_VERTEX, gl.SHOW_FRAGMENT)
 
 
 @cache
@@ -80,7 +81,7 @@ def covering():
     info = _whole("fastgs_covering_iface")
     _deep(info)
     _samplers(info, ("t_covering", "t_own"))
-    return _finish(info, glsl.RESOLVE_VERTEX, glsl.COVERING_FRAGMENT)
+    return _finish(info, gl.RESOLVE_VERTEX, COVERING_FRAGMENT)
 
 
 def clear():

@@ -5,10 +5,8 @@ from __future__ import annotations
 import gpu
 import numpy as np
 
-WIDTH = 8192
-"""Texels in a row of a data texture; filled into the shaders (glsl/)."""
-ORDER_WIDTH = 4096
-"""Entries in a row of the texture that holds the order of the splats; filled into the shaders (glsl/)."""
+from ...fastgs_blender.kernels.gl.model_texels import WIDTH
+
 ROWS = 16384
 """The most rows that every supported GPU takes."""
 

@@ -13,10 +13,10 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.kernels.gl.frame_table import Depths
 from ...scene.snapshot import Snapshot
 from . import sorting
 from .atlas import Atlas
-from .frame_table import Depths
 from .picture import Order, Picture
 
 STAGES = ("reading files", "culling and sorting", "models to the GPU", "order to the GPU", "submitting splats", "blending splats",

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.kernels.gl.frame_table import Depths
 from ...scene import objects
 from ...scene.snapshot import Snapshot
 from . import fallback, sorting, timing
 from .atlas import Atlas, TooLarge
-from .frame_table import Depths
 from .picture import Order, Picture, SceneDepth
 from .worker import Worker
 

@@ -2,7 +2,7 @@
 """The appearance of Gaussians: RGB, spherical harmonics, or features that a small decoder turns into colour.
 
 A model holds one array `features` [N, F]; its appearance says what the columns mean.  A new one is a dataclass here, listed in
-APPEARANCES; each backend computes its colour: rendering/oracle.py, kernels/, engine/viewport/glsl/.
+APPEARANCES; each backend computes its colour: rendering/oracle.py, kernels/.
 """
 from __future__ import annotations
 

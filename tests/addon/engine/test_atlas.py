@@ -14,7 +14,8 @@ def parts(module, scene):
     """The modules of the viewport that these tests use, with a GPU."""
     open_gpu(scene)
     return SimpleNamespace(**{name: module(f"engine.viewport.{name}") for name in (
-        "atlas", "eye", "model_texels", "textures", "view", "worker")})
+        "atlas", "eye", "textures", "view", "worker")},
+        model_texels=module("fastgs_blender.kernels.gl.model_texels"))
 
 
 def texels(parts, model) -> np.ndarray:

@@ -255,7 +255,7 @@ def test_background_border_and_opacity(fg, moving, camera, drawn):
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_splats_behind_other_things_are_hidden(module, fg, moving, camera, drawn, orthographic):
     """A wall at z = 4 leaves of the cloud what lies before it, as if the rest were not there."""
-    table, picture = module("engine.viewport.frame_table"), module("engine.viewport.picture")
+    table, picture = module("fastgs_blender.kernels.gl.frame_table"), module("engine.viewport.picture")
     model, eye, wall = moving(fg.RGB(), temporal=fg.Always()), camera(orthographic), 4.0
     depths = table.Depths(0.0, 0.1) if orthographic else table.Depths(1.0, -0.1)
     at = 0.1 * wall if orthographic else 1 - 0.1 / wall
@@ -269,7 +269,7 @@ def test_splats_behind_other_things_are_hidden(module, fg, moving, camera, drawn
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_meshes_hide_splats_as_in_final_renders(module, fg, moving, camera, drawn, orthographic):
     """A slanted triangle through the cloud, which Blender does not draw under our engine: its depth comes from the CPU."""
-    table, meshes = module("engine.viewport.frame_table"), module("engine.viewport.meshes")
+    table, meshes = module("fastgs_blender.kernels.gl.frame_table"), module("engine.viewport.meshes")
     model, eye = moving(fg.RGB(), temporal=fg.Always()), camera(orthographic)
     corners = np.array([[-3, -2, 3.0], [3, -2, 4.5], [0.3, 0.6, 4.0]])  # before the camera
     to_world = np.linalg.inv(eye.world_to_camera)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from ....fastgs_blender.kernels.equations.text import CONSTANTS
-from .. import frame_table, textures
-from ..covering_table import MARKS, CoveringTexel
-from ..resolve_table import HIDDEN, ResolveTexel
+from ..equations.text import CONSTANTS
+from . import frame_table, model_texels
+from .resolve_table import HIDDEN, ResolveTexel
 
 FARTHEST = 6e4
 """Depth at which that of splats is cut off: half floats hold it."""
@@ -24,10 +23,9 @@ def texels(prefix: str, names: type[IntEnum]) -> dict[str, int]:
 
 
 VIEW = defines(**texels("VIEW", frame_table.ViewTexel))
-INSTANCES = defines(
-    FARTHEST=FARTHEST, WIDTH=textures.WIDTH, ORDER_WIDTH=textures.ORDER_WIDTH,
+INSTANCES = f"#ifndef WIDTH\n{defines(WIDTH=model_texels.WIDTH)}#endif\n" + defines(
+    FARTHEST=FARTHEST, ORDER_WIDTH=frame_table.ORDER_WIDTH,
     INSTANCE_TEXELS=frame_table.HEAD,
     **texels("INSTANCE", frame_table.InstanceTexel),
     BASIS_WEIGHTS=frame_table.WEIGHTS, BASIS_POWERS=frame_table.POWERS, COLOURS_HARMONICS=CONSTANTS["APPEARANCE_SH"])
-COVERING = defines(**texels("COVERING", CoveringTexel), COVERING_MARKS=MARKS)
 RESOLVE = defines(**texels("RESOLVE", ResolveTexel), DECODER_HIDDEN=HIDDEN, DECODE_PREMULTIPLIED=CONSTANTS["DECODE_PREMULTIPLIED"])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The parameters of shaders that change from frame to frame, as one small texture: a row for the view and one for each instance.
 
-The splats' shaders (glsl/splat.py) read it by the same names.
+The splats' shaders (splat.py) read it by the same names.
 """
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from enum import IntEnum
 
 import numpy as np
 
-from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.model.gaussians import GaussianModel
-from ...fastgs_blender.model.motion import Basis
-from ...fastgs_blender.rendering.instances import ViewedInstance
-from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
+from ...cameras.camera import Camera
+from ...model.gaussians import GaussianModel
+from ...model.motion import Basis
+from ...rendering.instances import ViewedInstance
+from ...rendering.looks import LOOK_NUMBERS
 from . import model_texels
-from .textures import WIDTH
+from .model_texels import WIDTH
+
+ORDER_WIDTH = 4096
+"""Entries in a row of the texture that holds the order of the splats; filled into the shaders."""
 
 NOTHING = -1.0
 """A farthest depth that leaves nothing to draw."""

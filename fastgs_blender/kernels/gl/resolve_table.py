@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The parameters of the resolve shader, as one row of a texture.  The shader (glsl/resolve.py) reads them by the same names."""
+"""The parameters of the resolve shader, as one row of a texture.  The shader (resolve.py) reads them by the same names."""
 from __future__ import annotations
 
 from enum import IntEnum
 
 import numpy as np
 
-from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.model.appearance import ACTIVATIONS, DECODES, Features
-from ...fastgs_blender.rendering.looks import LOOK_NUMBERS
+from ...cameras.camera import Camera
+from ...model.appearance import ACTIVATIONS, DECODES, Features
+from ...rendering.looks import LOOK_NUMBERS
 from .frame_table import Depths
 
 HIDDEN = len(Features().w1)

@@ -8,7 +8,7 @@ Geometry (32 bits), in this order:
 
 Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four coefficients | base | direction | time.
 Colours that change in time have as much again for each term of their basis.
-The shaders (glsl/splat.py) read it.
+The shaders (splat.py) read it.
 """
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.appearance import RGB, SH, SH_C0, Changing, Features, momentary
-from ...fastgs_blender.model.gaussians import GaussianModel
-from ...fastgs_blender.model.motion import Basis, Static
+from ...model.appearance import RGB, SH, SH_C0, Changing, Features, momentary
+from ...model.gaussians import GaussianModel
+from ...model.motion import Basis, Static
+
+WIDTH = 8192
+"""Texels in a row of a data texture; filled into the shaders."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 """The shaders that turn blended splats into scene-linear colour."""
 from __future__ import annotations
 
-from ....fastgs_blender.kernels.equations.text import glsl
+from ..equations.text import glsl
 from . import constants
 
 VERTEX = """

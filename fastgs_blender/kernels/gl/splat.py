@@ -2,7 +2,7 @@
 """The shaders that slice, project and blend splats: one instance of a rectangle for each Gaussian."""
 from __future__ import annotations
 
-from ....fastgs_blender.kernels.equations.text import glsl
+from ..equations.text import glsl
 from . import constants
 
 FETCH = """
