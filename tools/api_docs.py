@@ -2,6 +2,7 @@
 """Writes docs/api.md from the docstrings of the library's public face (fastgs_blender/__init__.py); a test holds it up to date."""
 from __future__ import annotations
 
+import ast
 import inspect
 import sys
 import textwrap
@@ -77,7 +78,8 @@ def signature(name: str, what: object) -> str:
         if len(head) + len(lines[-1] + text) > WIDTH:
             lines.append("")
         lines[-1] += text
-    returns = "" if inspect.isclass(what) or found.return_annotation is found.empty else f" -> {found.return_annotation}"
+    written = None if inspect.isclass(what) else ast.parse(inspect.getsource(what)).body[0].returns
+    returns = "" if written is None else f" -> {ast.unparse(written)}"
     return head + ("\n" + " " * len(head)).join(line.rstrip() for line in lines) + ")" + returns
 
 

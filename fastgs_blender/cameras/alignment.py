@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rigid motions [4, 4] that put a capture's world upright, its ground on the plane z = 0."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..util.errors import FastGSError

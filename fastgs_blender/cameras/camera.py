@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5, the first row at the top."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 from typing import NamedTuple

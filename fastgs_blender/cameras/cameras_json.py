@@ -4,8 +4,6 @@
 A list of {id, img_name, width, height, position, rotation, fx, fy}: position is the camera's centre in the world, rotation the
 3 x 3 camera-to-world matrix in OpenCV axes.  cx and cy are read where present, else the principal point is the image's centre.
 """
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

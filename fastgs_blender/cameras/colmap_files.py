@@ -3,8 +3,6 @@
 
 Every count is checked against the file's length before it is believed.  (colmap.github.io/format.html)
 """
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterator

@@ -4,8 +4,6 @@
 Of YAML, the part that FileStorage uses: block and flow mappings and sequences, numbers, texts, tags, comments.  A mapping with rows, cols
 and data is a matrix, whether or not it is tagged !!opencv-matrix (ROS writes them without).
 """
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 A move is a function of s in [0, 1], the share of the way that lies behind the camera; an ease turns time into s.  Directions
 are unit quaternions, w x y z, camera to world, in whatever axes the caller's camera has.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -4,8 +4,6 @@
 A function takes cameras of one world, whatever its axes, and gives a camera for each frame.  What points up is what these cameras hold
 upwards.
 """
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

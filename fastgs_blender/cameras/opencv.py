@@ -4,8 +4,6 @@
 OpenCV counts pixel centres in whole numbers, so that 0.5 is added to the principal point.  Its vector of distortion is k1 k2 p1 p2 k3
 k4 k5 k6, of which the later ones may be missing; the fisheye model has k1 k2 k3 k4.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panorama: a camera that sees more than a plane can hold, equirectangular or through a fisheye lens."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

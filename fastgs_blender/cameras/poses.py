@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """look_at(); numbers and poses from files, checked: those functions raise FastGSError with `where` (file and place) in front."""
-from __future__ import annotations
-
 from collections.abc import Iterable
 from reprlib import repr as shortened
 

@@ -3,8 +3,6 @@
 
 Poses are camera-to-world with OpenGL's camera axes.  (nerfstudio, data/dataparsers/nerfstudio_dataparser.py; instant-ngp, nerf_loader.cu)
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from reprlib import repr as shortened
 

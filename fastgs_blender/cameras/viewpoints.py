@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Viewpoints of a model's surroundings as cameras, and cameras as viewpoints."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.surroundings import Viewpoint

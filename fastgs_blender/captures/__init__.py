@@ -4,8 +4,6 @@
 A layout is one module with `name` (as users know it), `recognises(path) -> bool` and `load(path, options) -> Capture`; path is a
 folder or a file that exists.  recognises() looks at names and first bytes only and never raises FastGSError; load() raises it.
 """
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

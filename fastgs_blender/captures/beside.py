@@ -5,8 +5,6 @@ A film belongs to a camera if its name is the camera's, or contains it: cam_01, 
 contains it.  The film may also lie in a folder of that name: cam1/GX010010.MP4.  All films of a rig lie in one folder.  Where no name
 matches and there are as many films as cameras, they are paired in order, and a note says so.
 """
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The facts of a capture that `fastgs info` prints: as JSON values, and as lines for people."""
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of a rendered capture: camera positions, the subject's coverage of a picture by Cryptomatte, points from depth."""
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Points that come with a capture: PLY files with x y z, perhaps red green blue, perhaps t."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """with_cameras(): gives cameras to a capture that was filmed without poses."""
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Captures whose cameras are changed as a training run refined them (training/initial/refine.py)."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

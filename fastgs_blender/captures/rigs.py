@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a Capture of the rig, or of the single pictures, that a layout found, with the options applied."""
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

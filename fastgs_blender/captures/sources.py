@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Source: the file of one picture, its frame where that is a video, and the lens it was taken with."""
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

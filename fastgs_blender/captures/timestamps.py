@@ -6,8 +6,6 @@
 
 The frames of a camera, ordered by their times, are the frames of its film.
 """
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The viewpoints of a capture's cameras, as a model's file records them."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..cameras.viewpoints import viewpoint_of

@@ -3,8 +3,6 @@
 
 A check is a module of this folder with run(looked) -> Section, and its name in CHECKS.
 """
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Callable, Sequence

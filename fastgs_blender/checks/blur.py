@@ -4,8 +4,6 @@
 Natural pictures have a similar contrast at all scales (their spectrum falls as 1 / f), so that missing contrast at the finest scale is a
 sign of blur.  Only textured places count: a plain wall looks blurred, and noise on it looks sharp.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ..training.core.targets import smaller

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the poses and lenses of a calibration, by features that pictures of several cameras have in common."""
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

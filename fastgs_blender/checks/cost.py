@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates the disk space, memory and time that training will need."""
-from __future__ import annotations
-
 import shutil
 
 from ..captures.pixels import decoding

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measures coverage: how many cameras see each part of the scene."""
-from __future__ import annotations
-
 import numpy as np
 
 from . import drawing

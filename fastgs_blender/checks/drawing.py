@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Charts as SVG, and pictures with colours over them, for the page."""
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks exposure: differences of brightness and white balance between cameras, dark and burnt-out pictures, changes of light over time."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..util.errors import FastGSError

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Predicts which views of the finished model will be poor, and why: too few cameras, too far apart, or too near to each other."""
-from __future__ import annotations
-
 import numpy as np
 
 from . import drawing

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the files of a capture: missing or unreadable files, wrong sizes, different frame rates."""
-from __future__ import annotations
-
 from ..captures.pixels.checks import problems
 from .report import Section
 from .samples import Looked

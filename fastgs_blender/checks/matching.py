@@ -4,8 +4,6 @@
 Matches are the inliers of one fundamental matrix (pycolmap's LO-RANSAC, with a fixed seed); a pair of pictures without a consistent matrix
 is not used.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The page of a check: one HTML file with its pictures inside, and check.json beside it."""
-from __future__ import annotations
-
 import base64
 import io
 import json

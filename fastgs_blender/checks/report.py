@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CheckReport, the result of checking a capture: the findings, worst first, and a section of measures and pictures for each check."""
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ Epipolar distances alone are not enough: if a camera on an arc is turned sideway
 is triangulated from a track's features in the other cameras, and projected into the camera; epipolar lines are used only where no three
 cameras see the same point.
 """
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks sharpness: cameras that are out of focus or blurred by motion."""
-from __future__ import annotations
-
 import numpy as np
 
 from . import drawing

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The geometry of a capture: the positions of its cameras, the box around the filmed scene, its ground plan, and shared fields of view."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
-from __future__ import annotations
-
 from ..captures.clocks.curves import activity, moving
 from ..captures.clocks.find import LEAST, SURE, find_offsets, stated_offsets
 from ..util.errors import FastGSError

@@ -3,8 +3,6 @@
 
 It stands where LPIPS cannot be measured: it needs no weights.
 """
-from __future__ import annotations
-
 import importlib
 
 import numpy as np

@@ -7,8 +7,6 @@ half of each picture and measured on the other one.  They fit on the left half a
 whole, so that its figure cannot be compared with that of a whole picture.  The fit is robust: where the model shows something else than
 the picture does, nothing is told of exposures, and plain least squares would make the gain too small.
 """
-from __future__ import annotations
-
 import numpy as np
 
 NOTE = "the colours of each half of a picture were fitted on its other half, because training evened exposures"

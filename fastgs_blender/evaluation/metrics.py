@@ -3,8 +3,6 @@
 
 Pictures are [h, w, 3], display-referred, 0..1; what lies outside is clipped first, as every trainer's evaluation does.
 """
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -3,8 +3,6 @@
 
 Needs torch, torchvision, lpips (which brings the small linear layers) and AlexNet's own weights in torch's cache.
 """
-from __future__ import annotations
-
 import importlib
 import pickle
 import warnings

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Side-by-side pictures with titles, and errors as a heat map."""
-from __future__ import annotations
-
 import numpy as np
 
 HEAT_TOP = 0.25

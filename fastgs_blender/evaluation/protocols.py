@@ -3,8 +3,6 @@
 
 The numbers are the paper's (FAST-GS, tables 1 and 2); docs/paper.md says which of them contradict each other.
 """
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes the results of evaluate() as a table for people, as JSON and as CSV."""
-from __future__ import annotations
-
 import csv
 import io
 import json

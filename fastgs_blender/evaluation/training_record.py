@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads from a model's file which views it was trained on, so that evaluation never calls a training view held out."""
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`fastgs check` in a process of the training Python, and its result as a text.  No bpy here."""
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Says in one sentence why a process that was started for training, or for something else, ended, and what to do about it."""
-from __future__ import annotations
-
 import signal
 
 PREFIX = "fastgs: "

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks before a run starts: the training Python, the capture, disk and memory; and how long filming will take."""
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import suppress

@@ -6,8 +6,6 @@
 It holds the file LOCK as long as it lives (util/locks.py), and treats a file STOP that appears as Ctrl-C: that works on every system,
 and for a Blender that did not start it.  With two empty names it only runs the command.
 """
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A command of `fastgs` in a process of the training Python, watched by a thread: Blender stays usable meanwhile.  No bpy here."""
-from __future__ import annotations
-
 import json
 import subprocess
 import tempfile

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Python that trains, lists the packages that it lacks, and installs a new environment.  No bpy here."""
-from __future__ import annotations
-
 import contextlib
 import json
 import os

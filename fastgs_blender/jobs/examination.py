@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tests this machine's GPUs in a process of its own, so that a driver that crashes ends that process alone.  No bpy here."""
-from __future__ import annotations
-
 import sys
 import threading
 

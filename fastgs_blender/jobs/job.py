@@ -3,8 +3,6 @@
 
 Job files lie in the user's folder and status files in the runs' folders; other programs, other versions and full disks write to both.
 """
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Chooses the folder of a training run, and decides what happens to a run that the folder already holds.  No bpy here."""
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Container, Mapping

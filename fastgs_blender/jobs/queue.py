@@ -9,8 +9,6 @@ A small JSON file for each job in the extension's user folder lets any later Ble
     jobs/queue.lock  held by whoever changes the list, for the moment that this takes
     OUT/             what `fastgs train` writes (training/run/files.py), and console.log, what its process printed
 """
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`fastgs sync` in a process of the training Python, and its result as texts.  No bpy here."""
-from __future__ import annotations
-
 from .command import Command
 
 

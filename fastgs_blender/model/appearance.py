@@ -4,8 +4,6 @@
 A model holds one array `features` [N, F]; its appearance says what the columns mean.  A new one is a dataclass here, listed in
 APPEARANCES; each backend computes its colour: rendering/oracle.py, kernels/.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from numbers import Integral
 from typing import ClassVar

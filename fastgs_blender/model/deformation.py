@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates the rotation and stretch of a deformation at each point, by least squares over the displacements of its neighbours."""
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

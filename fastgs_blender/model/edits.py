@@ -4,8 +4,6 @@
 An edit applies to the slice of a model at one time.  The edited model is a static one with its Gaussians in the same rows, so that
 everything that renders models renders edited ones.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

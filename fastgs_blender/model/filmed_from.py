@@ -7,8 +7,6 @@ pictures: long Gaussians point at the cameras.  So from about where these stood,
 place from which the mean squared cosine between their longest axes and the directions to them is largest.  Axes that point anywhere give
 1/3 from everywhere, parallel ones the same from both sides.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

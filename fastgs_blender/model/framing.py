@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Separates a model's subject from its surroundings: the backdrop, stray Gaussians far outside, and the room around it."""
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 Frames are read one after another and never held together: a fit's coefficients are weighted sums of the frames' values.
 """
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ Every segment was trained in its own time u in [0, 1], and lies at t = begin + l
 basis of time (motion.py) writes the same motion in t, where it can.  What the segments share, the decoder above all, must be the
 same in all of them.
 """
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

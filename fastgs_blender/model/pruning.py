@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Prunes a model: leaves out the Gaussians that contribute least to pictures."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..util.errors import FastGSError

@@ -4,8 +4,6 @@
 A GaussianModel and a Sequence are both sources: source.moment(t) is the model to slice at t, and the time to slice it at.  Whoever
 shows, measures or writes a source asks for the moment first; everything after that knows models alone.
 """
-from __future__ import annotations
-
 import itertools
 import threading
 import weakref

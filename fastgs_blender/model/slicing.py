@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Slicing: a model at one time t becomes ordinary 3D Gaussians.  Float64 array code; the kernels do the same, fused."""
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -5,8 +5,6 @@ The parameters are one array [N, P] per model; each kind says what its columns a
 `logarithms` says which columns are natural logarithms.  factor() is the opacity's factor at a time, span() the time in which the
 factor is at least exp(-visible).
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """render(): slice, project, rasterise, decode.  The one call that everything uses."""
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 from functools import partial

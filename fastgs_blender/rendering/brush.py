@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Gaussians under a brush, a shape that is drawn in the picture."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@
 Images are premultiplied and in the space in which their model was trained and is blended.  A conversion happens once,
 after blending, on un-premultiplied colour.
 """
-from __future__ import annotations
-
 import numpy as np
 
 SRGB_CUT, SRGB_LINEAR_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 0.0031308, 12.92, 0.055, 2.4

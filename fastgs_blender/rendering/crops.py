@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Crops: a Gaussian is drawn by how far its centre lies within the boxes, ellipsoids and closed meshes that leave or remove it."""
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

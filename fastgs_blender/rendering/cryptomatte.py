@@ -4,8 +4,6 @@
 A level is a picture of four channels: the number of the object that covers most of a pixel and how much of it, then the same of the
 next.  Blender and others call the levels CryptoObject00, CryptoObject01 and so on.
 """
-from __future__ import annotations
-
 import json
 
 import numpy as np

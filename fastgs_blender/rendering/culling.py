@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Gaussians that a camera can see and sorts them by depth, in NumPy; kernels/cpu/visible.py does the same with numba."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..cameras.camera import Camera

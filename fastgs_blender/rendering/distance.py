@@ -21,8 +21,6 @@ Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis
 which is its depth by its focal length where any of the splat may touch the picture (T_i: tangent from the axis to the farthest corner), and
 grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is the least of them, and never more than C.
 """
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@
 An exposure is a set of samples.  Each sample is a picture that render() makes, at one time and through one point of the lens; the result is
 their average in linear light.  With more samples it converges to the average over all times and all points.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 Numbers without natural limits, such as depths, are spread over what the picture holds, but for a few stray pixels.
 """
-from __future__ import annotations
-
 import numpy as np
 
 STRAY = 1.0

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Filters hide Gaussians of a model by their properties (size, opacity, speed, colour ...), the same ones at all times."""
-from __future__ import annotations
-
 import itertools
 import threading
 from collections.abc import Callable

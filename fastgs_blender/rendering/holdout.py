@@ -7,8 +7,6 @@ cover wholly, a splat shows only if its surface there (oracle.plane) lies no dee
 do not reach over what stands on them.  The light that triangles stop, the pixel's `held`, is neither the splats' nor that of what lies
 behind everything.
 """
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ranks the Gaussians of a model by importance, for pictures that show only some of them."""
-from __future__ import annotations
-
 import threading
 from weakref import WeakKeyDictionary
 

@@ -8,8 +8,6 @@ Some quantities are summed over a pixel's core: the splats that block the middle
 sharp edge, a few splats of one surface stick out before another one.  A mean of all would mix the two; the core is of one of them nearly
 everywhere, and still of many splats where there is one surface.
 """
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

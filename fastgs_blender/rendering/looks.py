@@ -15,8 +15,6 @@ A colour x, scene linear, becomes
 so that contrast leaves middle grey, and hue and saturation leave luminance and greys.  Colours of models in sRGB are turned into scene
 linear ones and back.  Colours of Gaussians are changed before they are blended; those of a decoder are changed where it made them.
 """
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

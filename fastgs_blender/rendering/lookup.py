@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Samples images between their pixels by interpolation."""
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Masks: Gaussians that were hidden by hand, as a short text."""
-from __future__ import annotations
-
 import base64
 import binascii
 import zlib

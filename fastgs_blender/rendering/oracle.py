@@ -4,8 +4,6 @@
 Together with slicing.py (motion, temporal opacity, rotation) and appearance.py (spherical harmonics, decoder) it says what
 a picture of a model is.  The kernels are tested against it.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import reduce
 

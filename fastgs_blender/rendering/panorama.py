@@ -4,8 +4,6 @@
 A splat that reaches over an edge is projected, and sorted, a little differently on either side.  Therefore faces overlap by
 twice panorama.MARGIN, and what both see is mixed by how far it lies within each.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 A new pass is one entry of PASSES.  render(), `fastgs render`, the EXR writer and Blender's passes all read this table.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 

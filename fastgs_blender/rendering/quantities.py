@@ -3,8 +3,6 @@
 
 They are computed here, in float64 array code, for every backend: only for the splats of a picture, and only where a pass asks.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lists the Gaussians that a camera can see, front to back.  Viewports compute this on the CPU while the GPU draws."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..cameras.camera import Camera

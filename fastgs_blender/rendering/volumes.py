@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes: the inside of a closed mesh as a grid of depths under its surface."""
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@
 Flat Gaussians are spread evenly over the surface; each follows its place on it through all frames, and its path and turning
 are written in a basis of time by least squares.
 """
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 Where faces meet at a blunt angle a Gaussian on one of them would stick out beyond the other.  Many do so behind one another at an outline,
 and hide what is beside it.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.fitting import Fit

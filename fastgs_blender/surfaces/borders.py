@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds where a surface ends or bends sharply, and each sample's distance from there: a round Gaussian would stick out."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

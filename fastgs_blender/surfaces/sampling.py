@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Spreads points evenly over a triangle mesh, without clumps or holes and without random numbers."""
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Computes tangent frames of moving triangles: the rotation and the size of a flat Gaussian on a surface."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

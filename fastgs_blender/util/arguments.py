@@ -2,8 +2,6 @@
 """Checks of values that Python programs pass: numbers, shapes and names that are out of bounds are told in one sentence.
 
 Arguments of a wrong type are left to Python's own errors, but where the mistake is a likely one."""
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import asdict
 from numbers import Real

@@ -4,8 +4,6 @@
 Nothing outside kernels/ imports a backend's modules; it asks here.  What a backend must offer is kernels/protocol.py.  A backend is
 loaded by name on first use, because one may need what is not installed (numba).
 """
-from __future__ import annotations
-
 import importlib
 import logging
 import os

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """FastGSError, the one error that users see; LossWarning, the one warning; printable(), which both go through."""
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

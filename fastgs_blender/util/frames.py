@@ -3,8 +3,6 @@
 
 Decimal numbers, so that 0:1:0.1 has eleven frames and each is where it says.
 """
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lock files that running processes hold: others can tell whether the holder lives, and the lock ends with its process, however it ends."""
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Arrays of numbers in NumPy's .npy and .npz files, read without running a pickle and within bounds of memory."""
-from __future__ import annotations
-
 import math
 import os
 import warnings

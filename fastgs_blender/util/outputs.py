@@ -11,8 +11,6 @@ nothing: who reads files of different ages is told so.
 A journal may come from a stranger, in an archive or a shared folder.  So it is followed only if this user owns it and it names nothing but
 the files that are being written.
 """
-from __future__ import annotations
-
 import hashlib
 import json
 import os

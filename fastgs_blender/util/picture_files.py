@@ -4,8 +4,6 @@
 EXR as its specification has it (openexr.com, "OpenEXR File Layout"): scan lines, one part or several; written with ZIP compression
 (blocks of 16 lines), read with ZIP, ZIPS or none.
 """
-from __future__ import annotations
-
 import os
 import struct
 import zlib

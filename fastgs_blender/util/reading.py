@@ -6,8 +6,6 @@ Every reader of models, captures, cameras, checkpoints, job and status files goe
     with reading(path, "export it again"):         # any exception within becomes one sentence about `path`
         data = read_bytes(path, limit=LARGEST)     # regular files only, never more than `limit` bytes
 """
-from __future__ import annotations
-
 import errno
 import json
 import logging

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Remarks to the user on standard error, which a quiet program leaves out.  Errors are no remarks."""
-from __future__ import annotations
-
 import sys
 
 from .screen import tell

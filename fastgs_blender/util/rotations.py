@@ -3,8 +3,6 @@
 
 A quaternion and its negative are the same rotation.  Products read from right to left, like those of matrices.
 """
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Prints names and values as a table that fits on one screen of a terminal."""
-from __future__ import annotations
-
 import contextlib
 import os
 import textwrap

@@ -4,8 +4,6 @@ r"""Paths that files from outside state, such as the pictures of a capture or th
 A file may come from a stranger.  On Windows, opening \\host\share\x tells that host the user's name and a hash of the password, and CON or
 COM1 are devices in every folder.  So a stated path is taken only where it is a file of this machine.
 """
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@
 SIGTERM, which render farms and `kill` send, is Ctrl-C too, and so is SIGHUP: a terminal was closed.  Where `nohup` has SIGHUP ignored, it
 stays ignored.
 """
-from __future__ import annotations
-
 import os
 import signal
 import sys

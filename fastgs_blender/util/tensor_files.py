@@ -4,8 +4,6 @@
 Eight bytes of length, a JSON table {name: {dtype, shape, data_offsets}} with texts under __metadata__, the arrays end to end.
 Nothing is mapped: a mapped file that another program shortens ends the process (SIGBUS), whatever was unsaved in it.
 """
-from __future__ import annotations
-
 import json
 import os
 import re

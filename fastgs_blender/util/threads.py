@@ -5,8 +5,6 @@ Kernels release Python's lock, so plain Python threads run them side by side.  N
 fallback layer aborts the process when two threads render at once.  What a piece of work computes never depends on how the
 work is cut, so the result has the same bytes for any number of threads.
 """
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, wait

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The result of a GPU's self-test, as it is stored, listed and handed from one process to another."""
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """plain_xml(): parses XML from outside and refuses declarations, which could expand a small file to a huge one."""
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.parsers import expat

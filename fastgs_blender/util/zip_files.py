@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads zip files from outside safely.  It refuses files that are not regular, tables of contents that are too large or claim more than the
 file holds, and packing methods whose memory the packed data decides."""
-from __future__ import annotations
-
 import os
 import zipfile
 from collections.abc import Iterator

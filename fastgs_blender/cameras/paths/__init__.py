@@ -4,8 +4,6 @@
 A format is one module with `name`, `label`, load(file, values, picture) -> CameraPath and save(path, file, picture), listed in FORMATS;
 those that are JSON have recognises(values).
 """
-from __future__ import annotations
-
 import os
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CameraPath: a camera for each frame of a shot, whatever program the path came from."""
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 
 In images.txt a name ends at its first blank (colmap, scene/reconstruction_io_text.cc); in images.bin it may have blanks.
 """
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -6,8 +6,6 @@
 
 Optional: each frame's "name".  Optional "keys" are frames with a "frame" more: their number from 0.
 """
-from __future__ import annotations
-
 from reprlib import repr as shortened
 
 from ...model.gaussians import AXES

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """cameras.json of INRIA's trainer and its derivatives as a path: entry after entry, frame after frame.  See ..cameras."""
-from __future__ import annotations
-
 from ..cameras_json import View, load_cameras, save_cameras
 from .base import CameraPath, frame_names, refuse_orthographic, warn_of_rate
 

@@ -5,8 +5,6 @@ camera_path holds a camera a frame: camera_to_world (16 numbers, row by row, Ope
 render_width, render_height, fps, seconds.  keyframes are the viewer's, with the same matrices (nerfstudio, viewer/render_panel.py,
 cameras/camera_paths.py).  The world is the trained scene's, z up.
 """
-from __future__ import annotations
-
 from reprlib import repr as shortened
 
 import numpy as np

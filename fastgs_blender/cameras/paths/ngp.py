@@ -10,8 +10,6 @@ R, T: camera to world, OpenCV axes, in instant-ngp's own world: the capture's ti
 capture's y (nerf_loader.h).  timestamp i is the second at which keyframe i + 1 is reached.  Orders: 0 steps, 1 lines, 2 and 3 uniform
 B-splines, which pass by their keyframes.  Written with a keyframe a frame and order 1, so that it plays exactly.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ...util import rotations

@@ -8,8 +8,6 @@ src/camera-poses.ts, src/doc.ts.)
 
 Cameras are level: y is up.  fov holds across the longer side of the picture.  Both programs turn a splat file half about z.
 """
-from __future__ import annotations
-
 import json
 import warnings
 from reprlib import repr as shortened

@@ -4,8 +4,6 @@
 Written with what nerfstudio's dataparser asks of each picture: file_path with an ending, transform_matrix, w, h, fl_x, fl_y, cx and cy.
 It sorts by file_path.  A camera that moves has a `time` in each frame, from 0 to 1.  "name" and "fps" are ours, and ignored there.
 """
-from __future__ import annotations
-
 from .. import poses
 from ..transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
 from .base import CameraPath, check_frames, frame_names, named, names_of, opengl_to_world, pinholes, refuse_orthographic, write_json

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Aligns curves over time that contain the same events: finds the time offset of each, to a fraction of a sample."""
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

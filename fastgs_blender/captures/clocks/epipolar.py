@@ -11,8 +11,6 @@ and frame is nearly the same function for both cameras, shifted by their clocks 
                off.  (Shifts by a few planes as well, for calibrations that are not exact, made lags worse: up and down moves at the same
                speed cancel such errors, while a shift of planes is as good as one of time for what moves evenly.)
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial

@@ -7,8 +7,6 @@
 Offsets and uncertainties are in frames of the capture: picture f of a camera shows the moment f + offset of the others.  A camera that
 is not listed has the offset 0.
 """
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Plots the curve of motion of each camera over time, before and after synchronisation, with Pillow."""
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measures the onset strength of a video's sound over time, to align cameras by sound."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads the cameras' first clock from the timecode of their films: QuickTime's track of it (tmcd), which GoPros and most others write."""
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -9,8 +9,6 @@
 
 COLMAP's poses are world-to-camera in OpenCV axes, and its principal points count pixel centres at +0.5, as ours do.
 """
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from itertools import islice

@@ -8,8 +8,6 @@
     points.ply                   optional: x y z red green blue and t
     bake.safetensors             optional: a model of the same scene and time, with which training begins
 """
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

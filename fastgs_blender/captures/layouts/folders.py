@@ -3,8 +3,6 @@
 
 Recognised last.  The capture has no poses until posing.with_cameras() gives them.
 """
-from __future__ import annotations
-
 from pathlib import Path
 
 from ...util.errors import FastGSError

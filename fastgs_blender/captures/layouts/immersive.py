@@ -10,8 +10,6 @@ position is the camera's centre in the world, orientation the axis-angle of worl
 k1, k2 (github.com/augmentedperception/deepview_video_dataset).  A video that models.json leaves out has no pose and is left out here.
 Pictures become pinholes of half the focal length and half the size; camera_0001 is held out (STG, "undistorted").
 """
-from __future__ import annotations
-
 from pathlib import Path
 from reprlib import repr as shortened
 

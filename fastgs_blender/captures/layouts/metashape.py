@@ -11,8 +11,6 @@ A camera's transform is camera-to-world with OpenCV's camera axes.  Metashape's 
 OpenCV's p2 and p1, cx and cy count from the middle of the picture, b1 is added to the horizontal focal length, b2 is a skew, and its
 fisheye is OpenCV's.  A component's transform goes to metres; where it is geocentric, up is where the Earth's centre is not.
 """
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree as ET
 

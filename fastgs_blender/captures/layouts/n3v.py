@@ -10,8 +10,6 @@ A row holds a 3 x 5 matrix [R | t | (height, width, focal length)] and the near 
 point down, right and backwards, so that (second, first, -third) are OpenCV's.  The principal point is the image's centre
 (github.com/Fyusion/LLFF, README).  Pictures are halved and cam00 is held out, as all published figures do.
 """
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -11,8 +11,6 @@ Three ways in which people keep several cameras are read:
 
 All poses are from world to camera.  The names of values may be spelt as QUANTITIES has them, in any case, with or without underscores.
 """
-from __future__ import annotations
-
 import contextlib
 import re
 from pathlib import Path

@@ -8,8 +8,6 @@
 
 OpenCV axes, world-to-camera, metres, y down; the test cameras are held out (github.com/JonathonLuiten/Dynamic3DGaussians).
 """
-from __future__ import annotations
-
 from pathlib import Path
 from reprlib import repr as shortened
 

@@ -3,8 +3,6 @@
 
 They bring points of every frame.  These are used if the workspaces' cameras stand where the data set's own calibration has them.
 """
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -10,8 +10,6 @@ pixels, inclusive, is the part that was filmed.  transform is where the camera i
 world to camera in OpenGL's axes (x right, y up, looking along -z).  Distortion is OpenCV's with the coefficients as they stand; Pose2Sim
 divides them by 64, which undoes next to none of it.  The world has z up and becomes metres.  The last camera is held out.
 """
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from reprlib import repr as shortened

@@ -10,8 +10,6 @@ middle.  t1 and t2 are OpenCV's p2 and p1.  The world has z up.  XMP's rotation 
 position is the camera's centre.  The angles in the table are degrees: heading about z, clockwise, then pitch about x, then roll about y, of
 a camera that looks down.  The division model is x' = x (1 + k1 |x'|^2), and is fitted.
 """
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

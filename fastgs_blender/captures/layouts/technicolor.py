@@ -8,8 +8,6 @@
 Poses are world-to-camera as COLMAP has them.  aspect is 1 and skew 0 in all scenes; the format does not say which way another aspect
 would go, so it is refused.  Camera 10 (third row, third column) is held out, at full size, as STG does.
 """
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -17,8 +17,6 @@
 
 Without a unit, lengths are metres, or millimetres where metres cannot be meant (cameras.opencv.metric()).
 """
-from __future__ import annotations
-
 import contextlib
 import tomllib
 from pathlib import Path

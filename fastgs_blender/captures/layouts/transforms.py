@@ -8,8 +8,6 @@ Poses are camera-to-world with OpenGL's camera axes.  `time` of a picture in [0,
 even steps.  Without times, pictures cam00/0001.png, cam01/0001.png, ... are a rig's frames, and all others show one moment.
 Intrinsics and distortion stand at the top or with each picture.  mask_path: black is to be ignored (nerfstudio).
 """
-from __future__ import annotations
-
 from pathlib import Path
 from reprlib import repr as shortened
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Groups the pictures of a transforms.json, which is only a list of pictures, into cameras, and finds the time of each."""
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

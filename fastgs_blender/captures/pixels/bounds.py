@@ -4,8 +4,6 @@
 Where a capture needs room, caches of other captures are removed, the longest unused first, but none that was opened within a day: its
 training may still run.  Shots for which there is no room are decoded whenever they are needed.
 """
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -3,8 +3,6 @@
 
 Where a shot has both, another channel has the alpha alone.
 """
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Decodes many shots in threads, and stops cleanly."""
-from __future__ import annotations
-
 import os
 import queue
 import threading

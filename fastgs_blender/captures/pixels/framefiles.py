@@ -3,8 +3,6 @@
 
 A file is a header of 24 bytes (8 of MAGIC, then height, width, channels and bytes per number as little-endian uint32) and the numbers.
 """
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import math

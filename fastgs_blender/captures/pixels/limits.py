@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The limit of the size of pictures that are read."""
-from __future__ import annotations
-
 from pathlib import Path
 
 from ...cameras.camera import LARGEST_SIDE

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Picture files as display-referred colours with straight alpha: PNG and JPEG through pillow, EXR through OpenEXR."""
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Iterator

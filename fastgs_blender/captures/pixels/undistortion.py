@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Undistorts pictures: resamples them as a pinhole camera would have taken them; cameras/lens.py has the geometry."""
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

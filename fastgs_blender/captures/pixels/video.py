@@ -4,8 +4,6 @@
 Time stamps come from the packets without decoding.  Reading begins at the key frame before the wanted frame; a file without time
 stamps, or whose decoder drops frames after a jump, is read from its beginning.
 """
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

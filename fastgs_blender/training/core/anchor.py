@@ -5,8 +5,6 @@ Adam's steps are as long for a Gaussian at the edge of one picture as for one in
 backdrop at the edge of what was filmed would take on any colour that helps the fringe, and a camera that stands elsewhere would see
 blotches.  A pull towards the first colours, as strong as a few pixels, decides where there are no more pixels than that.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates the time and the memory of a run before it starts, on this machine's processor."""
-from __future__ import annotations
-
 import os
 
 from .presets import PRESETS

@@ -4,8 +4,6 @@
 It runs once after every step, works on the rows of the optimiser, and its random numbers depend on the step alone, so that a
 resumed run and every process of a distributed one decide the same.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ...model.appearance import Features

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's motion regulariser, for every basis; the photometric loss is a kernel (kernels/protocol.py)."""
-from __future__ import annotations
-
 import numpy as np
 
 from ...kernels.protocol import MotionNorm

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measures a model on shots of its capture, quickly: for previews and the report of a run (evaluation/ has all measures)."""
-from __future__ import annotations
-
 import numpy as np
 
 from ...evaluation import halves

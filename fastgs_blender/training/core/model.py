@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the empty model that the settings describe, and a model from the arrays that an optimiser holds."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 Most of a room stands still.  What moves covers few pixels, each in few pictures, and a mean over all pixels hardly asks for it.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from .targets import smaller

@@ -4,8 +4,6 @@
 STG is Spacetime Gaussians' full model as it was published for Neural 3D Video (github.com/oppo-us-research/SpacetimeGaussians, commit
 427abfc).  PAPER is the paper as printed, and STG where it is silent.  docs/paper.md says, item by item, what still differs from both.
 """
-from __future__ import annotations
-
 import math
 from typing import Any
 

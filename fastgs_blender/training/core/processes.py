@@ -4,8 +4,6 @@
 All processes hold the same Gaussians and take the same steps, each with its share of the views.  The first one runs training
 (run/session.py); the others follow its trainer (run/follower.py).  gloo joins processors, NCCL joins GPUs.
 """
-from __future__ import annotations
-
 import json
 import os
 from contextlib import contextmanager, suppress

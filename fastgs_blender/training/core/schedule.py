@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The schedule of training: learning rates, views and picture size as functions of the step alone, so that nothing must be saved."""
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

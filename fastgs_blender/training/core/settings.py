@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All options of a training run in one frozen dataclass, their presets and checks, and their conversion to and from JSON."""
-from __future__ import annotations
-
 import math
 from dataclasses import MISSING, asdict, dataclass, fields
 

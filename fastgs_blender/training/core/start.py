@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a training run begins with; initial/ makes it."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

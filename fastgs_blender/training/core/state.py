@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the state of a trainer, as a checkpoint holds it, before anything computes with it."""
-from __future__ import annotations
-
 import numpy as np
 
 from ...formats.base import LIMIT, LIMITS

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The target of a training step: a shot's pixels at the step's size, the background, and the weight of each pixel."""
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

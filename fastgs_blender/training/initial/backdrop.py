@@ -3,8 +3,6 @@
 
 Without them training reproduces the background with Gaussians directly in front of each camera, wrong for all other cameras.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ...captures.capture import Points

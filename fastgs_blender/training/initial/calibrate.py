@@ -4,8 +4,6 @@
 The rig stands still and all its cameras see the scene at once, so one frame says where they are.  Pictures of one size are taken
 to come from one kind of camera.
 """
-from __future__ import annotations
-
 import json
 import tempfile
 from dataclasses import asdict

@@ -4,8 +4,6 @@ along large planes.
 
 Points that look the same at other moments belong to all times; all others carry the moment at which they were found, and a velocity.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
 from typing import Any

@@ -5,8 +5,6 @@ Automatic exposure follows what enters the picture.  What stands still then beco
 its pixels of their change is the camera's, whatever moves before it, as long as that covers less than half of the picture.  A change that
 all cameras show is the light's, and belongs to the model.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from .dense import BRIGHT, DARK, picture, spread

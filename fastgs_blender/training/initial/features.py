@@ -4,8 +4,6 @@
 The poses are known, so that a match need only be looked for along a line, and nothing random decides: the same pictures give
 the same points in every run.
 """
-from __future__ import annotations
-
 import signal
 import threading
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the model that training begins with: one Gaussian for each starting point."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

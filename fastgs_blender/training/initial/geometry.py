@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Projects and unprojects points with pinhole cameras, for the preparation of training."""
-from __future__ import annotations
-
 import numpy as np
 
 from ...util.backends import load_backend

@@ -4,8 +4,6 @@
 A plane sweep compares windows that face the camera, and a floor that is seen at a grazing angle looks different in each of them.  So the
 planes on which many points were found are swept too, in their own direction (Gallup et al. 2007): there windows lie in the surface.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.schedule import POINTS, generator

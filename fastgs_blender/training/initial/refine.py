@@ -4,8 +4,6 @@
 Every fifth track is held back.  The refined cameras are taken where these tracks fit them clearly better; else all stays as it was given.
 Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
 """
-from __future__ import annotations
-
 import json
 from itertools import count, pairwise
 from pathlib import Path

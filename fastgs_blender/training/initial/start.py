@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the initial Gaussians of training, from an existing model or from starting points, with a backdrop behind them."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 The source and the number of points are printed.  The result depends on the seed and the pictures alone.
 """
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@
 It finds for every pixel of every picture the depth at which its neighbours show the same colours (Collins 1996; best half of the
 neighbours, so that occlusion in some does not matter).  Where several pictures agree on a depth there is a surface.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@
 Clouds of points are registered without a rigid shape: each point takes the nearest one of its colour in the other cloud, and goes where
 most of its neighbours go; repeated, with fewer neighbours later.  As FreeTimeGS (Wang et al. 2025), training begins with points that move.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

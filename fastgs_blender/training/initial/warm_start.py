@@ -4,8 +4,6 @@
 The pictures decide which Gaussians are taken, and their colours: those that cover pixels, and more of them where they cover more pixels.
 Some of the others are taken too, so that there is no hole where nobody filmed; nothing in training changes them.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -9,8 +9,6 @@ FASTGS_BARRIER names a file with a line such as "step 12" or "checkpoint 12":
 A process that reaches that place, or a later step of the same kind, writes "step 12 PROCESS" into FILE.reached and waits until
 the line in FILE is another one, or the file is gone.
 """
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes and reads checkpoints: the whole state of a run in one safetensors file, never half written (temporary file, then renamed)."""
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Refines the clock offsets of a capture's cameras by a short training on small pictures; its model is discarded."""
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace

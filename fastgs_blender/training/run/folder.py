@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The folder of a run, held by the process that trains in it.  A run that cannot begin leaves nothing behind."""
-from __future__ import annotations
-
 import contextlib
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What torchrun's other processes do: they take the steps of the first one's trainer with it, and write nothing."""
-from __future__ import annotations
-
 from ...captures.pixels.store import FrameStore
 from ...captures.refined import refined
 from ...util.backends import choose_device

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How long a run will take on this machine: a few steps of it are taken, on pictures of noise, and timed."""
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes the model of an unfinished run from its last checkpoint."""
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

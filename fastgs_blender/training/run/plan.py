@@ -4,8 +4,6 @@
 begin() makes the plan of a new run, or brings back that of a run which is resumed, and takes the folder.  It changes nothing in it: a run
 that cannot start leaves everything as it was.
 """
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Collection

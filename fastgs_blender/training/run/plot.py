@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws loss and PSNR of a run over its steps, with Pillow."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

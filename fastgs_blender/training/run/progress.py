@@ -3,8 +3,6 @@
 
 It has no influence on the result and never stops a run: a file that cannot be written gives one warning and is left out.
 """
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import json

@@ -3,8 +3,6 @@
 
 All segments share the first one's decoder, so that their Gaussians can be blended in one picture (joining.py).
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -3,8 +3,6 @@
 
 The finished model has the same bytes whether or not the run was interrupted.
 """
-from __future__ import annotations
-
 import contextlib
 import json
 import time

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stops a run when its user asks for it: with everything saved."""
-from __future__ import annotations
-
 import signal
 import threading
 

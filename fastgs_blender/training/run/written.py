@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes the model of a run, and only one that can be read again: training that diverged has a reason to tell, and no model."""
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 
