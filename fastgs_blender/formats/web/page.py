@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A page as data, and as the text of one HTML file that asks for nothing else.
+
+The file holds, beside the player's script and style:
+
+    script id="scene"     JSON, the description below
+    script id="model-<i>" base64 of model i, a compressed .safetensors file (formats/compressed.py) as it is
+    script id="<name>"    the text of each worker, <name>_worker.js joined with what it imports
+    img id="poster"       the opening picture, seen until the player draws, and without JavaScript
+
+The description.  Matrices are 16 numbers, row by row.  A list "one, or one for each frame" has 1 or `frames` members; between frames the
+player interpolates them.  After the last frame the last one stays.
+
+    version     1
+    title       text
+    background  [r, g, b] linear.  A pixel's colour is un-premultiplied in the models' colour space, made scene linear, put over this by
+                alpha, and shown through the sRGB curve (Blender's view transform Standard)
+    fps, frames, loop   the scene's time line; frame f is shown f / fps seconds after the beginning
+    opening     {"moves": whether there is a camera for each frame, "cameras": [{"pose": camera to world, in OpenCV axes,
+                "fx", "fy", "cx", "cy", "width", "height", "orthographic"}]}
+    pivot, up   [x, y, z] in the world: what the view turns around, and the direction that stays upright
+    objects     of each: "model": i;
+                "places": model to world, and "looks": rows of looks.look_numbers(), one, or one for each frame;
+                "times": the model's t for each frame, or empty: t = frame / frames;
+                "crops": one list, or one for each frame, of {"matrix", "remove", "shape": "BOX", "SPHERE" or "VOLUME", "soft", "volume"};
+                "backdrop", "bends": as in ObjectSettings;
+                "sampling": null, or how the capture's cameras sampled the model, the fields of distance.Sampling but pixel
+    volumes     of each, used by crops: {"side": R, "depth": base64 of float32 [R, R, R]}
+    sound       null, or {"type": "audio/...", "start": seconds at which the scene begins, by the file's own time; negative: later},
+                with script id="sound", base64
+"""
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from ...cameras.camera import Camera
+from ...model.gaussians import GaussianModel
+from ...rendering.crops import Crop
+from ...rendering.instances import Instance, ObjectSettings
+from ...rendering.looks import look_numbers
+from ...rendering.volumes import Volume
+from ...util.errors import FastGSError
+from ..base import generator
+from .joining import joined
+
+VERSION = 1
+PLAYER = Path(__file__).parent / "player"
+POLICY = ("default-src 'none'; script-src 'sha256-{script}'; style-src 'sha256-{style}'; img-src data:; media-src blob: data:; "
+          "worker-src blob:; base-uri 'none'; form-action 'none'")
+"""What the page may load: its own script and style, and what lies in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class PageObject:
+    """A model in a page's scene.  Lists have one member, or one for each frame of the page.
+
+    places    [4, 4] from the model's space to the world
+    times     the model's t for each frame of the page; (): t = frame / frames
+    settings  how it is shown.  Filters, mask and density are those of the first: the file leaves the others' Gaussians out
+    """
+
+    model: GaussianModel
+    places: Sequence[np.ndarray] = (np.eye(4),)
+    times: Sequence[float] = ()
+    settings: Sequence[ObjectSettings] = (ObjectSettings(),)
+
+    def at(self, frame: int, frames: int) -> Instance:
+        """What fg.render() draws of it on a frame of the page."""
+        t = self.times[frame] if len(self.times) else frame / frames
+        return Instance(self.model, _of(self.places, frame), t, _of(self.settings, frame))
+
+    @cached_property
+    def shown(self) -> GaussianModel:
+        """The model without the Gaussians that filters, mask and density hide: what the page's file holds."""
+        hidden = self.at(0, 1).hidden
+        return self.model.take(~hidden) if hidden.any() else self.model
+
+    @property
+    def key(self) -> tuple:
+        """Objects with the same key share a file."""
+        first = self.settings[0]
+        return id(self.model), first.filters, first.mask, first.density
+
+
+@dataclass(frozen=True, eq=False)
+class Sound:
+    """A sound file's bytes and MIME type; start: the second of it at which the scene begins, negative where it begins later."""
+
+    data: bytes
+    type: str
+    start: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """What a page shows.
+
+    cameras     the opening view, or one for each frame: the opening move
+    pivot, up   [3] what the view turns around, and the direction that stays upright
+    background  linear
+    poster      PNG of the opening picture, or None
+    """
+
+    objects: Sequence[PageObject]
+    cameras: Sequence[Camera]
+    title: str = "4D Gaussians"
+    frames: int = 1
+    fps: float = 30.0
+    loop: bool = True
+    background: Sequence[float] = (0.0, 0.0, 0.0)
+    pivot: Sequence[float] = (0.0, 0.0, 0.0)
+    up: Sequence[float] = (0.0, 0.0, 1.0)
+    sound: Sound | None = None
+    poster: bytes | None = None
+
+    def instances(self, frame: int) -> list[Instance]:
+        """The scene on a frame, for fg.render()."""
+        return [each.at(frame, self.frames) for each in self.objects]
+
+    @cached_property
+    def models(self) -> dict[tuple, GaussianModel]:
+        """The models of the files that the page holds, by their objects' keys."""
+        return {each.key: each.shown for each in self.objects}
+
+    def description(self) -> dict[str, Any]:
+        """The JSON of the page."""
+        volumes: dict[str, Volume] = {}
+        keys = list(self.models)
+        objects = [self._object(each, keys.index(each.key), volumes) for each in self.objects]
+        depths = [{"side": len(depth), "depth": _base64(np.ascontiguousarray(depth, "<f4").tobytes())}
+                  for depth in (volume.depth for volume in volumes.values())]
+        return {
+            "version": VERSION, "title": self.title, "background": _numbers(self.background), "fps": float(self.fps),
+            "frames": int(self.frames), "loop": bool(self.loop),
+            "opening": {"moves": len(self.cameras) > 1, "cameras": [_camera(camera) for camera in self.cameras]},
+            "pivot": _numbers(self.pivot), "up": _numbers(self.up), "objects": objects, "volumes": depths,
+            "sound": {"type": self.sound.type, "start": self.sound.start} if self.sound else None,
+        }
+
+    def _object(self, shown: PageObject, number: int, volumes: dict[str, Volume]) -> dict[str, Any]:
+        first = shown.settings[0]
+        sampling = Instance(shown.model, np.eye(4), 0.0, first).captured
+        return {
+            "model": number, "places": [_numbers(place) for place in shown.places], "times": _numbers(shown.times),
+            "looks": _changing([_numbers(look_numbers(each, shown.model.colour_space)) for each in shown.settings]),
+            "crops": _changing([[_crop(crop, volumes) for crop in each.crops] for each in shown.settings]),
+            "backdrop": first.backdrop, "bends": first.bends,
+            "sampling": None if not sampling.known else {
+                "ball": _numbers(sampling.ball), "coarse": sampling.coarse, "least": sampling.least, "reach": sampling.reach,
+                "fades": bool(sampling.fades), "cameras": [_numbers(row) for row in sampling.cameras]},
+        }
+
+
+def page_text(page: Page, files: Sequence[bytes], player: Mapping[str, str] | None = None) -> str:
+    """The HTML of a page whose models lie in these compressed files, one for each of page.models.
+
+    player  the player's files by name, where they are not those in the folder
+    """
+    player = player_files() if player is None else player
+    parts = [_data("scene", "application/json", json.dumps(page.description(), separators=(",", ":"), allow_nan=False))]
+    parts += [_data(f"model-{i}", "text/plain", _base64(data)) for i, data in enumerate(files)]
+    if page.sound:
+        parts.append(_data("sound", "text/plain", _base64(page.sound.data)))
+    parts += [_data(name.removesuffix(".js"), "text/plain", joined(name, player)) for name in player if name.endswith("_worker.js")]
+    script, style = joined("main.js", player), player["page.css"]
+    poster = f'<img id="poster" alt="{html.escape(page.title)}" src="data:image/png;base64,{_base64(page.poster)}">' if page.poster else ""
+    return Template(player["template.html"]).substitute(
+        policy=POLICY.format(script=_digest(script), style=_digest(style)), generator=html.escape(generator()),
+        title=html.escape(page.title), style=style, poster=poster, data="\n".join(parts), script=script)
+
+
+def player_files() -> dict[str, str]:
+    """The texts of the player's files by their paths in its folder, in the order of their names."""
+    return {path.relative_to(PLAYER).as_posix(): path.read_text("utf-8") for path in sorted(PLAYER.rglob("*"))
+            if path.suffix in (".js", ".css", ".html")}
+
+
+def _of(several: Sequence, frame: int) -> Any:
+    return several[min(frame, len(several) - 1)]
+
+
+def _changing(rows: list) -> list:
+    """The rows of all frames, or one where all are equal."""
+    return rows[:1] if all(row == rows[0] for row in rows) else rows
+
+
+def _numbers(values: Any) -> list[float]:
+    """Values of any shape as a flat list; raises FastGSError where one is not finite."""
+    flat = np.asarray(values, np.float64).ravel()
+    if not np.isfinite(flat).all():
+        raise FastGSError("the scene has places, times or colours that are no numbers; look for them in its animation.")
+    return flat.tolist()
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    return {"pose": _numbers(np.linalg.inv(camera.world_to_camera)), "orthographic": bool(camera.orthographic),
+            **{key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy", "width", "height")}}
+
+
+def _crop(crop: Crop, volumes: dict[str, Volume]) -> dict[str, Any]:
+    matrix = np.asarray(crop.matrix, np.float64)
+    found = {"matrix": _numbers(matrix) if np.isfinite(matrix).all() else None, "remove": crop.remove, "soft": float(crop.soft)}
+    if not isinstance(crop.shape, Volume):
+        return found | {"shape": crop.shape}
+    volumes.setdefault(crop.shape.digest, crop.shape)
+    return found | {"shape": "VOLUME", "volume": list(volumes).index(crop.shape.digest)}
+
+
+def _data(name: str, kind: str, text: str) -> str:
+    """A block of data, which no browser runs."""
+    if kind == "application/json":
+        text = text.replace("<", "\\u003c")
+    return f'<script type="{kind}" id="{name}">{text}</script>'
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+def _digest(text: str) -> str:
+    return _base64(hashlib.sha256(text.encode()).digest())
