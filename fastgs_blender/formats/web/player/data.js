@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/** What lies in a page's file: the description, and models and sound as base64, which arrive after the script. */
+import { damaged } from "./errors.js";
+
+const CUT = "a part of it is missing at its end";
+
+/** Resolves once f() gives something, or the whole file is there; f() is asked again while it arrives. */
+async function awaited(f) {
+  for (;;) {
+    const complete = document.readyState !== "loading", found = f();
+    if (found || complete) return found;
+    await new Promise((done) => setTimeout(done, 50));
+  }
+}
+
+/** The description: JSON is there as a whole, or not at all. */
+export async function described() {
+  await awaited(() => document.getElementById("model-0"));
+  try {
+    return JSON.parse(document.getElementById("scene").textContent);
+  } catch {
+    throw damaged("the description of its scene cannot be read");
+  }
+}
+
+/** Waits for the models; progress(0..1) is called meanwhile. */
+export async function arrived({ parts }, progress) {
+  const all = Object.values(parts).reduce((sum, { bytes }) => sum + bytes, 0);
+  await awaited(() => {
+    const there = Object.keys(parts).reduce((sum, name) => sum + 0.75 * (document.getElementById(name) || { textContent: "" }).textContent.length, 0);
+    progress(Math.min(there / (all || 1), 1));
+  });
+}
+
+/** The bytes of a part of the file, "model-0" or "sound", as the description counts and sums them up. */
+export function bytesOf({ parts }, name) {
+  const element = document.getElementById(name), { bytes, crc } = parts[name];
+  if (!element) throw damaged(CUT);
+  const data = decoded(element.textContent.trim());
+  element.remove();
+  if (!data || data.length !== bytes) throw damaged(CUT);
+  if (checksum(data) !== crc) throw damaged(`${name} is not as it was exported`);
+  return data;
+}
+
+function decoded(text) {
+  try {
+    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+    const letters = atob(text), data = new Uint8Array(letters.length);
+    for (let i = 0; i < letters.length; i++) data[i] = letters.charCodeAt(i);
+    return data;
+  } catch {
+    return null;
+  }
+}
+
+const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {
+  for (let k = 0; k < 8; k++) n = n & 1 ? 0xedb88320 ^ (n >>> 1) : n >>> 1;
+  return n;
+});
+
+/** CRC-32, as zlib computes it. */
+export function checksum(data) {
+  let crc = ~0;
+  for (let i = 0; i < data.length; i++) crc = TABLE[(crc ^ data[i]) & 255] ^ (crc >>> 8);
+  return ~crc >>> 0;
+}
