@@ -100,6 +100,8 @@ def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
               "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
                for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
+    player = ROOT / "fastgs_blender" / "formats" / "web" / "player"
+    wanted |= {str(p.relative_to(ROOT)) for p in player.rglob("*") if p.is_file()}
     wanted |= {"CHANGELOG.html", *(f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md"))}
     wanted |= {f"docs/{name}" for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
                for name in re.findall(r"\]\((?:docs/)?([\w.-]+\.(?:png|webp))\)", page.read_text("utf-8"))}
@@ -114,7 +116,8 @@ def test_the_zips_pages_lead_to_one_another(builder, tmp_path):
     builder.copy_content(stage)
     pages = {page: page.read_text("utf-8") for page in stage.rglob("*.html")}
     headings = {page: set(re.findall(r'<h\d id="([^"]+)"', text)) for page, text in pages.items()}
-    links = {(page, link) for page, text in pages.items() for link in re.findall(r'(?:href|src)="([^"]+)"', text) if "://" not in link}
+    links = {(page, link) for page, text in pages.items() for link in re.findall(r'(?:href|src)="([^"]+)"', text)
+             if not re.match(r"\w+:", link)}
     for page, link in links:
         name, _, heading = link.partition("#")
         target = Path(os.path.normpath(page.parent / name)) if name else page
