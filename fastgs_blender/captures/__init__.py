@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ..util.arguments import shown
+from ..util.documentation import page
 from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
@@ -45,9 +46,9 @@ def identify(path: str | os.PathLike, layout: str | None = None) -> ModuleType:
         return found
     if path.is_file() and path.suffix.lower() == ".json":
         raise FastGSError(f"{path}: this file describes no capture that is known here; a cameras.json of a capture says \"format\": "
-                          "\"fast-gs capture\", one of 3DGS trainers holds cameras alone (docs/captures.md).")
+                          f"\"fast-gs capture\", one of 3DGS trainers holds cameras alone ({page('captures')}).")
     raise FastGSError(f"{path}: this is no capture; give a folder with one folder of pictures or one video per camera, or a data set as "
-                      "docs/captures.md lists them.")
+                      f"{page('captures')} lists them.")
 
 
 def recognised(path: Path) -> ModuleType | None:

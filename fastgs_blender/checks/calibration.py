@@ -9,6 +9,7 @@ from ..captures.pixels.store import FrameStore
 from ..training.core.targets import small_camera, smaller
 from ..training.initial import features
 from ..training.initial.calibrate import calibrated
+from ..util.documentation import page
 from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
@@ -78,7 +79,8 @@ def run(looked: Looked) -> Section:
 def _unknown_places(section: Section, looked: Looked) -> None:
     """Find the cameras as training does before its first step, and tell whether it would."""
     features.pycolmap_module()
-    ways = "Photograph the place from between the cameras for COLMAP, or film a calibration board: docs/captures.md, three ways to poses."
+    ways = ("Photograph the place from between the cameras for COLMAP, or film a calibration board: "
+            f"{page('captures')}, three ways to poses.")
     try:
         cameras, _, frame = calibrated(looked.capture, FrameStore(looked.capture))
     except FastGSError as error:

@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..util.documentation import page
 from ..util.errors import FastGSError, LossWarning
 from ..util.progress import Progress, progress
 from .shared import human_bytes, note, note_frames_outside, print_json, say
@@ -112,8 +113,8 @@ def _sampled(model: GaussianModel, source: str, target: Path) -> GaussianModel:
     if model.basis.terms or model.rotation_basis.terms:
         raise FastGSError(f"{source} changes over time; --antialias is for static models, so choose a frame with --at.")
     if not model.raster.antialiased:
-        warnings.warn(LossWarning("with --antialias, pictures of the training's own size become a bit softer; docs/passes.md says more."),
-                      stacklevel=2)
+        warnings.warn(LossWarning("with --antialias, pictures of the training's own size become a bit softer; "
+                                  f"{page('passes')} says more."), stacklevel=2)
     return sampled(model, captured)
 
 

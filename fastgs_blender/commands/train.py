@@ -14,6 +14,7 @@ import os
 
 from ..model.motion import trained_motions
 from ..training.core.presets import PRESETS
+from ..util.documentation import page
 from ..util.errors import FastGSError
 from .shared import add_device, note, print_json, use_threads
 
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, (kind, metavar, text) in FLAGS.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=text)
     parser.add_argument("--init-model", metavar="FILE", help="a model to start from, for example one made by a bake")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="any other option, see docs/training.md")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=f"any other option, see {page('training')}")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..util.documentation import page
 from . import ply
 from .foreign import guess, look
 
@@ -15,7 +16,7 @@ def explain(head: bytes, path: Path) -> str:
     """One clause on why the file cannot be read, and what to do.  head: its first bytes.  Raises FastGSError for a broken PLY header."""
     if head.startswith(b"ply"):
         return _explain_ply(ply.read_header(path))
-    return look(head, path) or f"{guess(head)}, and none of the known formats, which docs/formats.md and Blender's import dialog list"
+    return look(head, path) or f"{guess(head)}, and none of the known formats, which {page('formats')} and Blender's import dialog list"
 
 
 def _explain_ply(header: ply.Header) -> str:

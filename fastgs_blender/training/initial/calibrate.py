@@ -15,6 +15,7 @@ from ...cameras import poses
 from ...cameras.camera import Camera
 from ...cameras.lens import Lens
 from ...captures.posing import with_cameras
+from ...util.documentation import page
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json, reading
@@ -56,7 +57,7 @@ def calibrated(capture, store) -> tuple[dict[str, Camera], dict[str, Lens], int]
             break
     if len(best[0]) < LEAST_VIEWS:
         raise FastGSError(f"{capture.path}: it has no poses, and pycolmap finds no two cameras that see the same things; "
-                          "give the poses in a cameras.json (docs/captures.md) or as a COLMAP workspace.")
+                          f"give the poses in a cameras.json ({page('captures')}) or as a COLMAP workspace.")
     return best
 
 
