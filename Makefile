@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension clean
+.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension site gallery test-site clean
 
 PY := .venv/bin/python
 LTS := .venv313/bin/python
@@ -14,6 +14,7 @@ help:
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
 	@echo "make extension     dist/*.zip to install in Blender, for each platform and Python, and a repository's index"
+	@echo "make site          dist/index.html, the home page with the documents; WEBSITE=URL where its address is known"
 	@echo "make clean         remove everything that make made"
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
@@ -26,10 +27,13 @@ help:
 .venvs/4.5.15/ready: pyproject.toml
 	@mkdir -p .venvs && tools/make_venv.sh .venvs/4.5.15 3.11 4.5.15
 
+.venvs/site/ready: pyproject.toml tools/constraints.txt
+	@mkdir -p .venvs && tools/make_venv.sh .venvs/site 3.11 "" site
+
 demo: .venv/ready
 	@$(PY) tools/demo.py
 
-test: lint test-library test-addon test-lts
+test: lint test-library test-addon test-lts test-site
 
 lint: .venv/ready
 	@$(PY) -m ruff check .
@@ -80,6 +84,17 @@ bench: .venv/ready
 
 extension: .venv/ready
 	@$(PY) tools/build_extension.py
+
+site: .venvs/site/ready
+	@.venvs/site/bin/python tools/website/build.py $(if $(WEBSITE),--website $(WEBSITE))
+
+# The pictures in docs/gallery, and the models that they show.
+gallery: .venv/ready
+	@$(PY) tools/website/gallery.py
+
+# The generator has an environment of its own, and so has the test that it builds the site.
+test-site: .venvs/site/ready
+	@.venvs/site/bin/python -m pytest tests/library/test_site.py
 
 clean:
 	rm -rf .venv .venv313 .venvs build dist wheels demo *.egg-info .ruff_cache .mypy_cache tests/.pytest_cache .hypothesis

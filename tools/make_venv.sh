@@ -1,7 +1,8 @@
 #!/bin/sh
 # SPDX-License-Identifier: GPL-3.0-or-later
 # make_venv.sh FOLDER PYTHON_VERSION BPY_VERSION [EXTRAS]: a virtual environment with this project, its development tools, other
-# extras of pyproject.toml and Blender as a module.  The stamp FOLDER/ready is written last, so an interrupted installation starts anew.
+# extras of pyproject.toml and Blender as a module, if BPY_VERSION is not empty.  The stamp FOLDER/ready is written last, so an interrupted
+# installation starts anew.
 set -e
 folder=$1 python_version=$2 bpy_version=$3 extras=dev${4:+,$4}
 log=$folder/install.log
@@ -16,8 +17,8 @@ if ! "$folder/bin/python" -c "import pip" >/dev/null 2>&1; then
     "$python" -m venv "$folder"
 fi
 rm -f "$folder/ready"
-echo "Installing Blender $bpy_version as a module and the project into $folder (once; 400 MB, with training 1 GB) ..."
-if ! "$folder/bin/python" -m pip install --disable-pip-version-check -c tools/constraints.txt -e ".[$extras]" "bpy==$bpy_version" >"$log" 2>&1; then
+echo "Installing ${bpy_version:+Blender $bpy_version as a module and }the project into $folder (once; 400 MB, with training 1 GB) ..."
+if ! "$folder/bin/python" -m pip install --disable-pip-version-check -c tools/constraints.txt -e ".[$extras]" ${bpy_version:+"bpy==$bpy_version"} >"$log" 2>&1; then
     tail -n 15 "$log" >&2
     echo "The installation into $folder failed; the whole log is $log" >&2
     echo "If pip found no bpy $bpy_version: Blender's own package index has it as well; set PIP_EXTRA_INDEX_URL to its address." >&2

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The models of the site's gallery, and their moving pictures in docs/gallery.
+
+    python tools/website/gallery.py [NAME ...]
+
+The models go to build/gallery.  All are made of what is in the repository, but for the robot: a character of others under CC0, which is
+looked for in ../shared/data.  An entry whose source is not there keeps the picture that it has.
+"""
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "benchmarks")]
+MODELS, PICTURES = ROOT / "build" / "gallery", ROOT / "docs" / "gallery"
+ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
+SIZE, FRAMES, QUALITY = (400, 300), 36, 40
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A model of the gallery.
+
+    title, words       what its card says
+    target             what the camera looks at
+    eye                from there to the camera: distance, and the angles around and above in degrees
+    sway               how far the camera swings to each side, in degrees
+    turns_back         whether the clip plays there and back; otherwise it begins anew
+    count              how many Gaussians a bake has
+    open               whether its picture is transparent where nothing is; a room fills it
+    """
+
+    title: str
+    words: str
+    target: tuple[float, float, float]
+    eye: tuple[float, float, float]
+    sway: float
+    turns_back: bool = False
+    count: int = 50_000
+    open: bool = False
+
+
+ENTRIES = {
+    "dancer": Entry("A dancer", "Trained from twelve cameras. She dances there and back, without a seam.", (0.0, 0.2, 1.0),
+                    (3.0, -8, 8), 22, turns_back=True),
+    "robot": Entry("A robot", "A rigged character (Tomás Laulhé, CC0), baked without training.", (0.0, 0.0, 2.3), (7.4, 24, 8),
+                   20, open=True),
+    "fire": Entry("Fire and cloth", "A flame, a flag, thrown balls and spinners, baked.", (0.0, 0.0, 0.8), (3.4, 10, 10), 18,
+                  turns_back=True, open=True),
+}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", choices=[[], *ENTRIES], metavar="NAME", help=f"{', '.join(ENTRIES)}; default: all")
+    for name in parser.parse_args().names or ENTRIES:
+        model = MODELS / f"{name}.safetensors"
+        if not model.exists():
+            model.parent.mkdir(parents=True, exist_ok=True)
+            making = multiprocessing.get_context("spawn").Process(target=make, args=(name, model))  # one Blender for each scene
+            making.start()
+            making.join()
+        if model.exists():
+            picture = film(name, model)
+            print(f"{picture.relative_to(ROOT)}: {picture.stat().st_size / 1000:.0f} kB; {model.stat().st_size / 1e6:.1f} MB of model")
+
+
+def make(name: str, path: Path) -> None:
+    """The entry's model: the example itself, or the bake of a scene."""
+    if name == "dancer":
+        shutil.copy(ROOT / "examples" / "fireside.safetensors", path)
+        return
+    if name == "robot" and not ROBOT.exists():
+        print(f"{ROBOT} is not there, so the robot keeps the picture that it has.")
+        return
+    from blender_setup import ADDON, enable_addon
+
+    enable_addon()
+    import addon_utils
+    import bpy
+    import capture_scenes
+    import room_scene
+
+    import fastgs_blender as fg
+
+    if name == "robot":
+        capture_scenes.open_file(ROBOT, "Robot_Dance")
+        capture_scenes.light()
+    else:
+        {"room": room_scene.furnished, "fire": capture_scenes.procedural}[name](36)
+        addon_utils.enable(ADDON)  # a scene of its own begins with factory settings
+    for obj in bpy.context.scene.objects:
+        obj.select_set(obj.type == 'MESH' and not obj.hide_render)
+    loose = path.with_stem(f"{name}-loose")
+    bpy.ops.fastgs.bake(filepath=str(loose), overwrite=True, count=ENTRIES[name].count, max_order=24, import_result=False,
+                        lighting='NONE' if name == "fire" else 'CYCLES', light_samples=32, light_frames=4)
+    fg.save(fg.load(loose), path, compress="fine")
+    loose.unlink()
+
+
+def film(name: str, path: Path) -> Path:
+    """The entry as an animated WebP that loops, transparent where nothing is."""
+    from PIL import Image
+
+    import fastgs_blender as fg
+    from fastgs_blender.rendering.colour import display
+
+    entry, model, pictures = ENTRIES[name], fg.load(path), []
+    for k in range(FRAMES):
+        image = fg.render(model, *moment(entry, k / FRAMES, model.clip.frame_count))
+        colour = display(image["rgb"], image["alpha"], model.colour_space)
+        shown = np.dstack([colour, image["alpha"]]) if entry.open else colour
+        pictures.append(Image.fromarray(np.uint8(np.round(255 * np.clip(shown, 0, 1)))))
+    target = PICTURES / f"{name}.webp"
+    target.parent.mkdir(exist_ok=True)
+    seconds = model.clip.frame_count / model.clip.fps * (2 if entry.turns_back else 1)
+    pictures[0].save(target.with_stem(f"{name}-still"), quality=QUALITY)
+    pictures[0].save(target, save_all=True, append_images=pictures[1:], duration=round(1000 * seconds / FRAMES), loop=0, quality=QUALITY,
+                     alpha_quality=QUALITY)
+    return target
+
+
+def moment(entry: Entry, part: float, frames: int) -> tuple:
+    """The camera and the model's t at a part of the loop, 0 to 1."""
+    import fastgs_blender as fg
+
+    turn = 2 * np.pi * part
+    distance, around, above = entry.eye[0], *np.radians(entry.eye[1:])
+    around += np.radians(entry.sway) * np.sin(turn)
+    eye = np.array(entry.target) + distance * np.array([np.sin(around) * np.cos(above), -np.cos(around) * np.cos(above), np.sin(above)])
+    focal = 1.2 * SIZE[1]
+    camera = fg.Camera(*SIZE, focal, focal, SIZE[0] / 2, SIZE[1] / 2, fg.look_at(eye, entry.target))
+    return camera, (0.5 - 0.5 * np.cos(turn)) * (frames - 1) / frames if entry.turns_back else part
+
+
+if __name__ == "__main__":
+    main()
