@@ -2,7 +2,7 @@
 """The render engine: final frames, passes and what viewports draw."""
 from . import compiling, handlers, panels, render_engine, viewport
 
-_MODULES = (render_engine, panels, handlers, compiling, viewport)
+_MODULES = (render_engine, panels, handlers, viewport)
 
 
 def register():
@@ -13,3 +13,4 @@ def register():
 def unregister():
     for module in reversed(_MODULES):
         module.unregister()
+    compiling.stop()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import bpy
 
+from ..fastgs_blender.jobs.environment import hidden
 from ..fastgs_blender.kernels.cpu import cache
 
 log = logging.getLogger(__name__)
@@ -54,10 +55,9 @@ def start() -> bool:
     if not has_numba() or cache.is_filled() or is_running():
         return False
     environment = {**os.environ, "FASTGS_CACHE_DIR": str(cache.base_folder()), "PYTHONPATH": os.pathsep.join(sys.path)}
-    hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
     try:
         _process = subprocess.Popen(command(), env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                                    stderr=subprocess.PIPE, **hidden)
+                                    stderr=subprocess.PIPE, **hidden())
     except OSError as error:
         log.warning("The renderer cannot be compiled ahead (%s); the first render will do it.", error)
         return False
@@ -108,11 +108,3 @@ def _show(text: str | None):
     for window in bpy.context.window_manager.windows:
         with bpy.context.temp_override(window=window):  # a timer may have none, and Blender crashes without one
             window.workspace.status_text_set(text)
-
-
-def register():
-    pass
-
-
-def unregister():
-    stop()

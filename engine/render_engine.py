@@ -34,14 +34,4 @@ class FASTGSRenderEngine(bpy.types.RenderEngine):
         passes.register(self, scene, renderlayer)
 
 
-CLASSES = (FASTGSRenderEngine,)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory((FASTGSRenderEngine,))

@@ -9,45 +9,34 @@ from mathutils import Vector
 
 from ..fastgs_blender.cameras import alignment
 from ..fastgs_blender.util.errors import FastGSError
+from ..scene import arrays
 from ..scene.camera import OPENCV
 from ..scene.cameras.subjects import capture_cameras
 from ..scene.cameras.worlds import is_world, move, points, targets
-from ..scene.splats.splat_object import sentence
+from ..scene.model_space import mapped
+from .action import Action, Need
 
 LOWEST = 2.0
 """Percentile of a proxy's points, by height, that is taken for the floor."""
 
 
-class _Align:
+class _Align(Action):
     """Base class of the aligning operators."""
 
-    bl_options = {'REGISTER', 'UNDO'}
-
-    @classmethod
-    def poll(cls, context):
-        reason = "" if context.mode in {'OBJECT', 'EDIT_MESH'} else "Go to Object Mode first"
-        if not reason and not any(is_world(obj) for obj in context.scene.objects):
-            reason = "Import a capture or a model first"
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+    needs = (Need(lambda context: context.mode in {'OBJECT', 'EDIT_MESH'}, "Go to Object Mode first"),
+             Need(lambda context: any(is_world(obj) for obj in context.scene.objects), "Import a capture or a model first"))
 
     def motion(self, context, worlds):
         """The motion [4, 4] and the marks that go with it.  Raises FastGSError."""
         raise NotImplementedError
 
-    def execute(self, context):
+    def act(self, context):
         worlds = targets(context)
-        try:
-            locked = next((obj for obj in worlds if not obj.is_editable), None)
-            if locked is not None:
-                raise FastGSError(f'"{locked.name}" is linked from another file and cannot be moved; make it local, or an override.')
-            motion, marks = self.motion(context, worlds)
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+        locked = next((obj for obj in worlds if not obj.is_editable), None)
+        if locked is not None:
+            raise FastGSError(f'"{locked.name}" is linked from another file and cannot be moved; make it local, or an override.')
+        motion, marks = self.motion(context, worlds)
         move(context, worlds, marks, motion)
-        return {'FINISHED'}
 
 
 class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
@@ -79,20 +68,14 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
         heights = (places if known else np.array([eye[:3, 3] for eye in eyes])) @ turned[2, :3]
         turned[2, 3] = -(np.percentile(heights, LOWEST) if known else heights.min())
         if not known:
-            self.report({'WARNING'}, "There are no splats that show where the floor is, so the lowest camera now stands on it; set the "
-                                     "ground again when the model is there, or from three points.")
+            self.warn("There are no splats that show where the floor is, so the lowest camera now stands on it; set the ground again when "
+                      "the model is there, or from three points.")
         return turned, []
 
     def _places(self, worlds) -> np.ndarray:
         """Points [n, 3] of the splats' proxies in the world."""
-        found = [np.zeros((0, 3))]
-        for obj in worlds:
-            if obj.type == 'MESH' and len(obj.data.vertices):
-                local = np.empty(3 * len(obj.data.vertices), np.float32)
-                obj.data.vertices.foreach_get("co", local)
-                matrix = np.array(obj.matrix_world)
-                found.append(local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
-        return np.concatenate(found)
+        return np.concatenate([np.zeros((0, 3)), *(
+            mapped(arrays.points(obj.data), np.array(obj.matrix_world)) for obj in worlds if obj.type == 'MESH')])
 
     def _middle(self, worlds):
         corners = [obj.matrix_world @ Vector(c) for obj in worlds if obj.type == 'MESH' for c in obj.bound_box]
@@ -118,6 +101,3 @@ class FASTGS_OT_set_scale(_Align, bpy.types.Operator):
         if apart < 1e-9:
             raise FastGSError("the two points are at the same place; choose two points far apart.")
         return np.diag([*[self.distance / apart] * 3, 1.0]), marks
-
-
-CLASSES = (FASTGS_OT_set_ground, FASTGS_OT_set_scale)

@@ -16,8 +16,8 @@ from mathutils import Vector
 from ..engine.viewport.eye import eye
 from ..fastgs_blender.rendering.brush import Box, Lasso, Stroke
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import brush, objects
-from ..scene.splats.splat_object import sentence
+from ..scene import brush
+from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Need
 
 HIDES, SHOWS = (1.0, 0.45, 0.35, 0.35), (0.45, 0.8, 1.0, 0.35)
 """Colours of the trail of a brush."""
@@ -26,16 +26,13 @@ NEAR = 2.0
 """Pixels that the mouse must move until the path gets another point."""
 
 
-def _editable(context) -> bool:
-    return context.object is not None and objects.is_splat(context.object) and context.object.is_editable
-
-
-class FASTGS_OT_brush(bpy.types.Operator):
+class FASTGS_OT_brush(Action, bpy.types.Operator):
     """Hide Gaussians of the active object under a brush, in a lasso or in a box, at all times and depths. The file stays as it is"""
 
     bl_idname = "fastgs.brush"
     bl_label = "Erase Splats"
     bl_options = {'UNDO'}
+    needs = (OBJECT_MODE, EDITABLE_SPLATS)
 
     shape: EnumProperty(
         name="Shape", description="What is drawn",
@@ -51,18 +48,10 @@ class FASTGS_OT_brush(bpy.types.Operator):
         name="Path", description="Where the mouse went, in pixels of the region from its lower left; of a box two corners",
         type=bpy.types.OperatorMousePath, options={'SKIP_SAVE'})
 
-    @classmethod
-    def poll(cls, context):
-        if context.mode != 'OBJECT' or not _editable(context):
-            cls.poll_message_set("Select an object that shows splats, in Object Mode")
-            return False
-        return True
-
     def execute(self, context):
         region, view = context.region, context.region_data
         if view is None:
-            self.report({'ERROR'}, "Splats are erased in a 3D view; call this with one as context")
-            return {'CANCELLED'}
+            return self.fail("splats are erased in a 3D view; call this with one as context")
         camera, _ = eye(region.width, region.height, view.view_matrix, view.window_matrix)
         points = [(point.loc[0], region.height - point.loc[1]) for point in self.path]
         if not points:
@@ -75,8 +64,7 @@ class FASTGS_OT_brush(bpy.types.Operator):
         try:
             count = brush.brush(context.object, context.evaluated_depsgraph_get(), camera, shape, not self.show)
         except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+            return self.fail(error)
         self.report({'INFO'}, f"{count:,} Gaussians {'shown again' if self.show else 'hidden'}")
         return {'FINISHED'} if count else {'CANCELLED'}  # what changes nothing is no undo step
 
@@ -154,43 +142,26 @@ def _draw_in(colour, kind, points):
     batch_for_shader(shader, kind, {"pos": points}).draw(shader)
 
 
-class _OnMask:
-    bl_options = {'REGISTER', 'UNDO'}
-
-    @classmethod
-    def poll(cls, context):
-        if not (_editable(context) and context.object.fastgs.mask):
-            cls.poll_message_set("Nothing of the active object was erased")
-            return False
-        return True
-
-    def execute(self, context):
-        try:
-            self.change(context.object)
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
-        return {'FINISHED'}
+ERASED = Need(lambda context: EDITABLE_SPLATS.met(context) and bool(context.object.fastgs.mask), "Nothing of the active object was erased")
 
 
-class FASTGS_OT_show_hidden(_OnMask, bpy.types.Operator):
+class FASTGS_OT_show_hidden(Action, bpy.types.Operator):
     """Show all Gaussians of the active object that were erased"""
 
     bl_idname = "fastgs.show_hidden"
     bl_label = "Restore All"
+    needs = (ERASED,)
 
-    def change(self, obj):
-        obj.fastgs.mask = ""
+    def act(self, context):
+        context.object.fastgs.mask = ""
 
 
-class FASTGS_OT_invert_hidden(_OnMask, bpy.types.Operator):
+class FASTGS_OT_invert_hidden(Action, bpy.types.Operator):
     """Show the Gaussians of the active object that were erased, and hide all others"""
 
     bl_idname = "fastgs.invert_hidden"
     bl_label = "Swap Erased"
+    needs = (ERASED,)
 
-    def change(self, obj):
-        brush.set_mask(obj, ~brush.mask_of(obj))
-
-
-CLASSES = (FASTGS_OT_brush, FASTGS_OT_show_hidden, FASTGS_OT_invert_hidden)
+    def act(self, context):
+        brush.set_mask(context.object, ~brush.mask_of(context.object))

@@ -7,29 +7,23 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Matrix, Vector
 
-from .. import fastgs_blender as fg
 from ..fastgs_blender.cameras import moves
-from ..scene import objects, speeds
+from ..fastgs_blender.util.errors import FastGSError
+from ..scene import speeds
 from ..scene.cameras import keys as camera_keys
 from ..scene.cameras.framing import eye_of
 from ..scene.cameras.subjects import subject_of, target_camera
 from ..scene.cameras.tracking import region_track
-from ..scene.splats.splat_object import sentence
-from .camera_moves import can
+from .action import IN_VIEW, SPLATS, Action
+from .camera_moves import CAMERA
 
 
-def active_splat(context) -> bpy.types.Object | None:
-    """The active object, if it shows splats."""
-    obj = context.object
-    return obj if obj is not None and objects.is_splat(obj) else None
-
-
-class FASTGS_OT_bullet_time(bpy.types.Operator):
+class FASTGS_OT_bullet_time(Action, bpy.types.Operator):
     """Slow the active capture down, or freeze it, while cameras go on moving"""
 
     bl_idname = "fastgs.bullet_time"
     bl_label = "Bullet Time"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (SPLATS,)
 
     start: IntProperty(name="First Frame", description="Scene frame on which the capture begins to slow down", default=1)
     length: IntProperty(name="Frames", description="How long the slow part lasts, ramps included", min=2, default=48)
@@ -37,21 +31,15 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
         name="Speed", description="Speed of the capture in the slow part; 0 freezes it", subtype='FACTOR', min=0.0, max=1.0, default=0.0)
     ramp: IntProperty(name="Ramp", description="Frames over which it slows down, and speeds up again", min=0, default=6)
 
-    @classmethod
-    def poll(cls, context):
-        return can(cls, active_splat(context) is not None, "Select a model of 4D Gaussians first")
-
-    def execute(self, context):
-        obj, scene = active_splat(context), context.scene
-        if not self.properties.is_property_set("start"):
-            self.start = scene.frame_current
+    def act(self, context):
+        obj, scene = context.object, context.scene
+        self.fill(start=scene.frame_current)
         settings = obj.fastgs
         path = "fastgs.offset"
         for name, title in ((path, "Time Shift"), (speeds.PATH, "Speed")):
             if camera_keys.curve_of(obj, name) or camera_keys.driver_of(obj, name):
-                self.report({'ERROR'}, f'"{obj.name}" has an animated {title} already; delete its keys and drivers first '
-                                       "(Object Properties > 4D Gaussians > Time).")
-                return {'CANCELLED'}
+                raise FastGSError(f'"{obj.name}" has an animated {title} already; delete its keys and drivers first '
+                                  "(Object Properties > 4D Gaussians > Time).")
         rate = settings.fps * scene.render.fps_base / scene.render.fps if settings.fps else 1.0
         lost = settings.speed * rate * (1 - self.speed)  # capture frames that each slow frame of the scene takes away
         ramp = min(self.ramp, self.length / 2)
@@ -67,31 +55,17 @@ class FASTGS_OT_bullet_time(bpy.types.Operator):
         if ramp:
             keys.append((end, -lost * (end - begin - ramp), 0.0))
         frames, values, slopes = (np.array(column) for column in zip(*keys))
-        _key_offset(obj, path, frames, settings.offset + values, slopes)
+        # before the first key and after the last the offset holds, so the capture runs at its own speed
+        camera_keys.write(obj, path, frames, (settings.offset + values)[:, None], slopes[:, None])
         scene.frame_set(scene.frame_current)
-        return {'FINISHED'}
 
 
-def _key_offset(obj, path, frames, values, slopes):
-    """Key the offset; before the first key and after the last it holds, so the capture runs at its own speed."""
-    for at, value in zip(frames, values):
-        obj.fastgs.offset = value
-        obj.keyframe_insert(path, frame=at)
-    points = camera_keys.curves(obj).find(path).keyframe_points
-    for k, point in enumerate(points):
-        before, after = (frames[k] - frames[k - 1]) if k else 1, (frames[k + 1] - frames[k]) if k + 1 < len(frames) else 1
-        point.interpolation = 'BEZIER'
-        point.handle_left_type = point.handle_right_type = 'FREE'
-        point.handle_left = frames[k] - before / 3, values[k] - slopes[k] * before / 3
-        point.handle_right = frames[k] + after / 3, values[k] + slopes[k] * after / 3
-
-
-class FASTGS_OT_follow_region(bpy.types.Operator):
+class FASTGS_OT_follow_region(Action, bpy.types.Operator):
     """Let the camera follow the Gaussians around the 3D cursor"""
 
     bl_idname = "fastgs.follow_region"
     bl_label = "Follow Region"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (SPLATS,)
 
     radius: FloatProperty(
         name="Radius", description="Gaussians this near to the 3D cursor on the current frame are followed; 0 chooses by the object's size",
@@ -105,22 +79,12 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
     frame_start: IntProperty(name="First Frame", description="Frame with the first key", default=1)
     frame_end: IntProperty(name="Last Frame", description="Frame with the last key", default=100)
 
-    @classmethod
-    def poll(cls, context):
-        return can(cls, active_splat(context) is not None, "Select a model of 4D Gaussians first")
-
-    def execute(self, context):
-        obj, scene = active_splat(context), context.scene
-        for name in ("frame_start", "frame_end"):
-            if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(scene, name))
-        try:
-            moves.check_range(self.frame_start, self.frame_end)
-            frames = np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64)
-            places = region_track(scene, obj, self._radius(context), frames, self.smooth)
-        except fg.FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+    def act(self, context):
+        obj, scene = context.object, context.scene
+        self.fill(frame_start=scene.frame_start, frame_end=scene.frame_end)
+        moves.check_range(self.frame_start, self.frame_end)
+        frames = np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64)
+        places = region_track(scene, obj, self._radius(context), frames, self.smooth)
         empty = bpy.data.objects.new(f"{obj.name} Region", None)
         empty.empty_display_type = 'SPHERE'
         empty.empty_display_size = self._radius(context)
@@ -138,19 +102,18 @@ class FASTGS_OT_follow_region(bpy.types.Operator):
             camera.matrix_parent_inverse = Matrix.Translation(-Vector(empty.matrix_world.translation))
             camera.matrix_world = world
         elif self.how != 'NONE':
-            self.report({'WARNING'}, "The scene has no camera; the empty that follows the region was made.")
-        return {'FINISHED'}
+            self.warn("The scene has no camera; the empty that follows the region was made.")
 
     def _radius(self, context):
         return self.radius or 0.1 * subject_of(context)[1]
 
 
-class FASTGS_OT_handheld(bpy.types.Operator):
+class FASTGS_OT_handheld(Action, bpy.types.Operator):
     """Let the scene's camera shake as if a hand held it; the shake lies on top of its other animation"""
 
     bl_idname = "fastgs.handheld"
     bl_label = "Handheld"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (CAMERA,)
 
     sway: FloatProperty(name="Sway", description="How far the camera moves", subtype='DISTANCE', min=0.0, default=0.02)
     turn: FloatProperty(name="Turn", description="How far the camera turns", subtype='ANGLE', min=0.0, default=0.008)
@@ -158,17 +121,13 @@ class FASTGS_OT_handheld(bpy.types.Operator):
     seed: IntProperty(name="Seed", description="Another number gives another shake", min=0, default=0)
     remove: BoolProperty(name="Remove", description="Remove an earlier shake", default=False, options={'SKIP_SAVE'})
 
-    @classmethod
-    def poll(cls, context):
-        return can(cls, target_camera(context, False) is not None, "The scene has no camera")
-
-    def execute(self, context):
+    def act(self, context):
         camera, scene = target_camera(context, False), context.scene
         quaternion = camera.rotation_mode == 'QUATERNION'
         turning = "delta_rotation_quaternion" if quaternion else "delta_rotation_euler"
         _clear(camera, ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion"))
         if self.remove:
-            return {'FINISHED'}
+            return
         rng = np.random.default_rng(self.seed)
         scale = self.period * scene.render.fps / scene.render.fps_base
         for path, size in (("delta_location", self.sway), (turning, self.turn * (0.5 if quaternion else 1.0))):
@@ -179,12 +138,9 @@ class FASTGS_OT_handheld(bpy.types.Operator):
                 noise = curve.modifiers.new('NOISE')
                 noise.scale, noise.strength, noise.depth = scale, 2 * size, 1
                 noise.phase = float(rng.uniform(1, 1000))
-        return {'FINISHED'}
 
 
 def _clear(camera, paths):
-    if not (camera.animation_data and camera.animation_data.action):
-        return
     found = camera_keys.curves(camera)
     shaken = {c.data_path for c in found if c.data_path in paths and any(m.type == 'NOISE' for m in c.modifiers)}
     for curve in [c for c in found if c.data_path in shaken]:
@@ -206,18 +162,14 @@ def _place(camera, matrix):
         camera.rotation_euler = camera.rotation_euler.to_matrix().to_euler(camera.rotation_mode, euler)
 
 
-class FASTGS_OT_key_from_view(bpy.types.Operator):
+class FASTGS_OT_key_from_view(Action, bpy.types.Operator):
     """Put the scene's camera where the 3D view looks from, and key it on the current frame"""
 
     bl_idname = "fastgs.key_from_view"
     bl_label = "Key Camera from View"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (IN_VIEW,)
 
-    @classmethod
-    def poll(cls, context):
-        return context.space_data is not None and context.space_data.type == 'VIEW_3D' and context.region_data is not None
-
-    def execute(self, context):
+    def act(self, context):
         camera = target_camera(context, False) or target_camera(context, True)
         view = context.region_data
         if view.view_perspective != 'CAMERA':
@@ -231,23 +183,16 @@ class FASTGS_OT_key_from_view(bpy.types.Operator):
             owner.keyframe_insert(name, frame=frame)
         done = f'"{camera.name}" is keyed on frame {frame}'
         if same:
-            self.report({'WARNING'}, f"{done}, in place of the key that was there.")
-        elif before is not None and after is not None:
-            self.report({'WARNING'}, f"{done}, between its keys on frames {before:g} and {after:g}: its move there has changed.")
-        elif before is not None:
-            self.report({'INFO'}, f"{done}, after its key on frame {before:g}.")
-        else:
-            self.report({'INFO'}, f"{done}, before its key on frame {after:g}." if after is not None else f"{done}.")
-        return {'FINISHED'}
+            return self.warn(f"{done}, in place of the key that was there.")
+        if before is not None and after is not None:
+            return self.warn(f"{done}, between its keys on frames {before:g} and {after:g}: its move there has changed.")
+        if before is not None:
+            return f"{done}, after its key on frame {before:g}."
+        return f"{done}." if after is None else f"{done}, before its key on frame {after:g}."
 
 
 def _keys_around(camera, frame) -> tuple[float | None, bool, float | None]:
     """The frame of a camera's last key of its place before this one, whether it has one here, and that of the next one after."""
-    if not (camera.animation_data and camera.animation_data.action):
-        return None, False, None
     at = {point.co.x for curve in camera_keys.curves(camera) if curve.data_path == "location" for point in curve.keyframe_points}
     return (max((x for x in at if x < frame - 0.5), default=None), any(abs(x - frame) <= 0.5 for x in at),
             min((x for x in at if x > frame + 0.5), default=None))
-
-
-CLASSES = (FASTGS_OT_bullet_time, FASTGS_OT_follow_region, FASTGS_OT_handheld, FASTGS_OT_key_from_view)

@@ -10,25 +10,19 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 from mathutils import Vector
 
 from ..fastgs_blender.cameras import moves
-from ..fastgs_blender.util.errors import FastGSError
 from ..scene.cameras import keys as camera_keys
 from ..scene.cameras.sides import filmed_side
 from ..scene.cameras.subjects import capture_cameras, far_enough, subject_of, target_camera
 from ..scene.objects import is_splat
-from ..scene.splats.splat_object import sentence
+from .action import OBJECT_MODE, Action, Need
+
+CAMERA = Need(lambda context: target_camera(context, False) is not None, "The scene has no camera")
 
 
-def can(operator, possible: bool, reason: str) -> bool:
-    """Whether an operator can be called; its button's tooltip says why not."""
-    if not possible:
-        operator.poll_message_set(reason)
-    return possible
-
-
-class _Move:
+class _Move(Action):
     """Base class of the camera moves: range, ease, preview, and the limit to the region that the capture's cameras span."""
 
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (OBJECT_MODE,)
 
     frame_start: IntProperty(name="First Frame", description="Frame on which the move begins", default=1)
     frame_end: IntProperty(name="Last Frame", description="Frame on which the move ends", default=100)
@@ -46,10 +40,6 @@ class _Move:
     preview: BoolProperty(
         name="Preview as Curve", description="Show the path as a curve and leave the camera alone", default=False, options={'SKIP_SAVE'})
 
-    @classmethod
-    def poll(cls, context):
-        return can(cls, context.mode == 'OBJECT', "Go to Object Mode first")
-
     def fitting(self, context) -> dict:
         """Values from the scene for properties that the user has not set."""
         return {"frame_start": context.scene.frame_start, "frame_end": context.scene.frame_end}
@@ -58,17 +48,11 @@ class _Move:
         """The function from shares of the way [M] to a moves.Path; camera may be None.  Raises FastGSError."""
         raise NotImplementedError
 
-    def execute(self, context):
-        for name, value in self.fitting(context).items():
-            if not self.properties.is_property_set(name):
-                setattr(self, name, value)
+    def act(self, context):
+        self.fill(**self.fitting(context))
         fresh = self.new_camera or not (context.scene.camera and context.scene.camera.type == 'CAMERA')
-        try:
-            moves.check_range(self.frame_start, self.frame_end)
-            move = self.move(context, target_camera(context, False))
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+        moves.check_range(self.frame_start, self.frame_end)
+        move = self.move(context, target_camera(context, False))
         cameras = np.array([c.matrix_world.translation for c in capture_cameras(context.scene)])
 
         def at(frames):
@@ -81,18 +65,17 @@ class _Move:
             beyond = moves.inside(every, cameras, self.margin + 1e-4)
             if beyond.any():
                 first = self.frame_start + int(np.flatnonzero(beyond)[0])
-                self.report({'WARNING'}, f"From frame {first} on the camera leaves the region that the capture covers, by up to "
-                                         f"{beyond.max():.3g}; expect holes there.")
+                self.warn(f"From frame {first} on the camera leaves the region that the capture covers, by up to {beyond.max():.3g}; "
+                          "expect holes there.")
         if self.preview:
             camera_keys.show(context, every)
-            return {'FINISHED'}
+            return
         camera_keys.hide(context)
         camera = target_camera(context, fresh)
         camera_keys.animate(camera, at, camera_keys.key_frames(self.frame_start, self.frame_end, self.spacing))
         if any(c.enabled for c in camera.constraints):
-            self.report({'WARNING'}, f'"{camera.name}" has constraints, which change its path.')
+            self.warn(f'"{camera.name}" has constraints, which change its path.')
         context.scene.frame_set(context.scene.frame_current)
-        return {'FINISHED'}
 
     def draw(self, context):
         layout = self.layout
@@ -140,15 +123,15 @@ class FASTGS_OT_camera_orbit(_Move, bpy.types.Operator):
             share = moves.ease(np.linspace(0, 1, self.frame_end - self.frame_start + 1), self.ease)
             gone = np.flatnonzero(side.beyond(start + 2 * np.pi * turns * share))
             if len(gone):
-                self.report({'WARNING'}, f"From frame {self.frame_start + int(gone[0])} on the orbit leaves the side that was filmed, "
-                                         f"{np.degrees(side.width):.0f} degrees wide; expect holes there. Stay on Filmed Side, in the "
-                                         "panel Orbit below, keeps to it.")
+                self.warn(f"From frame {self.frame_start + int(gone[0])} on the orbit leaves the side that was filmed, "
+                          f"{np.degrees(side.width):.0f} degrees wide; expect holes there. Stay on Filmed Side, in the panel Orbit below, "
+                          "keeps to it.")
         return lambda s: moves.orbit(s, np.array(centre), self.radius, self.elevation, start, turns, lens, self.rise)
 
     @staticmethod
     def _side(context, centre):
         """From where the subject was filmed; None: from all around, or nothing tells."""
-        chosen = [obj for obj in {context.object, *context.selected_objects} if obj is not None and is_splat(obj)]
+        chosen = [obj for obj in {context.object, *context.selected_objects} if is_splat(obj)]
         return filmed_side(chosen[0], centre) if len(chosen) == 1 else None
 
 
@@ -157,6 +140,7 @@ class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):
 
     bl_idname = "fastgs.camera_dolly"
     bl_label = "Dolly"
+    needs = (OBJECT_MODE, CAMERA)
 
     axis: EnumProperty(
         name="Direction", description="Which way the camera goes, as it sees it",
@@ -166,10 +150,6 @@ class FASTGS_OT_camera_dolly(_Move, bpy.types.Operator):
     zoom: BoolProperty(
         name="Keep Subject's Size", description="Change the focal length so that the subject stays as large as it is (a dolly zoom)",
         default=False)
-
-    @classmethod
-    def poll(cls, context):
-        return super().poll(context) and can(cls, target_camera(context, False) is not None, "The scene has no camera")
 
     def move(self, context, camera):
         context.scene.frame_set(self.frame_start)
@@ -189,6 +169,8 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
 
     bl_idname = "fastgs.camera_through"
     bl_label = "Path Through Cameras"
+    needs = (OBJECT_MODE, Need(lambda context: sum(obj.type == 'CAMERA' for obj in context.selected_objects) > 1,
+                               "Select two cameras at least"))
 
     order: EnumProperty(
         name="Order", description="Which camera comes after which",
@@ -196,11 +178,6 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
                ('NAME', "By Name", "In the order of their names, numbers as numbers", 1)), default='PLACE')
     closed: BoolProperty(name="Closed", description="Return to the first camera at the end", default=False)
     new_camera: BoolProperty(name="New Camera", description="Animate a new camera, which becomes the scene's camera", default=True)
-
-    @classmethod
-    def poll(cls, context):
-        chosen = sum(o.type == 'CAMERA' for o in context.selected_objects)
-        return super().poll(context) and can(cls, chosen > 1, "Select two cameras at least")
 
     def move(self, context, camera):
         chosen = [o for o in context.selected_objects if o.type == 'CAMERA' and (self.new_camera or o != camera)]
@@ -215,6 +192,3 @@ class FASTGS_OT_camera_through(_Move, bpy.types.Operator):
                            np.array([o.data.lens * sensor / o.data.sensor_width for o in chosen]))
         moves.through(np.zeros(1), given, self.closed)  # complains at once
         return lambda s: moves.through(s, given, self.closed)
-
-
-CLASSES = (FASTGS_OT_camera_orbit, FASTGS_OT_camera_dolly, FASTGS_OT_camera_through)

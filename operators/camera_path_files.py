@@ -15,10 +15,9 @@ from ..fastgs_blender.cameras.paths import FORMATS, CameraPath, Picture, format_
 from ..fastgs_blender.util.errors import FastGSError, printable
 from ..scene import camera as cameras
 from ..scene.cameras import space as camera_space
-from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
-from ..scene.frame_range import frame_rate
-from ..scene.splats.splat_object import sentence
-from .camera_moves import can
+from ..scene.cameras.placing import animate, new_camera, set_optics, set_pose, use_render_size
+from ..scene.frame_range import frame_kept, frame_rate
+from .action import Action, Need
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU", "transforms.json": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""
@@ -38,11 +37,11 @@ def _reported(operator, work):
         warnings.simplefilter("always")
         result = work()
     for text in dict.fromkeys(str(remark.message) for remark in remarks):
-        operator.report({'WARNING'}, sentence(text))
+        operator.warn(text)
     return result
 
 
-class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
+class FASTGS_OT_import_camera_path(Action, bpy.types.Operator, ImportHelper):
     """Import a camera path as an animated camera: FAST-GS, Nerfstudio, instant-ngp, SuperSplat, cameras.json, COLMAP or transforms.json"""
 
     bl_idname = "fastgs.import_camera_path"
@@ -67,22 +66,14 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         name="Set Scene", description="Give the scene the path's length, frame rate and picture size", default=False)
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        for name in ("space", "keys", "new_camera", "keep_speed", "set_scene"):
-            layout.prop(self, name)
+        self.draw_options("space", "keys", "new_camera", "keep_speed", "set_scene")
 
-    def execute(self, context):
+    def act(self, context):
         file = bpy.path.abspath(self.filepath or self.directory)
         scene = context.scene
-        try:
-            if not file:
-                raise FastGSError("no file was chosen; choose a camera path.")
-            path = _reported(self, lambda: load_path(file, picture_of(scene)))
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+        if not file:
+            raise FastGSError("no file was chosen; choose a camera path.")
+        path = _reported(self, lambda: load_path(file, picture_of(scene)))
         if context.mode != 'OBJECT':
             bpy.ops.object.mode_set(mode='OBJECT')
         if self.set_scene and path.fps:
@@ -91,17 +82,13 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         rate = scene.render.fps / scene.render.fps_base
         frames = scene.frame_start + numbers * (rate / path.fps if self.keep_speed and path.fps else 1.0)
         splat = camera_space.splat_of(context, self.space)
-        try:
-            shown = [camera_space.out_of(camera, camera_space.world_matrix(splat, path.axes)) for camera in shown]
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+        shown = [camera_space.out_of(camera, camera_space.world_matrix(splat, path.axes)) for camera in shown]
         obj = self._camera(context, printable(Path(file).stem))
         obj.animation_data_clear()
         obj.data.animation_data_clear()
         if obj.parent:
             obj.parent = None
-            self.report({'WARNING'}, f'"{obj.name}" is no longer parented: the path says where it is.')
+            self.warn(f'"{obj.name}" is no longer parented: the path says where it is.')
         set_optics(obj.data, shown[0])
         set_pose(obj, shown[0])
         animate(obj, shown, frames)
@@ -111,8 +98,7 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
             use_render_size(scene, obj)
         self._tell_aspect(scene, shown[0])
         scene.frame_set(scene.frame_current)
-        self.report({'INFO'}, f"Imported {len(shown)} keys, {len(path)} frames")
-        return {'FINISHED'}
+        return f"Imported {len(shown)} keys, {len(path)} frames"
 
     def _keys(self, path):
         if self.keys == 'KEYS' and path.keys:
@@ -123,25 +109,24 @@ class FASTGS_OT_import_camera_path(bpy.types.Operator, ImportHelper):
         scene = context.scene
         if not self.new_camera and scene.camera and scene.camera.type == 'CAMERA':
             return scene.camera
-        obj = bpy.data.objects.new(name, bpy.data.cameras.new(name))
-        scene.collection.objects.link(obj)
-        return obj
+        return new_camera(name, scene.collection)
 
     def _tell_aspect(self, scene, camera):
         frame, render = cameras.render_area(scene.render), scene.render
         here = frame.width * render.pixel_aspect_x / (frame.height * render.pixel_aspect_y)
         there = camera.width / camera.fx * camera.fy / camera.height
         if abs(here / there - 1) > 1e-3:
-            self.report({'WARNING'}, f"The path was made for pictures of {camera.width} x {camera.height}; the scene's have another shape, "
-                                     "so the pictures show less or more at their edges (Render as Filmed sets that size).")
+            self.warn(f"The path was made for pictures of {camera.width} x {camera.height}; the scene's have another shape, so the "
+                      "pictures show less or more at their edges (Render as Filmed sets that size).")
 
 
-class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
+class FASTGS_OT_export_camera_path(Action, bpy.types.Operator, ExportHelper):
     """Export the animated camera, frame by frame, or all selected cameras, for other programs"""
 
     bl_idname = "fastgs.export_camera_path"
     bl_label = "Export Camera Path"
     bl_options = {'PRESET'}
+    needs = (Need(lambda context: _source(context) is not None, "Select a camera first; the scene has none"),)
 
     filename_ext = ".json"
     filter_glob: StringProperty(default="*.json", options={'HIDDEN'})
@@ -153,10 +138,6 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
     frame_start: IntProperty(name="First Frame", description="First frame that is written", default=1)
     frame_end: IntProperty(name="Last Frame", description="Last frame that is written", default=100)
 
-    @classmethod
-    def poll(cls, context):
-        return can(cls, _source(context) is not None, "Select a camera first; the scene has none")
-
     def check(self, context):
         """Give the name the ending of its format; a COLMAP model is a folder, and has none."""
         if NAMES[self.format] != "colmap":
@@ -165,33 +146,22 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
         return self.filepath != before
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        for name in ("format", "space", "selected") if self.selected else ("format", "space", "selected", "use_range"):
-            layout.prop(self, name)
-        if self.use_range and not self.selected:
-            layout.prop(self, "frame_start")
-            layout.prop(self, "frame_end")
+        own = () if self.selected else ("use_range", "frame_start", "frame_end") if self.use_range else ("use_range",)
+        self.draw_options("format", "space", "selected", *own)
 
-    def execute(self, context):
+    def act(self, context):
         scene, name = context.scene, NAMES[self.format]
-        try:
-            if not self.filepath:
-                raise FastGSError("no file was chosen; give the camera path a name.")
-            if name == "colmap":
-                self.check(context)
-            file, shots = bpy.path.abspath(self.filepath), self._chosen(context)
-            splat = camera_space.splat_of(context, self.space)
-            axes = camera_space.axes_of(splat, AXES.get(name, "RDF"))
-            path = CameraPath(self._cameras(context, splat, axes, shots), scene.render.fps / scene.render.fps_base, shots[0][1], axes,
-                              names=[obj.name for obj, _ in shots] if self.selected else ())
-            _reported(self, lambda: save_path(path, file, name))
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
-        self.report({'INFO'}, f"Exported {len(path)} {'cameras' if self.selected else 'frames'} to {file} ({format_named(name).label})")
-        return {'FINISHED'}
+        if not self.filepath:
+            raise FastGSError("no file was chosen; give the camera path a name.")
+        if name == "colmap":
+            self.check(context)
+        file, shots = bpy.path.abspath(self.filepath), self._chosen(context)
+        splat = camera_space.splat_of(context, self.space)
+        axes = camera_space.axes_of(splat, AXES.get(name, "RDF"))
+        path = CameraPath(self._cameras(context, splat, axes, shots), scene.render.fps / scene.render.fps_base, shots[0][1], axes,
+                          names=[obj.name for obj, _ in shots] if self.selected else ())
+        _reported(self, lambda: save_path(path, file, name))
+        return f"Exported {len(path)} {'cameras' if self.selected else 'frames'} to {file} ({format_named(name).label})"
 
     def _chosen(self, context):
         """[(camera's object, frame)] that are written."""
@@ -210,17 +180,14 @@ class FASTGS_OT_export_camera_path(bpy.types.Operator, ExportHelper):
 
     def _cameras(self, context, splat, axes, shots):
         scene = context.scene
-        now, sub = scene.frame_current, scene.frame_subframe
         frame, found = cameras.render_area(scene.render), []
-        try:
+        with frame_kept(scene):
             for obj, number in shots:
                 scene.frame_set(number)
                 depsgraph = context.evaluated_depsgraph_get()
                 evaluated = obj.evaluated_get(depsgraph)
                 world = camera_space.world_matrix(splat.evaluated_get(depsgraph) if splat else None, axes)
                 found.append(camera_space.into(cameras.camera_of(evaluated, frame, depsgraph), world))
-        finally:
-            scene.frame_set(now, subframe=sub)
         return found
 
 
@@ -230,6 +197,3 @@ def _source(context):
         if obj is not None and obj.type == 'CAMERA':
             return obj
     return None
-
-
-CLASSES = (FASTGS_OT_import_camera_path, FASTGS_OT_export_camera_path)

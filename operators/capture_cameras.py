@@ -11,12 +11,12 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..fastgs_blender.util.errors import FastGSError, printable
-from ..scene import model_space
+from ..scene import model_space, objects
 from ..scene.cameras import clips, undistorted
 from ..scene.cameras import space as camera_space
 from ..scene.cameras.backgrounds import reel_of, show_behind
-from ..scene.cameras.placing import animate, set_optics, set_pose, use_render_size
-from ..scene.splats.splat_object import sentence
+from ..scene.cameras.placing import animate, new_camera, set_optics, set_pose, use_render_size
+from .action import Action, Need
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
@@ -51,24 +51,19 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         default=False)
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        for name in ("space", "backgrounds", "scale", "set_scene"):
-            layout.prop(self, name)
+        self.draw_options("space", "backgrounds", "scale", "set_scene")
 
     def invoke(self, context, event):
         self._interactive = True
         return ImportHelper.invoke(self, context, event)
 
-    def execute(self, context):
+    def steps(self, context):
         path = bpy.path.abspath(self.filepath or self.directory)
         if not path:
-            self.report({'ERROR'}, "No capture was chosen; choose its folder, or a file that describes it.")
-            return {'CANCELLED'}
+            raise FastGSError("no capture was chosen; choose its folder, or a file that describes it.")
         if context.mode != 'OBJECT':
             bpy.ops.object.mode_set(mode='OBJECT')
-        return self.begin(context, self._read(path))
+        return self._read(path)
 
     def _read(self, path):
         """The capture and the background of each of its views; yields the progress of writing pictures."""
@@ -82,7 +77,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
     def finish(self, context, result):
         capture, reels = result
         for problem in (*capture.faults, *capture.notes):
-            self.report({'WARNING'}, sentence(problem))
+            self.warn(problem)
         made = self._create(context, capture, reels)
         context.view_layer.update()
         clip = clips.filmed(context)
@@ -91,10 +86,9 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         elif self.set_scene:
             use_render_size(context.scene, made[0])
         elif clip is not None and (difference := clips.difference(context.scene, clip)):
-            self.report({'WARNING'}, sentence(f"{difference}  Backgrounds show one picture a scene frame; Set Scene, in the Capture panel, "
-                                              "gives the scene the capture's rate, range and picture size."))
-        self.report({'INFO'}, f"Imported {len(made)} cameras, {capture.clip.frame_count} frames")
-        return {'FINISHED'}
+            self.warn(f"{difference}  Backgrounds show one picture a scene frame; Set Scene, in the Capture panel, gives the scene the "
+                      "capture's rate, range and picture size.")
+        return f"Imported {len(made)} cameras, {capture.clip.frame_count} frames"
 
     def _start(self, context) -> int:
         """Scene frame of the capture's first frame: the start of its splat object, else of the scene."""
@@ -117,13 +111,12 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         made = []
         for view in capture.views:
             shots = [shot for shot in capture.shots if shot.view == view]
-            data = bpy.data.cameras.new(view)
-            obj = bpy.data.objects.new(view, data)
+            obj = new_camera(view, collection)
+            data = obj.data
             data.fastgs.view = view
             clips.remember(data, start, capture.clip)
             data.display_size = 0.1 * capture.extent
             data.clip_end = max(data.clip_end, 100 * capture.extent)
-            collection.objects.link(obj)
             obj.parent = world
             set_optics(data, shots[0].camera)
             set_pose(obj, shots[0].camera)
@@ -132,11 +125,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
             if view in reels:
                 show_behind(data, reels[view], start + shots[0].frame)
             made.append(obj)
-        for obj in context.view_layer.objects.selected:
-            obj.select_set(False)
-        for obj in made:
-            obj.select_set(True)
-        context.view_layer.objects.active = made[0]
+        objects.select_only(context, *made)
         return made
 
     def _reels(self, capture):
@@ -149,48 +138,33 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
             copies = yield from undistorted.steps(capture, distorted)
             capture.shots[:] = [copies.get(shot, shot) for shot in capture.shots]
         elif distorted:
-            self.report({'WARNING'}, f"{len({shot.view for shot in distorted})} lenses distort, and so do their pictures; import "
-                                     f"again with Backgrounds set to Undistorted to have {len(distorted)} corrected pictures written.")
+            self.warn(f"{len({shot.view for shot in distorted})} lenses distort, and so do their pictures; import again with Backgrounds "
+                      f"set to Undistorted to have {len(distorted)} corrected pictures written.")
         return {view: reel_of([shot for shot in capture.shots if shot.view == view]) for view in capture.views}
 
 
-class FASTGS_OT_set_scene(bpy.types.Operator):
+class FASTGS_OT_set_scene(Action, bpy.types.Operator):
     """Give the scene the frame rate, the frame range and the picture size of the imported capture, and look through its camera"""
 
     bl_idname = "fastgs.set_scene"
     bl_label = "Set Scene"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (Need(lambda context: clips.filmed(context) is not None, "Import a capture's cameras first"),)
 
-    @classmethod
-    def poll(cls, context):
-        found = clips.filmed(context) is not None
-        if not found:
-            cls.poll_message_set("Import a capture's cameras first")
-        return found
-
-    def execute(self, context):
+    def act(self, context):
         clips.fit(context.scene, clips.filmed(context))
-        return {'FINISHED'}
 
 
-class FASTGS_OT_render_as_filmed(bpy.types.Operator):
+def _is_filmed(context) -> bool:
+    obj = context.object
+    return obj is not None and obj.type == 'CAMERA' and obj.data.fastgs.width > 0
+
+
+class FASTGS_OT_render_as_filmed(Action, bpy.types.Operator):
     """Look through the active camera of a capture, and render at the size and pixel aspect that it filmed with"""
 
     bl_idname = "fastgs.render_as_filmed"
     bl_label = "Render as Filmed"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (Need(_is_filmed, "Select a camera of a capture first"),)
 
-    @classmethod
-    def poll(cls, context):
-        obj = context.object
-        filmed = obj is not None and obj.type == 'CAMERA' and obj.data.fastgs.width > 0
-        if not filmed:
-            cls.poll_message_set("Select a camera of a capture first")
-        return filmed
-
-    def execute(self, context):
+    def act(self, context):
         use_render_size(context.scene, context.object)
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_import_capture, FASTGS_OT_set_scene, FASTGS_OT_render_as_filmed)

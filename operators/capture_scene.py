@@ -14,8 +14,8 @@ from ..scene.filming import progress
 from ..scene.filming.film import Plan, film_steps
 from ..scene.filming.options import CaptureOptions
 from ..scene.settings import BLEND_RELATIVE
-from ..scene.splats.splat_object import sentence
 from ..scene.training import folders, watch
+from .action import OBJECT_MODE
 from .stepwise import Stepwise
 
 
@@ -24,6 +24,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
 
     bl_idname = "fastgs.capture_scene"
     bl_label = "Capture This Scene"
+    needs = (OBJECT_MODE,)
     doing = "Filming"
 
     out: StringProperty(
@@ -34,29 +35,15 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
     train: BoolProperty(
         name="Train", description="Train on the capture as soon as it is complete", default=False, options={'SKIP_SAVE'})
 
-    @classmethod
-    def poll(cls, context):
-        if context.mode != 'OBJECT':
-            cls.poll_message_set("Go to Object Mode first")
-        return context.mode == 'OBJECT'
-
     def invoke(self, context, event):
-        for name in CaptureOptions.__annotations__:  # as the Train panel has them
-            if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(context.scene.fastgs.training, name))
-        self._interactive = True
-        return self.execute(context)
+        panel = context.scene.fastgs.training
+        self.fill(**{name: getattr(panel, name) for name in CaptureOptions.__annotations__})
+        return super().invoke(context, event)
 
-    def execute(self, context):
-        scene = context.scene
-        for name in ("frame_start", "frame_end"):
-            if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(scene, name))
-        self._began = time.monotonic()
-        return self.begin(context, self._film(context))
-
-    def _film(self, context):
+    def steps(self, context):
         """Yields the progress in pictures, and returns notes for the user."""
+        self.fill(frame_start=context.scene.frame_start, frame_end=context.scene.frame_end)
+        self._began = time.monotonic()
         self._out = bpy.path.abspath(self.out) if self.out else folders.unused("capture")
         shown = progress.current = progress.Filming(printable(Path(self._out).name))
         try:
@@ -95,16 +82,12 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
 
     def finish(self, context, notes):
         for note in notes:
-            self.report({'WARNING'}, sentence(note))
+            self.warn(note)
         context.scene.fastgs.training.capture = self._out
-        self.report({'INFO'}, f"The capture is in {self._out}; it took {time.monotonic() - self._began:.0f} s")
         if self.train:
             try:
                 bpy.ops.fastgs.train('INVOKE_DEFAULT' if self.in_window else 'EXEC_DEFAULT', source='FOLDER', capture=self._out,
                                      start_frame=self.frame_start, hide_originals=context.scene.fastgs.training.hide_originals)
             except RuntimeError as error:  # the capture is there all the same
-                self.report({'ERROR'}, str(error).strip().removeprefix("Error: "))
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_capture_scene,)
+                self.fail(str(error).strip().removeprefix("Error: "))
+        return f"The capture is in {self._out}; it took {time.monotonic() - self._began:.0f} s"

@@ -9,9 +9,9 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..fastgs_blender.jobs import capture_check
-from ..fastgs_blender.util.errors import FastGSError
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import installation, watch
+from .action import keep_text
 from .stepwise import Stepwise, watched
 
 TEXT = "FAST-GS Check"
@@ -36,22 +36,7 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
     free = True
     interrupted = "{} was interrupted; no page was written"
 
-    @classmethod
-    def poll(cls, context):
-        return context.scene is not None
-
-    def invoke(self, context, event):
-        self._interactive = True
-        return self.execute(context)
-
-    def execute(self, context):
-        try:
-            return self.begin(context, self._work(context))
-        except FastGSError as error:
-            return self._fail(error)
-
-    def _work(self, context):
-        """A generator that waits for the process; closing it ends the process."""
+    def steps(self, context):
         settings = context.scene.fastgs.training
         path = installation.capture_path(self.capture or settings.capture)
         options = []
@@ -71,21 +56,11 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
         return "" if os.access(parent, os.W_OK) else str(installation.folder("checks") / Path(path).name)
 
     def finish(self, context, values):
-        text = bpy.data.texts.get(TEXT) or bpy.data.texts.new(TEXT)
-        text.use_fake_user = False
-        text.from_string(capture_check.text_of(values))
-        text.cursor_set(0)
-        for area in context.screen.areas if context.screen else ():
-            if area.type == 'TEXT_EDITOR':
-                area.spaces.active.text, area.spaces.active.top = text, 0
+        keep_text(context, TEXT, capture_check.text_of(values))
         watch.redraw()
         for finding in values["findings"][:MOST]:
             if finding["severity"] != "note":
-                self.report({'WARNING'}, finding["sentence"])
-        self.report({'INFO'}, f"{values['verdict']} The text {TEXT} and the page {values['page']} tell more")
+                self.warn(finding["sentence"])
         if self.open_page and not bpy.app.background:
             bpy.ops.wm.url_open(url=Path(values["page"]).resolve().as_uri())
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_check_capture,)
+        return f"{values['verdict']} The text {TEXT} and the page {values['page']} tell more"

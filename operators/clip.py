@@ -12,23 +12,12 @@ from bpy_extras.io_utils import ImportHelper
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects, snapshot
 from ..scene.clips import add_sound, played
-from ..scene.splats.splat_object import sentence
 from ..scene.time import clip_frame
+from .action import EDITABLE_SPLATS, Action, Need
 
 
-class _OnClip:
-    bl_options = {'REGISTER', 'UNDO'}
-
-    @classmethod
-    def poll(cls, context):
-        obj = context.object
-        if obj is None or not objects.is_splat(obj) or not obj.is_editable:
-            cls.poll_message_set("Select an object that shows splats")
-            return False
-        if obj.fastgs.frame_count < 2:
-            cls.poll_message_set("A still has no clip")
-            return False
-        return True
+class _OnClip(Action):
+    needs = (EDITABLE_SPLATS, Need(lambda context: context.object.fastgs.frame_count > 1, "A still has no clip"))
 
 
 class FASTGS_OT_split(_OnClip, bpy.types.Operator):
@@ -37,7 +26,7 @@ class FASTGS_OT_split(_OnClip, bpy.types.Operator):
     bl_idname = "fastgs.split"
     bl_label = "Split"
 
-    def execute(self, context):
+    def act(self, context):
         obj, scene = context.object, context.scene
         settings, clip = obj.fastgs, objects.clip_of(obj)
         frame, fps = snapshot.clock(scene)
@@ -48,13 +37,10 @@ class FASTGS_OT_split(_OnClip, bpy.types.Operator):
             at = None
         turned = retime.run is not None and retime.run.backwards != (settings.speed < 0)
         if settings.use_capture_frame or turned or at is None or not whole.start < frame < whole.end:
-            self.report({'ERROR'}, "The clip cannot be split here: go to a frame within it on which it has not turned around, and let its "
-                                   "time follow the scene's frame")
-            return {'CANCELLED'}
+            raise FastGSError("the clip cannot be split here: go to a frame within it on which it has not turned around, and let its time "
+                              "follow the scene's frame")
         last = clip.frame_count - 1
-        second = obj.copy()  # shows the same file, and the same proxy
-        for collection in obj.users_collection:
-            collection.objects.link(second)
+        second = objects.duplicate(context, obj)
         if settings.speed > 0:
             settings.trim_end, second.fastgs.trim_start = last + 1 - at, at
             settings.after = second.fastgs.before = 'HIDE'
@@ -62,11 +48,6 @@ class FASTGS_OT_split(_OnClip, bpy.types.Operator):
             settings.trim_start, second.fastgs.trim_end = floor(at) + 1, last - at
             settings.before = second.fastgs.after = 'HIDE'
         second.fastgs.start_frame, second.fastgs.offset = frame, 0.0
-        for other in context.selected_objects:
-            other.select_set(False)
-        second.select_set(True)
-        context.view_layer.objects.active = second
-        return {'FINISHED'}
 
 
 class FASTGS_OT_mark_clip(_OnClip, bpy.types.Operator):
@@ -75,13 +56,12 @@ class FASTGS_OT_mark_clip(_OnClip, bpy.types.Operator):
     bl_idname = "fastgs.mark_clip"
     bl_label = "Add Markers"
 
-    def execute(self, context):
+    def act(self, context):
         markers, at = context.scene.timeline_markers, played(context.object, context.scene)
         for what, frame in (("begins", at.start), ("ends", at.end - 1)):
             name = f"{context.object.name} {what}"
             marker = markers.get(name) or markers.new(name)
             marker.frame = round(frame)
-        return {'FINISHED'}
 
 
 class FASTGS_OT_add_sound(_OnClip, bpy.types.Operator, ImportHelper):
@@ -95,16 +75,8 @@ class FASTGS_OT_add_sound(_OnClip, bpy.types.Operator, ImportHelper):
     sync: BoolProperty(
         name="Sync to Audio", description="Let playback drop frames rather than leave the sound behind", default=True)
 
-    def execute(self, context):
-        try:
-            strip = add_sound(context.scene, context.object, Path(bpy.path.abspath(self.filepath)))
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+    def act(self, context):
+        strip = add_sound(context.scene, context.object, Path(bpy.path.abspath(self.filepath)))
         if self.sync:
             context.scene.sync_mode = 'AUDIO_SYNC'
-        self.report({'INFO'}, f"Sound on channel {strip.channel} of the sequencer, from frame {strip.frame_start:g}")
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_split, FASTGS_OT_mark_clip, FASTGS_OT_add_sound)
+        return f"Sound on channel {strip.channel} of the sequencer, from frame {strip.frame_start:g}"

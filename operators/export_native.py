@@ -87,6 +87,3 @@ class FASTGS_OT_export_native(bpy.types.Operator, ExportHelper):
             return {'CANCELLED'}
         self.report({'INFO'}, f"Exported {len(model):,} splats of {len(models)} point cloud{'s' if len(models) > 1 else ''}")
         return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_export_native,)

@@ -146,15 +146,14 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
             raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
         return as_seen([take(instance) for instance in instances], formats.says_antialiased(self.extension))
 
-    def execute(self, context):
-        self._remarks = []
-        return self.begin(context, self._write(context, Path(bpy.path.abspath(self.filepath))))
-
     def finish(self, context, written):
         for text in dict.fromkeys(self._remarks):
-            self.report({'WARNING'}, text)
-        self.report({'INFO'}, f"Exported {written}")
-        return {'FINISHED'}
+            self.warn(text)
+        return f"Exported {written}"
+
+    def steps(self, context):
+        self._remarks = []
+        return self._write(context, Path(bpy.path.abspath(self.filepath)))
 
     def _write(self, context, target: Path):
         """Yields the progress; returns what was written, in words."""
@@ -230,6 +229,3 @@ def _model(context) -> fg.GaussianModel:
     if not isinstance(model, fg.GaussianModel):
         raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
     return model
-
-
-CLASSES = (FASTGS_OT_export,)

@@ -9,7 +9,7 @@ from bpy.props import EnumProperty, IntProperty
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import parting, values
 from ..scene import objects
-from ..scene.splats.splat_object import sentence
+from .action import EDITABLE_SPLATS, Action, Need, item_of
 
 PRESETS = (
     ('FLOATERS', "Floaters", "Hide Gaussians that have hardly any others around them", 0),
@@ -23,33 +23,19 @@ PRESETS = (
 )
 
 
-def _editable(context) -> bool:
-    return context.object is not None and objects.is_splat(context.object) and context.object.is_editable
-
-
-class FASTGS_OT_add_filter(bpy.types.Operator):
+class FASTGS_OT_add_filter(Action, bpy.types.Operator):
     """Hide or show Gaussians of the active object by size, opacity, speed, lifetime, colour or neighbours"""
 
     bl_idname = "fastgs.add_filter"
     bl_label = "Add Filter"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (EDITABLE_SPLATS,)
 
     preset: EnumProperty(name="Filter", description="What the filter begins with; every value can be changed", items=PRESETS)
 
-    @classmethod
-    def poll(cls, context):
-        return _editable(context)
-
-    def execute(self, context):
-        obj = context.object
-        try:
-            kind, low, high, mode = _start(self.preset, objects.load_model(objects.abspath(obj)))
-        except fg.FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
-        item = obj.fastgs.filters.add()
+    def act(self, context):
+        kind, low, high, mode = _start(self.preset, objects.load_model(objects.abspath(context.object)))
+        item = context.object.fastgs.filters.add()
         item.kind, item.low, item.high, item.mode = kind, low, high, mode
-        return {'FINISHED'}
 
 
 def _start(preset: str, model) -> tuple[str, float, float, str]:
@@ -75,14 +61,10 @@ def _start(preset: str, model) -> tuple[str, float, float, str]:
     return ('SPEED', speed, most, 'KEEP') if preset == 'MOVING' else ('SPEED', 0.0, speed, 'KEEP')
 
 
-class _OnFilter:
-    bl_options = {'REGISTER', 'UNDO'}
+class _OnFilter(Action):
+    needs = (EDITABLE_SPLATS, Need(lambda context: len(context.object.fastgs.filters) > 0, "The object has no filters"))
 
     index: IntProperty(name="Index", description="Which of the object's filters", min=0)
-
-    @classmethod
-    def poll(cls, context):
-        return _editable(context) and len(context.object.fastgs.filters) > 0
 
 
 class FASTGS_OT_remove_filter(_OnFilter, bpy.types.Operator):
@@ -91,13 +73,10 @@ class FASTGS_OT_remove_filter(_OnFilter, bpy.types.Operator):
     bl_idname = "fastgs.remove_filter"
     bl_label = "Remove Filter"
 
-    def execute(self, context):
-        filters = context.object.fastgs.filters
-        if self.index >= len(filters):
-            return {'CANCELLED'}
-        filters.remove(self.index)
+    def act(self, context):
+        item_of(context.object.fastgs.filters, self.index)
+        context.object.fastgs.filters.remove(self.index)
         context.object.update_tag()
-        return {'FINISHED'}
 
 
 class FASTGS_OT_separate(_OnFilter, bpy.types.Operator):
@@ -106,20 +85,7 @@ class FASTGS_OT_separate(_OnFilter, bpy.types.Operator):
     bl_idname = "fastgs.separate"
     bl_label = "Separate by Filter"
 
-    def execute(self, context):
-        obj = context.object
-        if self.index >= len(obj.fastgs.filters):
-            return {'CANCELLED'}
-        made = obj.copy()  # shows the same file, and the same proxy
-        for collection in obj.users_collection:
-            collection.objects.link(made)
-        item = made.fastgs.filters[self.index]
+    def act(self, context):
+        item_of(context.object.fastgs.filters, self.index)
+        item = objects.duplicate(context, context.object).fastgs.filters[self.index]
         item.mode = 'KEEP' if item.mode == 'HIDE' else 'HIDE'
-        for other in context.selected_objects:
-            other.select_set(False)
-        made.select_set(True)
-        context.view_layer.objects.active = made
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_add_filter, FASTGS_OT_remove_filter, FASTGS_OT_separate)

@@ -6,50 +6,32 @@ import bpy
 
 from ..scene.cameras.from_view import stand_in_view
 from ..scene.frame_range import fit_scene
-from ..scene.objects import is_splat
+from .action import SPLATS, Action, Need
 
 
-def _on_splats(cls, context, possible) -> bool:
-    obj = context.object
-    if obj is None or not is_splat(obj) or not possible(obj):
-        cls.poll_message_set("Select an object that shows splats")
-        return False
-    return True
-
-
-class FASTGS_OT_fit_scene(bpy.types.Operator):
+class FASTGS_OT_fit_scene(Action, bpy.types.Operator):
     """Set the scene's first and last frame and its frame rate from the active object's capture"""
 
     bl_idname = "fastgs.fit_scene"
     bl_label = "Fit Scene to Capture"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (SPLATS, Need(lambda context: context.object.fastgs.frame_count > 1, "A still has no clip"))
 
-    @classmethod
-    def poll(cls, context):
-        return _on_splats(cls, context, lambda obj: obj.fastgs.frame_count > 1)
-
-    def execute(self, context):
+    def act(self, context):
         fit_scene(context.scene, context.object)
-        return {'FINISHED'}
 
 
-class FASTGS_OT_set_up_scene(bpy.types.Operator):
+class FASTGS_OT_set_up_scene(Action, bpy.types.Operator):
     """Give the scene the capture's range and frame rate, render with FAST-GS, and let a new camera see what the 3D view shows"""
 
     bl_idname = "fastgs.set_up_scene"
     bl_label = "Set Up Scene"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (SPLATS,)
 
-    @classmethod
-    def poll(cls, context):
-        return _on_splats(cls, context, lambda obj: True)
-
-    def execute(self, context):
+    def act(self, context):
         scene, obj = context.scene, context.object
         fit_scene(scene, obj)
         scene.render.engine = 'FASTGS'
         stand_in_view(context, [obj])
-        return {'FINISHED'}
 
 
 def offer_set_up(context, operator) -> None:
@@ -63,6 +45,3 @@ def offer_set_up(context, operator) -> None:
         menu.layout.operator("fastgs.set_up_scene", icon='SCENE_DATA')
 
     context.window_manager.popup_menu(draw, title="4D Gaussians Imported", icon='INFO')
-
-
-CLASSES = (FASTGS_OT_fit_scene, FASTGS_OT_set_up_scene)

@@ -15,6 +15,7 @@ from ..fastgs_blender.formats.streamed_sog import with_level
 from ..scene import upright
 from ..scene.splats.importing import Options, decided, import_files
 from ..scene.splats.proxy import LIMIT
+from .action import Action
 from .fit_scene import offer_set_up
 from .upright import AXES
 
@@ -24,7 +25,7 @@ SCENE = {"set_scene_range": "fit_range", "use_engine": "use_engine", "camera": "
 """Properties that set up the scene, and the options that they are."""
 
 
-class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
+class FASTGS_OT_import(Action, bpy.types.Operator, ImportHelper):
     """Import models of 4D Gaussians; the .blend stores the files' paths, not their content"""
 
     bl_idname = "import_scene.fastgs"
@@ -80,20 +81,10 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     def choose(self, context) -> None:
         """What nobody has chosen is as the scene has it: new scenes are set up."""
         chosen = decided(context.scene, Options())
-        for name, option in SCENE.items():
-            if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(chosen, option))
+        self.fill(**{name: getattr(chosen, option) for name, option in SCENE.items()})
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        layout.prop(self, "relative_path")
-        layout.prop(self, "as_sequence")
-        layout.prop(self, "level")
-        layout.prop(self, "orientation")
-        layout.prop(self, "proxy_points")
-        layout.prop(self, "view")
+        layout = self.draw_options("relative_path", "as_sequence", "level", "orientation", "proxy_points", "view")
         col = layout.column(heading="Scene")
         col.prop(self, "set_scene_range", text="Frame Range")
         col.prop(self, "use_engine", text="Render Engine")
@@ -116,8 +107,7 @@ class FASTGS_OT_import(bpy.types.Operator, ImportHelper):
     def execute(self, context):
         paths = [str(with_level(Path(path), self.level)) for path in self.paths()]
         if not paths:
-            self.report({'ERROR'}, f"No file was chosen; choose one of {', '.join(readable())}.")
-            return {'CANCELLED'}
+            return self.fail(f"no file was chosen; choose one of {', '.join(readable())}.")
         self.choose(context)
         done = import_files(context, paths, Options(
             self.proxy_points, self.orientation != 'KEEP', self.relative_path, self.set_scene_range, self.use_engine, self.camera,

@@ -6,26 +6,19 @@ import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
 from ..scene import objects
+from .action import EDITABLE_SPLATS, Action
 
 
-class FASTGS_OT_reset_look(bpy.types.Operator):
+class FASTGS_OT_reset_look(Action, bpy.types.Operator):
     """Show the selected splat objects as their files say; keys of their looks stay"""
 
     bl_idname = "fastgs.reset_look"
     bl_label = "Reset Look"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (EDITABLE_SPLATS,)
 
-    @classmethod
-    def poll(cls, context):
-        return objects.is_splat(context.object) and context.object.is_editable
-
-    def execute(self, context):
+    def act(self, context):
         for obj in {context.object, *context.selected_editable_objects}:
             if objects.is_splat(obj):
                 for name in (*LOOKS, "antialias"):
                     obj.fastgs.property_unset(name)
                 obj.update_tag()
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_reset_look,)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty
 
-from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects
 from ..scene.splats import native
-from ..scene.splats.splat_object import sentence
+from .action import EDITABLE_SPLATS, OBJECT_MODE, Action
 
 
 def _kinds(self, context):
@@ -16,28 +15,16 @@ def _kinds(self, context):
     return _kinds.items
 
 
-class FASTGS_OT_native_copy(bpy.types.Operator):
+class FASTGS_OT_native_copy(Action, bpy.types.Operator):
     """Make an object beside this one that holds what it shows on each frame, for EEVEE and Cycles; the file does not grow"""
 
     bl_idname = "fastgs.native_copy"
     bl_label = "Native Copy"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (OBJECT_MODE, EDITABLE_SPLATS)
 
     kind: EnumProperty(name="As", description="What the copy is made of", items=_kinds)
 
-    @classmethod
-    def poll(cls, context):
-        return context.mode == 'OBJECT' and objects.is_splat(context.object) and context.object.is_editable
-
-    def execute(self, context):
-        try:
-            objects.load_model(objects.abspath(context.object))
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+    def act(self, context):
+        objects.load_model(objects.abspath(context.object))  # which says what is wrong with it
         copy = native.make(context, context.object, self.kind)
-        self.report({'INFO'}, f'"{copy.name}" follows "{context.object.name}"; other engines render it in place of its points')
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_native_copy,)
+        return f'"{copy.name}" follows "{context.object.name}"; other engines render it in place of its points'

@@ -6,24 +6,20 @@ import bpy
 
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects
-from ..scene.splats.splat_object import refresh, sentence
+from ..scene.splats.splat_object import refresh
+from .action import SPLATS, Action, Need
 
 
 def _targets(context) -> list[bpy.types.Object]:
-    found = dict.fromkeys([context.object, *context.selected_objects])
-    return [obj for obj in found if obj is not None and objects.is_splat(obj)]
+    return [obj for obj in dict.fromkeys([context.object, *context.selected_objects]) if objects.is_splat(obj)]
 
 
-class FASTGS_OT_reload(bpy.types.Operator):
+class FASTGS_OT_reload(Action, bpy.types.Operator):
     """Read the files of the active and the selected objects again"""
 
     bl_idname = "fastgs.reload"
     bl_label = "Reload"
-    bl_options = {'REGISTER', 'UNDO'}
-
-    @classmethod
-    def poll(cls, context):
-        return bool(_targets(context))
+    needs = (Need(lambda context: bool(_targets(context)), SPLATS.reason),)
 
     def execute(self, context):
         targets = _targets(context)
@@ -34,7 +30,7 @@ class FASTGS_OT_reload(bpy.types.Operator):
             try:
                 refresh(obj)
             except FastGSError as error:
-                errors.append(sentence(error))
+                errors.append(str(error))
         for error in dict.fromkeys(errors):
-            self.report({'ERROR'}, error)
+            self.fail(error)
         return {'FINISHED'} if len(errors) < len(targets) else {'CANCELLED'}

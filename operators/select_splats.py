@@ -15,9 +15,6 @@ from ..engine import compiling
 from ..engine.viewport import picking
 from ..scene import objects
 
-SURFACES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME'}
-"""Kinds of objects that can hide splats; a click on any other kind is left as it is."""
-
 
 class FASTGS_OT_select(bpy.types.Operator):
     """Select the object whose splats are clicked"""
@@ -42,8 +39,7 @@ class FASTGS_OT_select(bpy.types.Operator):
         layer = context.view_layer
         chosen = not (self.toggle and obj.select_get() and layer.objects.active == obj)
         if not self.toggle:
-            for other in list(context.selected_objects):
-                other.select_set(False)
+            objects.select_only(context, obj)
         obj.select_set(chosen)
         layer.objects.active = obj
         return {'FINISHED'}
@@ -51,7 +47,7 @@ class FASTGS_OT_select(bpy.types.Operator):
     def _clicked(self, context, at) -> bpy.types.Object | None:
         """The object whose splats are seen at a place of the region; None where something else is."""
         active = context.view_layer.objects.active
-        if active is not None and active.select_get() and active.type not in SURFACES and not self.toggle:
+        if active is not None and active.select_get() and active.type not in objects.SURFACES and not self.toggle:
             return None  # the click was on a camera, a light or an empty, which is drawn over all
         found = picking.seen_at(context, *at)
         if found is None:
@@ -72,6 +68,3 @@ def _select_mouse(context) -> str:
     """The button that selects, LEFT or RIGHT, as the key map's preferences have it."""
     preferences = context.window_manager.keyconfigs.active.preferences
     return getattr(preferences, "select_mouse", 'LEFT')
-
-
-CLASSES = (FASTGS_OT_select,)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Generator
 
 import bpy
 
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene.splats.splat_object import sentence
+from .action import Action
 
 VIEW = ({'MOUSEMOVE', 'INBETWEEN_MOUSEMOVE', 'MIDDLEMOUSE', 'WHEELUPMOUSE', 'WHEELDOWNMOUSE', 'TRACKPADPAN', 'TRACKPADZOOM',
          'NDOF_MOTION', 'HOME', 'NUMPAD_PERIOD'} | {f"NUMPAD_{number}" for number in range(10)})
@@ -21,13 +22,15 @@ REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
 
 
-class Stepwise:
-    """Base class of operators whose work is a generator; its return value goes to finish().
+class Stepwise(Action):
+    """Base class of operators whose work is a generator, steps(); its return value goes to finish().
 
-    The generator yields (done, whole), perhaps with a third member: what is being done.
+    The generator yields (done, whole), perhaps with a third member, what is being done; or the share 0..1 that is done.
 
-    invoke() of the class must set `_interactive`; a call from a script, or a repetition with other values, blocks.
+    An invoke() of the class's own must set `_interactive`; a call from a script, or a repetition with other values, blocks.
     """
+
+    bl_options = {'REGISTER'}
 
     doing = "Working"
     free = False
@@ -37,11 +40,25 @@ class Stepwise:
     in_window = False
     """Whether Blender stays usable during this work; known from the first step on."""
 
-    def finish(self, context, result) -> set:
-        """Finish the work when all steps are done; returns the result of execute()."""
+    def steps(self, context) -> Generator:
+        """The work.  Raises FastGSError."""
         raise NotImplementedError
 
-    def begin(self, context, steps) -> set:
+    def finish(self, context, result) -> str | None:
+        """Finish the work when all steps are done, and return what is reported.  Raises FastGSError."""
+        raise NotImplementedError
+
+    def invoke(self, context, event):
+        self._interactive = True
+        return self.execute(context)
+
+    def execute(self, context):
+        try:
+            return self.begin(context, self.steps(context))
+        except FastGSError as error:
+            return self.fail(error)
+
+    def begin(self, context, steps) -> set[str]:
         """Do all steps, or start a timer that does them; returns the result of execute()."""
         self._steps, self._timer, self._told = steps, None, time.monotonic()
         self.in_window, self._interactive = self._interactive and not bpy.app.background, False
@@ -71,22 +88,20 @@ class Stepwise:
         until = time.monotonic() + seconds
         try:
             while True:
-                self._show(context, *next(self._steps))
+                step = next(self._steps)
+                self._show(context, *((step, 1) if isinstance(step, float) else step))
                 if time.monotonic() >= until:
                     return None
         except StopIteration as end:
             result = end.value
         except FastGSError as error:
             self._close(context)
-            return self._fail(error)
+            return self.fail(error)
         except BaseException:
             self._close(context)
             raise
         self._close(context)
-        try:
-            return self.finish(context, result)
-        except FastGSError as error:
-            return self._fail(error)
+        return self._ended(lambda: self.finish(context, result))
 
     def _show(self, context, done, whole, stage=""):
         context.window_manager.progress_update(100 * done / max(whole, 1))
@@ -110,10 +125,6 @@ class Stepwise:
         if self._timer:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
-
-    def _fail(self, error):
-        self.report({'ERROR'}, sentence(error))
-        return {'CANCELLED'}
 
 
 def watched(command, progress):

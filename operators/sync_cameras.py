@@ -8,9 +8,9 @@ import bpy
 from bpy.props import StringProperty
 
 from ..fastgs_blender.jobs import sync
-from ..fastgs_blender.util.errors import FastGSError
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import installation, watch
+from .action import keep_text
 from .stepwise import Stepwise, watched
 
 
@@ -27,28 +27,14 @@ class FASTGS_OT_sync_cameras(Stepwise, bpy.types.Operator):
     free = True
     interrupted = "{} was interrupted; nothing was written"
 
-    def invoke(self, context, event):
-        self._interactive = True
-        return self.execute(context)
-
-    def execute(self, context):
-        try:
-            self._path = installation.capture_path(self.capture or context.scene.fastgs.training.capture)
-            running = sync.Sync(installation.python(), self._path)
-        except FastGSError as error:
-            return self._fail(error)
-        return self.begin(context, watched(running, lambda: (running.line, 0.0)))
+    def steps(self, context):
+        self._path = installation.capture_path(self.capture or context.scene.fastgs.training.capture)
+        running = sync.Sync(installation.python(), self._path)
+        return watched(running, lambda: (running.line, 0.0))
 
     def finish(self, context, values):
-        """Report the result, and keep it as a text."""
-        name = f"Clocks of {Path(self._path).name}"
-        text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
-        text.from_string(sync.text_of(self._path, values))
+        name = keep_text(context, f"Clocks of {Path(self._path).name}", sync.text_of(self._path, values))
         watch.redraw()
         if values["lost"]:
-            self.report({'WARNING'}, f"The clocks of {', '.join(values['lost'])} could not be found and are taken as right")
-        self.report({'INFO'}, f"{sync.summary_of(values)}. The text \"{text.name}\" tells more")
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_sync_cameras,)
+            self.warn(f"The clocks of {', '.join(values['lost'])} could not be found and are taken as right")
+        return f'{sync.summary_of(values)}. The text "{name}" tells more'

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
-from functools import partial
 from pathlib import Path
 
 import bpy
@@ -16,10 +14,12 @@ from ..fastgs_blender.training.core import costs
 from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import devices
+from ..scene.background import in_background
 from ..scene.settings import BLEND_RELATIVE
-from ..scene.splats.splat_object import sentence
 from ..scene.training import alignment, folders, installation, plates, results, watch
 from ..scene.training.options import EXISTING, TrainingOptions, arguments
+from .action import Action
+from .stepwise import Stepwise
 
 REPORT_EVERY = 5.0
 """Seconds between two lines of progress without a window."""
@@ -27,11 +27,12 @@ FROM_PANEL = (*TrainingOptions.__annotations__, "existing", "import_result")
 """The options that a press of the button takes from the panel."""
 
 
-class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
+class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
     """Train a model from a capture in a separate process, which continues when Blender is closed. Options not given are the panel's"""
 
     bl_idname = "fastgs.train"
     bl_label = "Train"
+    bl_options = {'REGISTER'}
 
     start_frame: IntProperty(name="Start Frame", description="Scene frame of the capture's first frame; by default the scene's first frame")
     existing: EnumProperty(
@@ -43,27 +44,14 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
     wait: BoolProperty(
         name="Wait", description="Return only when training has ended; the default without a window", default=False)
 
-    @classmethod
-    def poll(cls, context):
-        return context.scene is not None
-
     def invoke(self, context, event):
-        settings = context.scene.fastgs.training
-        for name in FROM_PANEL:
-            if not self.properties.is_property_set(name):
-                setattr(self, name, getattr(settings, name))
+        self.fill(**{name: getattr(context.scene.fastgs.training, name) for name in FROM_PANEL})
         if self.source == 'SCENE' and self.existing != 'RESUME':
             return self._capture_first(context)
         return self.execute(context)
 
-    def execute(self, context):
-        try:
-            place = folders.place(self.out, self.existing)
-            if place.trouble:
-                raise FastGSError(place.trouble)
-            job = self._job(context, place)
-        except FastGSError as error:
-            return self._fail(error)
+    def act(self, context):
+        job = self._job(context, self._place())
         if self.wait or (bpy.app.background and not self.properties.is_property_set("wait")):
             return self._run(context, job)
         known = installation.jobs()
@@ -71,21 +59,23 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
         watch.begin()
         state = known.state(known.get(job.id))
         if state.kind == 'FAILED':
-            return self._fail(FastGSError(state.text))
-        self.report({'INFO'}, f"{job.name}: training {'waits for its turn' if state.kind == 'QUEUED' else 'has begun'}")
-        return {'FINISHED'}
+            raise FastGSError(state.text)
+        return f"{job.name}: training {'waits for its turn' if state.kind == 'QUEUED' else 'has begun'}"
+
+    def _place(self):
+        """Where the results go.  Raises FastGSError where that cannot be."""
+        place = folders.place(self.out, self.existing)
+        if place.trouble:
+            raise FastGSError(place.trouble)
+        return place
 
     def _capture_first(self, context):
         try:  # what is wrong with these would make filming useless
             installation.python()
-            place = folders.place(self.out, self.existing)
-            if place.trouble:
-                raise FastGSError(place.trouble)
+            self._place()
             done = bpy.ops.fastgs.capture_scene('INVOKE_DEFAULT', train=True)
-        except FastGSError as error:
-            return self._fail(error)
-        except RuntimeError as error:  # it has said why in Blender's own way
-            return self._fail(FastGSError(str(error).strip().removeprefix("Error: ")))
+        except (FastGSError, RuntimeError) as error:  # Blender's own begins with a word of its own
+            return self.fail(str(error).strip().removeprefix("Error: "))
         return {'CANCELLED'} if 'CANCELLED' in done else {'FINISHED'}  # the capture continues by itself
 
     def _job(self, context, place):
@@ -100,14 +90,13 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
 
     def _add(self, context, place):
         scene = context.scene
-        if not self.properties.is_property_set("start_frame"):
-            self.start_frame = scene.frame_start
+        self.fill(start_frame=scene.frame_start)
         python, capture = installation.python(), self._capture(context, place)
         pixels, views, frames = checks.picture_size(capture)
         size = costs.size_of(self.preset, self.iterations, self.max_gaussians)
         _, memory = costs.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
         for remark in checks.before_start(place.out, memory):
-            self.report({'WARNING'}, sentence(remark))
+            self.warn(remark)
         resumed = place.existing == "--resume"
         options = ["--device", devices.wanted(scene)] + ([] if resumed else arguments(self))  # a run continues with its own
         about = {"blend": bpy.data.filepath, "process": os.getpid(), "start_frame": self.start_frame, "import": self.import_result,
@@ -140,23 +129,15 @@ class FASTGS_OT_train(TrainingOptions, bpy.types.Operator):
             raise
         except FastGSError as error:
             known.fail(job, error)
-            return self._fail(error)
+            raise
         known.report_end(job)
         watch.look()
         if state.kind != 'FINISHED':
-            return self._fail(FastGSError(state.text))
+            raise FastGSError(state.text)
         print(f"FAST-GS: {job.name} {watch.summary(state)}", flush=True)
         if self.import_result:
-            try:
-                results.add_finished(context, job)
-            except FastGSError as error:
-                return self._fail(error)
-        self.report({'INFO'}, f"{job.name}: {watch.summary(state)}; {Path(job.out) / MODEL}")
-        return {'FINISHED'}
-
-    def _fail(self, error):
-        self.report({'ERROR'}, sentence(error))
-        return {'CANCELLED'}
+            results.add_finished(context, job)
+        return f"{job.name}: {watch.summary(state)}; {Path(job.out) / MODEL}"
 
 
 def progress(job, state) -> str:
@@ -172,71 +153,24 @@ def progress(job, state) -> str:
     return text
 
 
-class FASTGS_OT_train_check(bpy.types.Operator):
+class FASTGS_OT_train_check(Stepwise, bpy.types.Operator):
     """Read what the capture holds (cameras, frames, sizes of pictures) and whether all its files are there, for the estimate of the time"""
 
     bl_idname = "fastgs.train_check"
     bl_label = "Read Capture"
+    doing, free, interrupted = "Reading the capture", True, "{} was interrupted"
 
     capture: StringProperty(name="Capture", description="The capture's folder; by default the panel's", subtype='DIR_PATH',
                             options={'SKIP_SAVE'} | BLEND_RELATIVE)
 
-    def invoke(self, context, event):
-        """Check in a thread, so that Blender stays usable meanwhile."""
-        try:
-            work = self._work(context)
-        except FastGSError as error:
-            return self._report(error)
-        self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
-        self._thread.start()
-        self._timer = context.window_manager.event_timer_add(0.2, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set("Reading the capture")
-        return {'RUNNING_MODAL'}
+    def steps(self, context):
+        path, python = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture).rstrip("/\\"), installation.python()
+        return in_background(lambda _: checks.inspect(python, path), cancel=False)
 
-    def modal(self, context, event):
-        if event.type != 'TIMER' or self._thread.is_alive():
-            return {'PASS_THROUGH'}
-        self.cancel(context)
+    def finish(self, context, found):
         watch.redraw()
-        return self._report(self._found)
-
-    def cancel(self, context):
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-
-    def execute(self, context):
-        try:
-            self._run(self._work(context))
-        except FastGSError as error:
-            self._found = error
-        return self._report(self._found)
-
-    def _work(self, context):
-        """A function that returns Facts and does not touch Blender's data, so that a thread can run it."""
-        path = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture).rstrip("/\\")
-        return partial(checks.inspect, installation.python(), path)
-
-    def _run(self, work):
-        try:
-            self._found = work()
-        except FastGSError as error:
-            self._found = error
-        except Exception as error:  # noqa: BLE001 (in a thread nobody else would tell)
-            self._found = FastGSError(f"the capture could not be checked ({error}).")
-
-    def _report(self, found):
-        """Report Facts, or the error that occurred instead."""
-        if isinstance(found, FastGSError):
-            self.report({'ERROR'}, sentence(found))
-            return {'CANCELLED'}
         for problem in found.problems:
-            self.report({'WARNING'}, sentence(problem))
+            self.warn(problem)
         if found.problems:
-            self.report({'ERROR'}, f"{len(found.problems)} problems: {'; '.join(found.problems[:4])}")
-            return {'CANCELLED'}
-        self.report({'INFO'}, found.text)
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_train, FASTGS_OT_train_check)
+            raise FastGSError(f"{len(found.problems)} problems: {'; '.join(found.problems[:4])}")
+        return found.text

@@ -8,23 +8,20 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene.splats.splat_object import sentence
 from ..scene.training import displays, installation, results, watch
+from .action import Action, Need, keep_text
+from .stepwise import PAUSE, Stepwise
 
 REPORT_WIDTH, REPORT_PICTURE = 460, 10.0
 """Width of the report's dialog in pixels, and height of its picture in rows of text."""
 
 
-class _JobOperator:
+class _JobOperator(Action):
     """Base class of operators on one job: the job with the given id, else the panel's."""
 
+    bl_options = {'REGISTER'}
+    needs = (Need(lambda context: watch.current() is not None, "There is no training job"),)
     job: StringProperty(name="Job", description="The job's id; empty: the job that the panel shows", options={'HIDDEN', 'SKIP_SAVE'})
-
-    @classmethod
-    def poll(cls, context):
-        if watch.current() is None:
-            cls.poll_message_set("There is no training job")
-        return watch.current() is not None
 
     def found(self):
         """(Jobs, Job, State) now."""
@@ -35,18 +32,25 @@ class _JobOperator:
             raise FastGSError("this training job is not on the list any more.")
         return known, job, known.state(job)
 
-    def execute(self, context):
+    def invoke(self, context, event):
         try:
-            known, job, state = self.found()
-            done = self.act(context, known, job, state)
+            return self.ask(context, event, *self.found())
         except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+            return self.fail(error)
+
+    def ask(self, context, event, known, job, state) -> set[str]:
+        """What to do at the press of the button."""
+        return self.execute(context)
+
+    def act(self, context):
+        done = self.do(context, *self.found())
         watch.begin()
         watch.redraw()
-        if done:
-            self.report({'INFO'}, done)
-        return {'FINISHED'}
+        return done
+
+    def do(self, context, known, job, state) -> str | None:
+        """act(), for a job."""
+        raise NotImplementedError
 
 
 class FASTGS_OT_train_pause(_JobOperator, bpy.types.Operator):
@@ -55,7 +59,7 @@ class FASTGS_OT_train_pause(_JobOperator, bpy.types.Operator):
     bl_idname = "fastgs.train_pause"
     bl_label = "Pause"
 
-    def act(self, context, known, job, state):
+    def do(self, context, known, job, state):
         if not state.running and state.kind != 'QUEUED':
             raise FastGSError(f"{job.name} is not running.")
         known.ask(job, 'PAUSE')
@@ -70,7 +74,7 @@ class FASTGS_OT_train_resume(_JobOperator, bpy.types.Operator):
 
     wait: BoolProperty(name="Wait", description="Return only when training has ended", default=False, options={'SKIP_SAVE'})
 
-    def act(self, context, known, job, state):
+    def do(self, context, known, job, state):
         if state.running or state.kind in ('QUEUED', 'FINISHED'):
             raise FastGSError(f"{job.name} cannot be resumed now; its state is: {state.text.lower()}.")
         others = [other for other in known.all() if other.id != job.id and known.state(other).running]
@@ -93,7 +97,7 @@ class FASTGS_OT_train_stop(_JobOperator, bpy.types.Operator):
     bl_idname = "fastgs.train_stop"
     bl_label = "Stop"
 
-    def act(self, context, known, job, state):
+    def do(self, context, known, job, state):
         if state.kind in ('FINISHED', 'FAILED', 'STOPPED'):
             raise FastGSError(f"{job.name} has ended already.")
         known.ask(job, 'STOP')
@@ -106,54 +110,40 @@ class FASTGS_OT_train_forget(_JobOperator, bpy.types.Operator):
     bl_idname = "fastgs.train_forget"
     bl_label = "Remove from List"
 
-    def invoke(self, context, event):
-        try:
-            _, job, _ = self.found()
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+    def ask(self, context, event, known, job, state):
         return context.window_manager.invoke_confirm(
             self, event, title=f"Take {job.name} off the list of runs?", message=f"Its folder stays: {job.out}", confirm_text="Remove")
 
-    def act(self, context, known, job, state):
+    def do(self, context, known, job, state):
         known.forget(job)
 
 
-class FASTGS_OT_train_import(_JobOperator, bpy.types.Operator):
+class FASTGS_OT_train_import(Stepwise, _JobOperator, bpy.types.Operator):
     """Add the run's model to the scene, aligned with its cameras; of an unfinished run, the model of the last checkpoint"""
 
     bl_idname = "fastgs.train_import"
     bl_label = "View Model"
     bl_options = {'REGISTER', 'UNDO'}
+    doing, free, interrupted = "Reading the model", True, "{} was interrupted"
 
-    def invoke(self, context, event):
-        """Read the model in a thread, so that Blender stays usable meanwhile."""
-        try:
-            _, job, state = self.found()
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
-        self.job, self._reading = job.id, results.Reading(job.out, state.kind == 'FINISHED')
-        self._timer = context.window_manager.event_timer_add(0.1, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(f"Reading the model of {job.name}")
-        return {'RUNNING_MODAL'}
+    def steps(self, context):
+        _, self._job, state = self.found()
+        self._finished = state.kind == 'FINISHED'
+        return _read(results.Reading(self._job.out, self._finished))
 
-    def modal(self, context, event):
-        if event.type != 'TIMER' or not self._reading.done:
-            return {'PASS_THROUGH'}
-        self.cancel(context)
-        return self.execute(context)
+    def finish(self, context, path):
+        obj = results.add_finished(context, self._job) if self._finished else results.add_model(context, self._job, path)
+        watch.begin()
+        watch.redraw()
+        return f"{obj.name}: {obj.fastgs.gaussian_count:,} Gaussians{'' if self._finished else ' so far'}"
 
-    def cancel(self, context):
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
 
-    def act(self, context, known, job, state):
-        finished = state.kind == 'FINISHED'
-        path = (getattr(self, "_reading", None) or results.Reading(job.out, finished)).path
-        obj = results.add_finished(context, job) if finished else results.add_model(context, job, path)
-        return f"{obj.name}: {obj.fastgs.gaussian_count:,} Gaussians{'' if finished else ' so far'}"
+def _read(reading):
+    """Yields until a model has been read; returns its file."""
+    while not reading.done:
+        time.sleep(PAUSE)
+        yield 0.0
+    return reading.path
 
 
 class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
@@ -164,14 +154,9 @@ class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
 
     show_settings: BoolProperty(name="Settings", description="Show the run's settings", default=False, options={'SKIP_SAVE'})
 
-    def invoke(self, context, event):
-        try:
-            _, job, _ = self.found()
-            self._report = results.report_of(job)
-            self._icons = displays.icons_of(self._report.picture) if self._report.picture else []
-        except FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
+    def ask(self, context, event, known, job, state):
+        self._report = results.report_of(job)
+        self._icons = displays.icons_of(self._report.picture) if self._report.picture else []
         self.job = job.id
         return context.window_manager.invoke_props_dialog(
             self, width=REPORT_WIDTH, title=f"Report of {job.name}", confirm_text="Keep as Text")
@@ -193,15 +178,8 @@ class FASTGS_OT_train_report(_JobOperator, bpy.types.Operator):
         if self.show_settings:
             rows_of(layout, self._report.settings)
 
-    def act(self, context, known, job, state):
-        text = bpy.data.texts.get("FAST-GS Report") or bpy.data.texts.new("FAST-GS Report")
-        text.use_fake_user = False
-        text.from_string(results.report_of(job).text)
-        text.cursor_set(0)
-        for area in context.screen.areas if context.screen else ():
-            if area.type == 'TEXT_EDITOR':
-                area.spaces.active.text, area.spaces.active.top = text, 0
-        return f"The report is in the text {text.name}"
+    def do(self, context, known, job, state):
+        return f"The report is in the text {keep_text(context, 'FAST-GS Report', results.report_of(job).text)}"
 
 
 def rows_of(layout, rows):
@@ -211,13 +189,3 @@ def rows_of(layout, rows):
         split = col.split(factor=0.3)
         split.label(text=name)
         split.label(text=value)
-
-
-CLASSES = (
-    FASTGS_OT_train_pause,
-    FASTGS_OT_train_resume,
-    FASTGS_OT_train_stop,
-    FASTGS_OT_train_forget,
-    FASTGS_OT_train_import,
-    FASTGS_OT_train_report,
-)

@@ -5,34 +5,25 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty
 
-from ..fastgs_blender.util.errors import FastGSError
-from ..scene import objects, upright
-from ..scene.splats import splat_object
+from ..scene import upright
+from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Need
 
 SIGNS = {'POS': ("+", "positive"), 'NEG': ("-", "negative")}
 AXES = [(axis, SIGNS[axis[:3]][0] + axis[-1], f"The file's {SIGNS[axis[:3]][1]} {axis[-1]} axis points up", number)
         for number, axis in enumerate(upright.TURNS, 1)]
 
 
-class FASTGS_OT_set_upright(bpy.types.Operator):
+class FASTGS_OT_set_upright(Action, bpy.types.Operator):
     """Choose which axis of the active splat object's file points up; the object's own location, rotation and scale stay as they are"""
 
     bl_idname = "fastgs.set_upright"
     bl_label = "Up Axis"
-    bl_options = {'REGISTER', 'UNDO'}
+    needs = (EDITABLE_SPLATS, OBJECT_MODE, Need(lambda context: context.object.type == 'MESH' and context.object.data.is_editable,
+                                                "The object's mesh cannot be changed"))
 
     axis: EnumProperty(
         name="Up", description="The axis of the file that points up",
         items=[('FILE', "As in File", "What the file says, or what is usual in its format", 0), *AXES], default='FILE')
-
-    @classmethod
-    def poll(cls, context):
-        obj = context.object
-        if obj is None or not objects.is_splat(obj) or obj.type != 'MESH' or not obj.is_editable or not obj.data.is_editable:
-            return False
-        if context.mode != 'OBJECT':
-            cls.poll_message_set("Only in Object Mode")
-        return context.mode == 'OBJECT'
 
     def invoke(self, context, event):
         """A popup in which each axis shows at once, in the view, what it does."""
@@ -48,14 +39,6 @@ class FASTGS_OT_set_upright(bpy.types.Operator):
             for letter in "XYZ":
                 row.prop_enum(self, "axis", f"{sign}_{letter}")
 
-    def execute(self, context):
+    def act(self, context):
         obj = context.object
-        try:
-            upright.set_upright(obj, upright.recorded_axis(obj) if self.axis == 'FILE' else self.axis)
-        except FastGSError as error:
-            self.report({'ERROR'}, splat_object.sentence(error))
-            return {'CANCELLED'}
-        return {'FINISHED'}
-
-
-CLASSES = (FASTGS_OT_set_upright,)
+        upright.set_upright(obj, upright.recorded_axis(obj) if self.axis == 'FILE' else self.axis)

@@ -4,7 +4,7 @@ from . import devices, properties, settings
 from .splats import effect_assets
 from .training import watch
 
-_MODULES = (settings, properties, devices, watch, effect_assets)
+_MODULES = (settings, properties, watch, effect_assets)
 
 
 def register():
@@ -15,3 +15,4 @@ def register():
 def unregister():
     for module in reversed(_MODULES):
         module.unregister()
+    devices.unregister()

@@ -10,10 +10,11 @@ NAME = "FAST-GS work"
 """Of the thread."""
 
 
-def in_background(work):
+def in_background(work, cancel: bool = True):
     """Yields the share 0..1 that is done while work(progress) runs, and returns its result; what it raises passes through.
 
-    Closing the generator cancels the work, at its next call of progress(share).
+    Closing the generator cancels the work, at its next call of progress(share), and waits for it; without `cancel` the work is left to
+    end by itself.
     """
     state = {"done": 0.0}
     cancelled = threading.Event()
@@ -37,7 +38,8 @@ def in_background(work):
             yield state["done"]
     finally:
         cancelled.set()
-        thread.join()
+        if cancel:
+            thread.join()
     if "error" in state:
         raise state["error"]
     return state["result"]

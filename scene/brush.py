@@ -12,18 +12,9 @@ from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from . import objects, snapshot
 
 
-def model_of(obj) -> fg.GaussianModel:
-    """The model of an object.  Raises FastGSError where it cannot be read, or is a sequence, whose frames have no Gaussians in common."""
-    path = objects.abspath(obj)
-    model = objects.load_model(path)
-    if not isinstance(model, fg.GaussianModel):
-        raise fg.FastGSError(f"{path}: Gaussians of a sequence cannot be hidden by hand; turn it into one model with fastgs convert.")
-    return model
-
-
 def mask_of(obj) -> np.ndarray:
     """Which of an object's Gaussians [N] are hidden by hand."""
-    return unpack_mask(obj.fastgs.mask, len(model_of(obj)))
+    return unpack_mask(obj.fastgs.mask, len(objects.load_one_model(obj, "hidden by hand")))
 
 
 def set_mask(obj, bits: np.ndarray) -> None:

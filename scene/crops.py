@@ -12,7 +12,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import Crop, cropped
 from ..fastgs_blender.rendering.instances import LIMIT
 from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
-from . import model_space, objects
+from . import arrays, model_space, objects
 
 BROKEN = (f'its crop shape "{{}}" has a transform or a vertex beyond {LIMIT:g}, or one that is no number; clear its transform, or delete '
           "that vertex.")
@@ -51,15 +51,12 @@ def _made(points: bytes, triangles: bytes, low: bytes, high: bytes) -> Volume:
 def _volume(obj, depsgraph) -> Volume:
     """The inside of a mesh object as it is evaluated; made anew when its shape changes."""
     mesh = (obj.original.evaluated_get(depsgraph) if _is_evaluated(obj.original, depsgraph) else obj.original).data
-    mesh.calc_loop_triangles()
-    points, triangles = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
-    mesh.vertices.foreach_get("co", points)
+    points = arrays.points(mesh)
     if not (np.abs(points) <= LIMIT).all():
         raise fg.FastGSError(BROKEN.format(obj.name))
-    mesh.loop_triangles.foreach_get("vertices", triangles)
     around = extent(obj)
     low, high = around[:3, 3] - np.diag(around)[:3], around[:3, 3] + np.diag(around)[:3]
-    return _made(points.tobytes(), triangles.tobytes(), low.tobytes(), high.tobytes())
+    return _made(points.tobytes(), arrays.triangles(mesh).tobytes(), low.tobytes(), high.tobytes())
 
 
 def _world(obj, depsgraph):
@@ -92,9 +89,7 @@ def add_shape(obj, shape: str) -> bpy.types.Object:
     box.empty_display_type = 'SPHERE' if shape == 'SPHERE' else 'CUBE'
     for collection in obj.users_collection:
         collection.objects.link(box)
-    points = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", points)
-    around = _around(points.reshape(-1, 3).astype(np.float64))  # viewports draw, and bounds hold, the subject alone
+    around = _around(arrays.points(obj.data).astype(np.float64))  # viewports draw, and bounds hold, the subject alone
     box.parent = obj
     box.location = around[:3, 3]
     box.scale = [max(WIDER * around[i, i], 1e-3) for i in range(3)]
@@ -111,10 +106,7 @@ def write_cropped(obj, depsgraph, target: str) -> tuple[int, int]:
     source = objects.abspath(obj)
     if Path(target).resolve() == Path(source).resolve():
         raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
-    model = objects.load_model(source)
-    if not isinstance(model, fg.GaussianModel):
-        raise fg.FastGSError(f"{source}: what the boxes leave of a sequence cannot be written as one file; turn it into one model first "
-                             "with fastgs convert, or export its frames.")
+    model = objects.load_one_model(obj, "written as one file")
     left = cropped(model, crops_of(obj.evaluated_get(depsgraph), depsgraph))
     if not len(left):
         raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")

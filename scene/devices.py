@@ -14,7 +14,7 @@ import bpy
 from ..fastgs_blender.jobs.examination import Examination
 from ..fastgs_blender.util import backends
 from ..fastgs_blender.util.verdicts import Verdict, read_verdict
-from . import settings
+from . import notices, settings
 
 EVERY = 0.2
 """Seconds between two looks at a test."""
@@ -131,10 +131,7 @@ def _begin_to_watch():
 def _watch():
     """Redraw the preferences and the properties until the list and the test have come to their end."""
     global _reported
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in {'PREFERENCES', 'PROPERTIES'}:
-                area.tag_redraw()
+    notices.redraw('PREFERENCES', 'PROPERTIES')
     if _listing is not None and _listing.is_alive():
         return EVERY
     if _examination is not None and not _reported:
@@ -143,10 +140,6 @@ def _watch():
             look()
         return EVERY
     return None
-
-
-def register():
-    pass
 
 
 def unregister():

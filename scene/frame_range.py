@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sets a scene's frame range and frame rate from a capture."""
+"""Sets a scene's frame, and its frame range and frame rate from a capture."""
 from __future__ import annotations
 
-from math import ceil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import ceil, floor
 
 import bpy
 
@@ -13,6 +15,22 @@ def frame_rate(fps: float) -> tuple[int, float]:
     """(fps, fps_base) of RenderSettings for any frame rate: Blender shows fps / fps_base frames per second."""
     whole = min(max(round(fps), 1), 32767)
     return whole, whole / fps
+
+
+def go_to(scene: bpy.types.Scene, frame: float) -> None:
+    """Set the scene to a frame, whole or not."""
+    whole = floor(frame)
+    scene.frame_set(whole, subframe=frame - whole)
+
+
+@contextmanager
+def frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
+    """Restore the scene's frame after the block, also after an error."""
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    try:
+        yield
+    finally:
+        scene.frame_set(frame, subframe=subframe)
 
 
 def fit_scene(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:

@@ -6,10 +6,8 @@ import functools
 
 import numpy as np
 
-from . import objects
+from . import arrays, objects
 
-SURFACES = ('MESH', 'CURVE', 'SURFACE', 'FONT', 'META')
-"""Types of objects that have triangles."""
 THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction'}
 """Shaders that show what lies behind a surface."""
 
@@ -61,7 +59,7 @@ def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
     for instance in depsgraph.object_instances:
         obj = instance.object
         maker = instance.parent if instance.is_instance else obj
-        if obj.type not in SURFACES or not instance.show_self or objects.is_splat(obj) or obj.name in aside:
+        if obj.type not in objects.MESHABLE or not instance.show_self or objects.is_splat(obj) or obj.name in aside:
             continue
         if obj.hide_render or maker.hide_render:  # what a viewport shows and no render
             continue
@@ -81,10 +79,6 @@ def _triangles(obj) -> np.ndarray:
     """An evaluated object's triangles [F, 3, 3] in its own space."""
     mesh = obj.to_mesh()
     try:
-        mesh.calc_loop_triangles()
-        points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.vertices.foreach_get("co", points)
-        mesh.loop_triangles.foreach_get("vertices", corners)
+        return arrays.points(mesh)[arrays.triangles(mesh)]
     finally:
         obj.to_mesh_clear()
-    return points.reshape(-1, 3)[corners.reshape(-1, 3)]

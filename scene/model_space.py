@@ -12,6 +12,8 @@ import threading
 import numpy as np
 from mathutils import Matrix
 
+from . import arrays
+
 PLACE = "Model Position"
 """Attribute of a proxy's vertices: where they lie in the model's space."""
 TOLERANCE = 1e-5
@@ -136,10 +138,7 @@ def _stored(mesh):
     attribute, count = mesh.attributes.get(PLACE), len(mesh.vertices)
     if attribute is None or attribute.domain != 'POINT' or not count or len(attribute.data) != count:
         return None
-    place, at = np.empty(3 * count, np.float32), np.empty(3 * count, np.float32)
-    attribute.data.foreach_get("vector", place)
-    mesh.vertices.foreach_get("co", at)
-    return place.reshape(-1, 3), at.reshape(-1, 3)
+    return arrays.read(attribute.data, "vector", np.float32, 3), arrays.points(mesh)
 
 
 def _edited(mesh):

@@ -62,6 +62,14 @@ def fail(engine, text: str):
     engine.report({'ERROR'}, text)
 
 
+def redraw(*kinds: str) -> None:
+    """Draw the areas of these types again, in all windows."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in kinds:
+                area.tag_redraw()
+
+
 def begin_job():
     """Forget which warnings were reported: a new render job begins."""
     _reported.clear()

@@ -23,6 +23,11 @@ from . import paths
 
 log = logging.getLogger(__name__)
 
+MESHABLE = ('MESH', 'CURVE', 'SURFACE', 'FONT', 'META')
+"""Types of objects that have triangles."""
+SURFACES = (*MESHABLE, 'CURVES', 'POINTCLOUD', 'VOLUME')
+"""Types of objects that are seen in renders, and can hide splats."""
+
 
 @dataclass
 class _Entry:
@@ -48,9 +53,27 @@ def axes_matrix(axes: str) -> Matrix:
     }[axes]
 
 
-def is_splat(obj: bpy.types.Object) -> bool:
+def is_splat(obj: bpy.types.Object | None) -> bool:
     """Whether an object shows a splat file."""
-    return bool(paths.get(obj.fastgs))
+    return obj is not None and bool(paths.get(obj.fastgs))
+
+
+def select_only(context, *chosen: bpy.types.Object) -> None:
+    """Select these objects and no others; the first becomes the active one."""
+    for obj in context.view_layer.objects.selected:
+        obj.select_set(False)
+    for obj in chosen:
+        obj.select_set(True)
+    context.view_layer.objects.active = chosen[0]
+
+
+def duplicate(context, obj: bpy.types.Object) -> bpy.types.Object:
+    """A copy of an object, which shows the same file by the same proxy; it is selected alone."""
+    made = obj.copy()
+    for collection in obj.users_collection:
+        collection.objects.link(made)
+    select_only(context, made)
+    return made
 
 
 def instances_splats(obj: bpy.types.Object) -> bool:
@@ -93,6 +116,15 @@ def load_model(path: str) -> Source:
     if entry.model is None:
         raise fg.FastGSError(entry.error)
     return entry.model
+
+
+def load_one_model(obj: bpy.types.Object, done: str) -> fg.GaussianModel:
+    """The model of an object.  Raises FastGSError where it cannot be read, or is a sequence, with which this cannot be done."""
+    path = abspath(obj)
+    model = load_model(path)
+    if not isinstance(model, fg.GaussianModel):
+        raise fg.FastGSError(f"{path}: Gaussians of a sequence cannot be {done}; turn it into one model with fastgs convert.")
+    return model
 
 
 def is_sequence(obj: bpy.types.Object) -> bool:

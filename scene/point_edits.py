@@ -18,7 +18,7 @@ from ..fastgs_blender.model.edits import Edit, State, state_of
 from ..fastgs_blender.model.gaussians import GaussianModel
 from ..fastgs_blender.rendering.colour import linear_to_srgb, srgb_to_linear
 from ..fastgs_blender.util.errors import FastGSError
-from . import model_space, proxies
+from . import arrays, model_space, proxies
 from .colour import rec709_to_working
 
 ID, TIME = "id", "time"
@@ -198,15 +198,13 @@ def _read(obj, mesh, follow) -> Carried | None:
     if index is None or time is None:
         return None
     take = index >= 0 if shown is None else (index >= 0) & ~shown.any(1)
-    position = np.empty((len(mesh.vertices), 3), np.float32)
-    mesh.vertices.foreach_get("co", position.ravel())
     rest = {name: _values(mesh, name, width) for name, width in ((SCALE, 3), (OPACITY, 1), (COLOR, 3), (HIDDEN, 1))}
     rest = {name: value[take] for name, value in rest.items() if value is not None}
     if HIDDEN in rest:
         rest[HIDDEN] = rest[HIDDEN] > 0.5
     t = float(time[take][0]) if take.any() else 0.0
-    return Carried(next(_numbers), t, model_space.model_matrix(obj), rec709_to_working(), index[take].astype(np.int64), position[take],
-                   rest, follow and obj.fastgs.follow_points)
+    return Carried(next(_numbers), t, model_space.model_matrix(obj), rec709_to_working(), index[take].astype(np.int64),
+                   arrays.points(mesh)[take], rest, follow and obj.fastgs.follow_points)
 
 
 KINDS = {'FLOAT': ("value", 1, np.float32), 'INT': ("value", 1, np.int32), 'BOOLEAN': ("value", 1, bool), 'INT8': ("value", 1, np.int8),
@@ -220,9 +218,7 @@ def _values(mesh, name: str, width: int):
     if attribute is None or attribute.domain != 'POINT' or attribute.data_type not in KINDS or len(attribute.data) != len(mesh.vertices):
         return None
     member, held, kind = KINDS[attribute.data_type]
-    values = np.empty(len(mesh.vertices) * held, kind)
-    attribute.data.foreach_get(member, values)
-    values = values.reshape(-1, held)
+    values = arrays.read(attribute.data, member, kind, held).reshape(-1, held)
     if width == 1:
         return values[:, 0] if held == 1 else values[:, :3].mean(1)
     return np.repeat(values, width, 1) if held == 1 else values[:, :width]

@@ -20,6 +20,7 @@ import bpy
 import numpy as np
 
 from .. import fastgs_blender as fg
+from ..fastgs_blender.jobs.environment import hidden
 
 log = logging.getLogger(__name__)
 
@@ -183,9 +184,8 @@ class Sky:
         given = ["--", folder / "world.blend", request.name, target, str(request.width), str(STRIP), *(str(v) for v in request.frame),
                  request.space]
         blender = [bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "1", "-P"]
-        hidden = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
         self._process = subprocess.Popen([*(blender if bpy.app.binary_path else [sys.executable]), script, *given],
-                                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **hidden)
+                                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **hidden())
         said, _ = self._process.communicate(timeout=PATIENCE)
         if self._process.returncode or not target.with_suffix(".npy").exists():
             raise OSError("\n".join(said.decode(errors="replace").strip().splitlines()[-8:]) or "no reason given")

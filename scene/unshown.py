@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from . import holdout, objects
 
-SURFACES = ('MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME')
-"""Types of objects that are surfaces."""
 NAMED = 3
 """Objects that a sentence names; of further ones it gives the number."""
 
@@ -14,7 +12,7 @@ def objects_left_out(scene, view_layer) -> list:
     """The objects with a surface that a final render would show and FAST-GS does not: neither splats, nor boxes that crop them."""
     shown = [obj for obj in view_layer.objects if not obj.hide_render]
     helpers = holdout.helpers(scene)
-    return [obj for obj in shown if obj.type in SURFACES and obj.display_type in ('SOLID', 'TEXTURED') and obj.visible_camera
+    return [obj for obj in shown if obj.type in objects.SURFACES and obj.display_type in ('SOLID', 'TEXTURED') and obj.visible_camera
             and not objects.is_splat(obj) and obj.name not in helpers and not holdout.is_held_out(obj, view_layer)]
 
 
@@ -33,10 +31,7 @@ def meshes(scene, view_layer) -> str | None:
 def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
     holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and holdout.is_held_out(obj, view_layer)]
-    told = (
-        (bool(holdouts), f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."),
-    )
-    return [text for true, text in told if true]
+    return [f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."] if holdouts else []
 
 
 def in_viewports(scene) -> str | None:

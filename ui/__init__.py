@@ -3,6 +3,7 @@
 import bpy
 
 from ..scene import settings
+from ..scene.registration import classes_of
 from . import (
     camera_panel,
     capture_panel,
@@ -18,14 +19,13 @@ from . import (
     viewport_panel,
 )
 
-CLASSES = tuple(cls for module in (
-    object_panels, render_panels, splats_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences,
-) for cls in module.CLASSES)
+CLASSES = classes_of(
+    object_panels, render_panels, splats_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    register_classes()
     menus.register()
     keymap.register()
     tools.register()
@@ -41,5 +41,4 @@ def unregister():
     tools.unregister()
     keymap.unregister()
     menus.unregister()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    unregister_classes()

@@ -21,6 +21,3 @@ class FASTGS_PT_camera(Sidebar, bpy.types.Panel):
         col.operator("fastgs.handheld", icon='VIEW_PAN')
         col.operator("fastgs.follow_region", icon='CON_TRACKTO')
         col.operator("fastgs.bullet_time", icon='TIME')
-
-
-CLASSES = (FASTGS_PT_camera,)

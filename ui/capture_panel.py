@@ -36,6 +36,3 @@ class FASTGS_PT_capture(Sidebar, bpy.types.Panel):
         col = layout.column(align=True)
         col.operator("fastgs.import_camera_path", icon='IMPORT')
         col.operator("fastgs.export_camera_path", icon='EXPORT')
-
-
-CLASSES = (FASTGS_PT_capture,)

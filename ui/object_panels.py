@@ -16,6 +16,21 @@ def is_ours(obj) -> bool:
     return obj is not None and bool(obj.fastgs.filepath or obj.fastgs.file_hash)
 
 
+def split(layout, decorate: bool = True):
+    """The layout, with the names of properties beside them; decorate: with a dot that keys them."""
+    layout.use_property_split, layout.use_property_decorate = True, decorate
+    return layout
+
+
+def draw_column(layout, owner, *names: str, active: bool = True, align: bool = False):
+    """Draw properties of an owner in a column, which is returned; greyed out where it is not active."""
+    col = layout.column(align=align)
+    col.active = active
+    for name in names:
+        col.prop(owner, name)
+    return col
+
+
 def draw_rows(layout, rows):
     """Draw pairs of text in two columns, aligned with properties."""
     col = layout.column(align=True)
@@ -54,13 +69,10 @@ def draw_other_engine(layout, context):
 
 def draw_look(layout, context):
     """Draw how the model's colours, opacity and sizes are changed."""
-    settings = context.object.fastgs
-    layout.use_property_split = True
+    split(layout)
     groups = [list(names) for _, names in groupby(LOOKS, lambda name: LOOKS[name].group)]
     for names in (*groups[:-1], ["antialias", *groups[-1]], ["viewport_density", "density"]):
-        col = layout.column(align=True)
-        for name in names:
-            col.prop(settings, name)
+        draw_column(layout, context.object.fastgs, *names, align=True)
     if is_ours(context.object):
         layout.operator("fastgs.reset_look", icon='LOOP_BACK')
 
@@ -82,15 +94,11 @@ def draw_size(self, context):
 class Sidebar:
     """A panel in the sidebar of the 3D view."""
 
-    bl_space_type = 'VIEW_3D'
-    bl_region_type = 'UI'
-    bl_category = "FAST-GS"
+    bl_space_type, bl_region_type, bl_category = 'VIEW_3D', 'UI', "FAST-GS"
 
 
 class _Splat:
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
-    bl_context = "object"
+    bl_space_type, bl_region_type, bl_context = 'PROPERTIES', 'WINDOW', "object"
 
     @classmethod
     def poll(cls, context):
@@ -131,9 +139,7 @@ class FASTGS_PT_object(_Splat, bpy.types.Panel):
         elif objects.error_of(obj) is None:
             layout.label(text="Not read yet", icon='INFO')
         if obj.fastgs.has_backdrop:
-            col = layout.column()
-            col.use_property_split = True
-            col.prop(obj.fastgs, "backdrop")
+            split(layout.column()).prop(obj.fastgs, "backdrop")
         row = layout.row(align=True)
         row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
         row.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
@@ -147,17 +153,11 @@ class FASTGS_PT_object_time(_Moving, bpy.types.Panel):
     bl_options = set()
 
     def draw(self, context):
-        layout, settings = self.layout, context.object.fastgs
-        layout.use_property_split = True
-        col = layout.column()
-        col.active = not settings.use_capture_frame
-        col.prop(settings, "start_frame")
-        col.prop(settings, "speed")
+        layout, settings = split(self.layout), context.object.fastgs
+        draw_column(layout, settings, "start_frame", "speed", active=not settings.use_capture_frame)
         if text := speeds.trouble(context.object):
             draw_trouble(layout, context, text)
-        col = layout.column()
-        col.prop(settings, "before")
-        col.prop(settings, "after")
+        draw_column(layout, settings, "before", "after")
         if facts.known(context.object):
             draw_rows(layout, [("Shown Now", facts.shown_now(context.object, context.scene))])
             layout.operator("fastgs.fit_scene", icon='PREVIEW_RANGE')
@@ -167,18 +167,13 @@ class FASTGS_PT_object_trim(_OfTime, bpy.types.Panel):
     bl_label = "Trim, Shift and Fade"
 
     def draw(self, context):
-        layout, settings = self.layout, context.object.fastgs
-        layout.use_property_split = True
+        layout, settings = split(self.layout), context.object.fastgs
         col = layout.column(align=True)
         col.prop(settings, "trim_start")
         col.prop(settings, "trim_end", text="End")
         col = layout.column()
-        sub = col.column()
-        sub.active = not settings.use_capture_frame
-        sub.prop(settings, "offset")
-        sub = col.column()
-        sub.active = 'LOOP' in (settings.before, settings.after)
-        sub.prop(settings, "fade")
+        draw_column(col, settings, "offset", active=not settings.use_capture_frame)
+        draw_column(col, settings, "fade", active='LOOP' in (settings.before, settings.after))
         if objects.is_sequence(context.object):
             col.prop(settings, "subframes")
 
@@ -190,8 +185,7 @@ class FASTGS_PT_object_capture_frame(_OfTime, bpy.types.Panel):
         self.layout.prop(context.object.fastgs, "use_capture_frame", text="")
 
     def draw(self, context):
-        layout, settings = self.layout, context.object.fastgs
-        layout.use_property_split = True
+        layout, settings = split(self.layout), context.object.fastgs
         layout.active = settings.use_capture_frame
         layout.prop(settings, "capture_frame")
 
@@ -200,8 +194,7 @@ class FASTGS_PT_object_echoes(_OfTime, bpy.types.Panel):
     bl_label = "Echoes"
 
     def draw(self, context):
-        layout, settings = self.layout, context.object.fastgs
-        layout.use_property_split = True
+        layout, settings = split(self.layout), context.object.fastgs
         layout.prop(settings, "echoes")
         col = layout.column(align=True)
         col.active = settings.echoes > 0
@@ -230,32 +223,6 @@ class FASTGS_PT_object_look(_Part, bpy.types.Panel):
 
     def draw(self, context):
         draw_look(self.layout, context)
-
-
-class FASTGS_PT_instances(_Splat, bpy.types.Panel):
-    bl_label = "Look of Instanced Splats"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    @classmethod
-    def poll(cls, context):
-        return context.object is not None and objects.instances_splats(context.object)
-
-    def draw(self, context):
-        draw_look(self.layout, context)
-
-
-class FASTGS_PT_object_points(_Part, bpy.types.Panel):
-    bl_label = "Effects and Modifiers"
-
-    def draw(self, context):
-        layout, settings = self.layout, context.object.fastgs
-        layout.use_property_split = True
-        layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
-        layout.prop(settings, "points")
-        col = layout.column()
-        col.active = settings.points == 'ALL'
-        col.prop(settings, "follow_points")
-        col.prop(settings, "still_frame")
 
 
 class FASTGS_PT_object_crop(_Part, bpy.types.Panel):
@@ -303,6 +270,16 @@ class FASTGS_PT_object_filters(_Part, bpy.types.Panel):
         draw_erased(layout, context)
 
 
+class FASTGS_PT_object_points(_Part, bpy.types.Panel):
+    bl_label = "Effects and Modifiers"
+
+    def draw(self, context):
+        layout, settings = split(self.layout), context.object.fastgs
+        layout.operator_menu_enum("fastgs.add_effect", "effect", icon='GEOMETRY_NODES')
+        layout.prop(settings, "points")
+        draw_column(layout, settings, "follow_points", "still_frame", active=settings.points == 'ALL')
+
+
 class FASTGS_PT_object_engines(_Part, bpy.types.Panel):
     bl_label = "Other Render Engines"
 
@@ -310,8 +287,13 @@ class FASTGS_PT_object_engines(_Part, bpy.types.Panel):
         self.layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 
 
-CLASSES = (
-    FASTGS_PT_object, FASTGS_PT_object_time, FASTGS_PT_object_trim, FASTGS_PT_object_capture_frame, FASTGS_PT_object_echoes,
-    FASTGS_PT_object_cut, FASTGS_PT_object_sound, FASTGS_PT_object_look, FASTGS_PT_object_crop, FASTGS_PT_object_filters,
-    FASTGS_PT_object_points, FASTGS_PT_object_engines, FASTGS_PT_instances,
-)
+class FASTGS_PT_instances(_Splat, bpy.types.Panel):
+    bl_label = "Look of Instanced Splats"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and objects.instances_splats(context.object)
+
+    def draw(self, context):
+        draw_look(self.layout, context)

@@ -10,7 +10,7 @@ from ..fastgs_blender.util.threads import available
 from ..fastgs_blender.util.verdicts import read_verdict
 from ..scene import devices, settings
 from ..scene.training import installation
-from .object_panels import draw_rows, draw_trouble
+from .object_panels import draw_rows, draw_trouble, split
 
 
 def _apply(self, context):
@@ -49,9 +49,7 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         name="Package Index", description="Where packages for a new environment come from, as pip's --index-url; empty for the usual one")
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split(self.layout, decorate=False)
 
         col = headed(layout, "Rendering")
         draw_gpus(col, context, self.gpu)
@@ -136,6 +134,3 @@ def kernel_state() -> str:
     if compiling.is_running():
         return "being compiled now"
     return f"compiled, {cache.size() / 1e6:.1f} MB" if cache.is_filled() else "not compiled yet; the first use does it"
-
-
-CLASSES = (FASTGS_AP_preferences,)

@@ -9,12 +9,11 @@ from ..fastgs_blender.util.backends import describe_backend
 from ..fastgs_blender.util.threads import available
 from ..scene import devices, holdout, mesh_scene, objects, settings, unshown
 from . import facts
-from .object_panels import draw_other_engine, draw_rows, draw_trouble
+from .object_panels import draw_column, draw_other_engine, draw_rows, draw_trouble, split
 
 
 class _Engine:
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
+    bl_space_type, bl_region_type, bl_context = 'PROPERTIES', 'WINDOW', "render"
     COMPAT_ENGINES = {'FASTGS'}
 
     @classmethod
@@ -78,12 +77,9 @@ def draw_threads(layout, render):
 
 class FASTGS_PT_render(_Engine, bpy.types.Panel):
     bl_label = "FAST-GS"
-    bl_context = "render"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split(self.layout, decorate=False)
         draw_device(layout, context)
         layout.prop(context.scene.fastgs, "depth")
         layout.prop(context.scene.fastgs, "sorting")
@@ -95,28 +91,22 @@ class FASTGS_PT_render(_Engine, bpy.types.Panel):
 
 class FASTGS_PT_film(_Engine, bpy.types.Panel):
     bl_label = "Film"
-    bl_context = "render"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split(self.layout)
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
-        row = layout.row()
-        row.active = not holdout.with_meshes(context.scene)
-        row.prop(context.scene.fastgs, "use_meshes")
+        draw_column(layout, context.scene.fastgs, "use_meshes", active=not holdout.with_meshes(context.scene))
 
 
 class FASTGS_PT_motion_blur(_Engine, bpy.types.Panel):
     bl_label = "Motion Blur"
-    bl_context = "render"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw_header(self, context):
         self.layout.prop(context.scene.render, "use_motion_blur", text="")
 
     def draw(self, context):
-        layout, render = self.layout, context.scene.render
-        layout.use_property_split = True
+        layout, render = split(self.layout), context.scene.render
         layout.active = render.use_motion_blur
         col = layout.column()
         col.prop(render, "motion_blur_position", text="Position")
@@ -127,7 +117,6 @@ class FASTGS_PT_motion_blur(_Engine, bpy.types.Panel):
 class FASTGS_PT_shutter_curve(_Engine, bpy.types.Panel):
     bl_label = "Shutter Curve"
     bl_parent_id = "FASTGS_PT_motion_blur"
-    bl_context = "render"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
@@ -137,29 +126,22 @@ class FASTGS_PT_shutter_curve(_Engine, bpy.types.Panel):
 
 class FASTGS_PT_depth_of_field(_Engine, bpy.types.Panel):
     bl_label = "Depth of Field"
-    bl_context = "render"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split(self.layout)
         layout.prop(context.scene.fastgs, "lens_samples")
         draw_trouble(layout, context, "The camera's own settings say what is sharp", 'INFO')
 
 
 class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
     bl_label = "Splat Shadows"
-    bl_context = "render"
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.fastgs
-        layout.use_property_split = True
+        layout, settings = split(self.layout), context.scene.fastgs
         layout.prop(settings, "shadow_light")
-        col = layout.column()
-        col.active = settings.shadow_light is not None
-        col.prop(settings, "shadow_samples")
-        col.prop(settings, "shadow_bias")
+        draw_column(layout, settings, "shadow_samples", "shadow_bias", active=settings.shadow_light is not None)
         if not (settings.shadow_light is None or context.view_layer.fastgs.use_pass_shadow or holdout.with_meshes(context.scene)):
             draw_trouble(layout, context, "Choose Render With Meshes, or switch on the pass Splat Shadow", 'INFO')
 
@@ -169,9 +151,7 @@ class FASTGS_PT_passes(_Engine, bpy.types.Panel):
     bl_context = "view_layer"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split(self.layout, decorate=False)
         layer = context.view_layer
         col = layout.column(heading="Include")
         for switch, name in {entry.switch: entry.title or entry.blender for entry in PASSES.values() if entry.switch}.items():
@@ -187,21 +167,17 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
     bl_context = "object"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split(self.layout)
         layout.prop(context.object, "visible_camera", text="Camera")
-        if context.object.type in holdout.SURFACES and not objects.is_splat(context.object):
-            row = layout.row()
-            row.active = context.scene.fastgs.use_meshes or holdout.with_meshes(context.scene)
-            row.prop(context.object.fastgs, "hides_splats")
+        if context.object.type in objects.MESHABLE and not objects.is_splat(context.object):
+            draw_column(layout, context.object.fastgs, "hides_splats",
+                        active=context.scene.fastgs.use_meshes or holdout.with_meshes(context.scene))
 
 
 class FASTGS_PT_other_engine(bpy.types.Panel):
     """What another engine renders of splats."""
 
-    bl_space_type = 'PROPERTIES'
-    bl_region_type = 'WINDOW'
-    bl_context = "render"
+    bl_space_type, bl_region_type, bl_context = 'PROPERTIES', 'WINDOW', "render"
     bl_label = "Splats in This Engine"
 
     @classmethod
@@ -214,10 +190,3 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
         draw_trouble(layout, context, text)
         draw_other_engine(layout, context)
         layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
-
-
-CLASSES = (
-    FASTGS_PT_render, FASTGS_PT_film, FASTGS_PT_motion_blur, FASTGS_PT_shutter_curve, FASTGS_PT_depth_of_field, FASTGS_PT_shadows,
-    FASTGS_PT_passes,
-    FASTGS_PT_ray_visibility, FASTGS_PT_other_engine,
-)

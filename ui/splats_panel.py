@@ -42,6 +42,3 @@ def draw_settings_button(layout, context):
             props.data_path, props.value = f"screen.areas[{number}].spaces.active.context", 'OBJECT'
             return
     layout.label(text="More in Object Properties", icon='OBJECT_DATA')
-
-
-CLASSES = (FASTGS_PT_splats,)

@@ -13,7 +13,7 @@ from ..scene.filming import progress
 from ..scene.settings import EXTENSION
 from ..scene.training import folders, installation, plates, readiness, results, watch
 from . import facts
-from .object_panels import Sidebar, draw_rows, draw_trouble
+from .object_panels import Sidebar, draw_column, draw_rows, draw_trouble, split
 
 ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 'ERROR', 'FINISHED': 'CHECKMARK'}
 
@@ -106,9 +106,7 @@ class FASTGS_PT_training(Sidebar, bpy.types.Panel):
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.fastgs.training
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
         layout.prop(settings, "source")
         if settings.source == 'FOLDER':
             draw_capture(layout, context, settings)
@@ -118,9 +116,7 @@ class FASTGS_PT_training(Sidebar, bpy.types.Panel):
             layout.prop(settings, "cameras")
             if settings.cameras in ('DOME', 'ARC'):
                 layout.prop(settings, "count")
-            col = layout.column(align=True)
-            col.prop(settings, "width")
-            col.prop(settings, "height")
+            draw_column(layout, settings, "width", "height", align=True)
         col = layout.column()
         col.prop(settings, "preset")
         col.prop(context.scene.fastgs, "device")
@@ -145,21 +141,9 @@ class FASTGS_PT_training_filming(Sidebar, bpy.types.Panel):
         return context.scene.fastgs.training.source == 'SCENE'
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.fastgs.training
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        col = layout.column()
-        if settings.cameras in ('DOME', 'ARC'):
-            col.prop(settings, "distance")
-            col.prop(settings, "angle")
-        col.prop(settings, "subject")
-        col.prop(settings, "frame_step")
-        col = layout.column()
-        col.prop(settings, "quality")
-        if settings.quality == 'FAST':
-            col.prop(settings, "samples")
-        col.prop(settings, "world")
-        col.prop(settings, "hold_out")
+        layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
+        draw_column(layout, settings, *("distance", "angle") * (settings.cameras in ('DOME', 'ARC')), "subject", "frame_step")
+        draw_column(layout, settings, "quality", *("samples",) * (settings.quality == 'FAST'), "world", "hold_out")
 
 
 class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
@@ -168,19 +152,12 @@ class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
     bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.fastgs.training
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        col = layout.column()
-        for name in ("frames", "scale", "held_out"):
-            col.prop(settings, name)
-        col = layout.column()
-        for name in ("iterations", "max_gaussians", "order"):
-            col.prop(settings, name)
-        col.prop(settings, "motion_weight", text="Smoothing")
+        layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
+        draw_column(layout, settings, "frames", "scale", "held_out")
+        draw_column(layout, settings, "iterations", "max_gaussians", "order").prop(settings, "motion_weight", text="Smoothing")
 
 
-class FASTGS_PT_training_runs(Sidebar, bpy.types.Panel):
+class FASTGS_PT_training_runs(Sidebar, bpy.types.Panel):  # last of all: nothing below it lies over a run while panels move apart
     bl_label = "Runs"
     bl_parent_id = "FASTGS_PT_training"
 
@@ -265,7 +242,3 @@ def register():
 
 def unregister():
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
-
-
-CLASSES = (FASTGS_PT_training, FASTGS_PT_training_filming, FASTGS_PT_training_options, FASTGS_PT_training_runs)
-"""Runs come last in the last panel: nothing is below that could lie over a run while Blender moves panels apart."""

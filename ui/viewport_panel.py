@@ -7,7 +7,7 @@ import bpy
 from ..engine.viewport.spaces import viewports
 from ..scene import objects, unshown
 from . import facts
-from .object_panels import Sidebar, draw_rows, draw_trouble
+from .object_panels import Sidebar, draw_rows, draw_trouble, split
 from .render_panels import draw_unshown
 
 
@@ -23,9 +23,7 @@ class FASTGS_PT_viewport(Sidebar, bpy.types.Panel):
         self.layout.prop(context.scene.fastgs, "show_splats", text="")
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.fastgs
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = split(self.layout, decorate=False), context.scene.fastgs
         layout.prop(settings, "viewport_density", text="In Motion")
         layout.prop(settings, "viewport_pixels")
         draw_rows(layout, [("GPU Memory", facts.size(viewports.memory()))])
@@ -67,10 +65,5 @@ class FASTGS_PT_pictures(Sidebar, bpy.types.Panel):
         self.layout.prop(context.scene.fastgs, "show_pictures", text="")
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split(self.layout, decorate=False)
         layout.prop(context.scene.fastgs, "picture_size")
-
-
-CLASSES = (FASTGS_PT_viewport, FASTGS_PT_viewport_pass, FASTGS_PT_pictures)

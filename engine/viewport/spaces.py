@@ -13,7 +13,7 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, holdout, objects, proxies, shadows, sky, snapshot, unshown, world
+from ...scene import colour, holdout, objects, proxies, shadows, sky, snapshot, world
 from .. import compiling, passes
 from . import frusta, meshes, overlays, shaders
 from .atlas import Atlas
@@ -74,7 +74,7 @@ class Viewports:
     def has_surfaces(self, space, depsgraph) -> bool:
         """Whether a viewport shows surfaces beside splats."""
         return self._once("surfaces", lambda: any(
-            instance.object.type in unshown.SURFACES and not objects.is_splat(instance.object)
+            instance.object.type in objects.SURFACES and not objects.is_splat(instance.object)
             and _visible(instance.parent if instance.is_instance else instance.object, space)
             for instance in depsgraph.object_instances), space, depsgraph)
 

@@ -151,12 +151,10 @@ def look_through(context, splat: bpy.types.Object, index: int | None = None) -> 
     world = space.world_matrix(splat, "")
     viewpoint = viewpoints[middle_camera(viewpoints, world[2][:3]) if index is None else min(index, len(viewpoints) - 1)]
     camera = space.out_of(camera_of(viewpoint), world)
-    obj = bpy.data.objects.new(viewpoint.name or "Capture Camera", bpy.data.cameras.new(viewpoint.name or "Capture Camera"))
+    obj = placing.new_camera(viewpoint.name or "Capture Camera", *splat.users_collection)
     placing.set_optics(obj.data, camera)
     placing.set_pose(obj, camera)
     obj.data.fastgs.view = viewpoint.name or "camera"
-    for collection in splat.users_collection:
-        collection.objects.link(obj)
     context.scene.camera = obj
     for area, view in views(context):
         view.view_perspective = 'CAMERA'

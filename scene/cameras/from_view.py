@@ -9,8 +9,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from . import framing
+from .placing import new_camera
+from .subjects import USUAL_LENS, USUAL_SENSOR
 
-USUAL_SENSOR, USUAL_LENS = 36.0, 50.0
 MARGIN = 1.05
 """How much farther away than the scene's nearest corner the camera of an orthographic view stands at least."""
 
@@ -45,10 +46,10 @@ def camera_from_view(context, area, view) -> bpy.types.Object:
     if through is not None and through.type == 'CAMERA':
         data = through.data.copy()
         data.animation_data_clear()
-        camera = _new(context.collection, data)
+        camera = new_camera("Camera", context.collection, data=data)
         camera.matrix_world = through.matrix_world.copy()
     else:
-        camera = _new(context.collection)
+        camera = new_camera("Camera", context.collection)
         _see(context, camera, _shown(area, view))
     context.scene.camera = camera
     if space.use_local_camera:
@@ -72,7 +73,7 @@ def stand_in_view(context, splats: list[bpy.types.Object], camera: bpy.types.Obj
         look = framing.look_at(splats, min(shown.half))[0]
         shown = shown._replace(eye=look.eye, distance=look.distance, orthographic=False)
     if camera is None:
-        camera = _new(scene.collection)
+        camera = new_camera("Camera", scene.collection)
     _see(context, camera, shown._replace(near=min(shown.near, shown.distance / 100), far=max(shown.far, 100 * shown.distance)))
     scene.camera = camera
     return camera
@@ -82,12 +83,6 @@ def _shown(area, view) -> Shown:
     space = area.spaces.active
     return Shown(framing.eye_of(space, view), framing.half_sides(area), view.view_distance, view.view_perspective == 'ORTHO',
                  space.clip_start, space.clip_end)
-
-
-def _new(collection, data: bpy.types.Camera | None = None) -> bpy.types.Object:
-    camera = bpy.data.objects.new("Camera", data or bpy.data.cameras.new("Camera"))
-    collection.objects.link(camera)
-    return camera
 
 
 def _see(context, camera: bpy.types.Object, shown: Shown) -> None:

@@ -22,7 +22,9 @@ def pose(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
 
 
 def curves(owner: bpy.types.ID):
-    """The F-curves of an animated datablock; they may be none."""
+    """The F-curves of a datablock; () where nothing animates it."""
+    if not (owner.animation_data and owner.animation_data.action):
+        return ()
     return _curves(owner.animation_data.action, getattr(owner.animation_data, "action_slot", None))
 
 
@@ -88,8 +90,8 @@ def animate(camera: bpy.types.Object, move: Callable[[np.ndarray], Path], frames
 
 
 def write(owner: bpy.types.ID, name: str, frames: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> None:
-    """Key a property [M, D] of an object or its data with Bezier handles along slopes [M, D], per frame."""
-    single = isinstance(getattr(owner, name), float)
+    """Key a property [M, D] of an object or its data, by its path, with Bezier handles along slopes [M, D], per frame."""
+    single = isinstance(owner.path_resolve(name), float)
     owner.keyframe_insert(name, frame=frames[0])
     found = curves(owner)
     for i in range(values.shape[1]):

@@ -12,6 +12,14 @@ from .. import camera as cameras
 from . import keys as camera_keys
 
 
+def new_camera(name: str, *collections: bpy.types.Collection, data: bpy.types.Camera | None = None) -> bpy.types.Object:
+    """A new camera in collections."""
+    camera = bpy.data.objects.new(name, data or bpy.data.cameras.new(name))
+    for collection in collections:
+        collection.objects.link(camera)
+    return camera
+
+
 def set_optics(data: bpy.types.Camera, camera: fg.Camera) -> None:
     """Give a Blender camera exactly these intrinsics; it remembers the picture size and pixel aspect that they hold for."""
     optics = cameras.optics_of(camera)

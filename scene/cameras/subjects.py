@@ -7,8 +7,9 @@ import numpy as np
 from mathutils import Vector
 
 from ...fastgs_blender.model.framing import is_subject
-from .. import model_space, objects
+from .. import arrays, model_space, objects
 from ..splats.proxy_nodes import GAUSSIAN
+from .placing import new_camera
 
 USUAL_LENS, USUAL_SENSOR = 50.0, 36.0
 
@@ -20,11 +21,10 @@ def target_camera(context, make: bool) -> bpy.types.Object | None:
         return scene.camera
     if not make:
         return None
-    camera = bpy.data.objects.new("Camera Move", bpy.data.cameras.new("Camera Move"))
+    camera = new_camera("Camera Move", scene.collection)
     if scene.camera and scene.camera.type == 'CAMERA':
         camera.data.lens, camera.data.sensor_width = scene.camera.data.lens, scene.camera.data.sensor_width
     camera.rotation_mode = 'QUATERNION'
-    scene.collection.objects.link(camera)
     scene.camera = camera
     return camera
 
@@ -48,13 +48,7 @@ def middle_and_radius(chosen: list[bpy.types.Object]) -> tuple[Vector, float]:
 
 def _most_of(splats) -> tuple[Vector, float]:
     """Middle and radius of most of the splats; a few strays, a far background and the room around them do not count."""
-    clouds = []
-    for obj in splats:
-        points = np.empty(3 * len(obj.data.vertices), np.float32)
-        obj.data.vertices.foreach_get("co", points)
-        matrix = np.array(obj.matrix_world)
-        clouds.append(points.reshape(-1, 3)[_in_box(obj.data)] @ matrix[:3, :3].T + matrix[:3, 3])
-    points = np.concatenate(clouds)
+    points = np.concatenate([model_space.mapped(arrays.points(obj.data)[_in_box(obj.data)], np.array(obj.matrix_world)) for obj in splats])
     near = points[is_subject(points)]
     low, high = near.min(0), near.max(0)
     return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)
@@ -72,19 +66,13 @@ def size_of(obj) -> Vector:
     index = _values(obj.data, GAUSSIAN, "value", np.int32) if obj.type == 'MESH' else None
     if index is None or not (index < 0).any():
         return Vector()
-    points = np.empty(3 * len(index), np.float32)
-    obj.data.vertices.foreach_get("co", points)
-    return Vector(np.ptp(points.reshape(-1, 3)[index < 0], 0) * np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0))
+    return Vector(np.ptp(arrays.points(obj.data)[index < 0], 0) * np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0))
 
 
-def _values(mesh, name: str, key: str, dtype, width: int = 0) -> np.ndarray | None:
+def _values(mesh, name: str, key: str, dtype, width: int = 1) -> np.ndarray | None:
     """An attribute of a mesh's vertices, [V] or [V, width]; None where it has none, and in Edit Mode, which keeps them elsewhere."""
-    attribute, count = mesh.attributes.get(name), len(mesh.vertices)
-    if attribute is None or len(attribute.data) != count:
-        return None
-    values = np.empty(count * max(width, 1), dtype)
-    attribute.data.foreach_get(key, values)
-    return values.reshape(count, width) if width else values
+    attribute = mesh.attributes.get(name)
+    return None if attribute is None or len(attribute.data) != len(mesh.vertices) else arrays.read(attribute.data, key, dtype, width)
 
 
 def far_enough(scene, size: float) -> float:

@@ -21,10 +21,7 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
     The region is made of the Gaussians of the splat object that are visible on the current frame within `radius` of the 3D cursor;
     `smooth` is the number of frames over which its motion is averaged.  Raises FastGSError where there are none.
     """
-    model = objects.load_model(objects.abspath(obj))
-    if not isinstance(model, fg.GaussianModel):
-        raise fg.FastGSError("the Gaussians of a sequence cannot be followed from frame to frame; turn it into one model with "
-                             "fastgs convert.")
+    model = objects.load_one_model(obj, "followed from frame to frame")
     fps = scene.render.fps / scene.render.fps_base
     world = model_space.placement(obj)
 

@@ -11,7 +11,8 @@ import bpy
 from ... import fastgs_blender as fg
 from ...fastgs_blender.captures.layouts.fastgs import BAKE
 from ...fastgs_blender.util.errors import FastGSError
-from ..meshes.baking import Settings, bake_steps
+from ..meshes.baking import bake_steps
+from ..meshes.options import bake_options
 
 COUNT = 150_000
 """Gaussians on all surfaces; training takes those that the pictures show."""
@@ -28,7 +29,8 @@ def bake_filmed_steps(studio, plan, names: set[str], fps: float, out: Path):
     last = plan.frame_start + plan.frame_step * count - 1
     context = SimpleNamespace(scene=studio.scene, evaluated_depsgraph_get=lambda: studio.depsgraph)
     objects = [obj for obj in studio.scene.objects if obj.name in names]
-    steps = bake_steps(context, objects, Settings(plan.frame_start, last, COUNT), apart=not bpy.app.background)
+    options = bake_options(frame_start=plan.frame_start, frame_end=last, count=COUNT)
+    steps = bake_steps(context, objects, options, apart=not bpy.app.background)
     try:
         while True:
             yield next(steps)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from ...fastgs_blender.util.errors import FastGSError
 from ...fastgs_blender.util.outputs import replacing
 from ...fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 from ...fastgs_blender.util.reading import read_json
+from .. import arrays
 from .baked import bake_filmed_steps
 from .studio import Studio
 from .subject import find
@@ -125,13 +127,22 @@ def _chosen(studio, plan) -> dict[str, list[fg.Camera]]:
                 raise FastGSError(f'the scene has no camera "{name}"; choose others.')
             views.setdefault(name, []).append(studio.filmed_by(obj))
     for name, shots in views.items():
-        lens = np.array([(c.fx, c.fy, c.cx, c.cy) for c in shots])
-        if np.ptp(lens, axis=0).max() > 1e-3 * lens[0, 0]:
-            raise FastGSError(f'the lens of the camera "{name}" is animated, which a capture cannot hold; choose others.')
-    names = {name: re.sub(r"[^\w.-]+", "_", name).strip(".") or "cam" for name in views}
-    if len(set(names.values())) < len(names) or "masks" in names.values():
-        names = {name: f"cam{k:02}" for k, name in enumerate(views)}
-    return {names[name]: shots for name, shots in views.items()}
+        steady_lens(name, shots)
+    return dict(zip(file_names(views), views.values()))
+
+
+def steady_lens(name: str, shots: list[fg.Camera]) -> np.ndarray:
+    """The focal lengths and the centre [4] of a camera's shots.  Raises FastGSError where they change."""
+    lens = np.array([(c.fx, c.fy, c.cx, c.cy) for c in shots])
+    if np.ptp(lens, axis=0).max() > 1e-3 * lens[0, 0]:
+        raise FastGSError(f'the lens of the camera "{name}" is animated, which a capture cannot hold; choose others.')
+    return lens[0]
+
+
+def file_names(names: Iterable[str]) -> list[str]:
+    """Names for the folders of cameras of these names."""
+    found = [re.sub(r"[^\w.-]+", "_", name).strip(".") or "cam" for name in names]
+    return [f"cam{k:02}" for k in range(len(found))] if len(set(found)) < len(found) or "masks" in found else found
 
 
 def _describe(out: Path, scene, plan, views):
@@ -238,9 +249,6 @@ def _pixels(path) -> np.ndarray:
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         image.colorspace_settings.name = 'Non-Color'
-        width, height = image.size
-        values = np.empty(width * height * 4, np.float32)
-        image.pixels.foreach_get(values)
-        return values.reshape(height, width, 4)[::-1]
+        return arrays.pixels(image)[::-1]
     finally:
         bpy.data.images.remove(image)

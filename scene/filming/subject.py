@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fastgs_blender.util.errors import FastGSError
+from .. import arrays
+from ..model_space import mapped
+from ..objects import SURFACES
 
-SOLID = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'CURVES', 'POINTCLOUD', 'VOLUME'}
 MOST_POINTS, MOST_INSTANCES, LOOKS = 300, 20_000, 16
 
 
@@ -64,12 +66,12 @@ def _outlines(depsgraph) -> dict[str, _Outline]:
         owner = (instance.parent if instance.is_instance else obj).original
         if number >= MOST_INSTANCES:
             break
-        if obj.type not in SOLID or owner.hide_render or obj.original.hide_render or not instance.show_self:
+        if obj.type not in SURFACES or owner.hide_render or obj.original.hide_render or not instance.show_self:
             continue
         matrix = np.array(instance.matrix_world)
         found.setdefault(owner.name, [owner, set(), []])
         found[owner.name][1].add(obj.original.name)
-        found[owner.name][2].append(_points(obj) @ matrix[:3, :3].T + matrix[:3, 3])
+        found[owner.name][2].append(mapped(_points(obj), matrix))
     return {name: _Outline(_top(owner).name, names, np.concatenate(points)) for name, (owner, names, points) in found.items()}
 
 
@@ -77,9 +79,7 @@ def _points(obj) -> np.ndarray:
     vertices = obj.data.vertices if obj.type == 'MESH' else ()
     if not len(vertices):
         return np.array(obj.bound_box, np.float64)
-    points = np.empty(3 * len(vertices), np.float32)
-    vertices.foreach_get("co", points)
-    return points.reshape(-1, 3)[:: max(1, len(vertices) // MOST_POINTS)]
+    return arrays.points(obj.data)[:: max(1, len(vertices) // MOST_POINTS)]
 
 
 def _moves(outlines) -> bool:

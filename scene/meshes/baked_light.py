@@ -15,8 +15,10 @@ import numpy as np
 from ...fastgs_blender.rendering.colour import linear_to_srgb, srgb_to_linear
 from ...fastgs_blender.surfaces.sampling import SurfaceSamples, neighbours, triangle_normals
 from ...fastgs_blender.util.errors import FastGSError
+from .. import arrays
+from ..frame_range import go_to
 from ..objects import is_splat
-from .surface import Recorder, go_to
+from .surface import Recorder
 
 NAME = "FAST-GS light"
 LIFT = 0.05
@@ -111,8 +113,7 @@ def _measure(context, points, normals, spacing, light_samples) -> np.ndarray:
                 bpy.ops.object.bake(type='DIFFUSE', pass_filter={'DIRECT', 'INDIRECT'}, target='VERTEX_COLORS', use_clear=True, margin=0)
             except RuntimeError as error:
                 raise FastGSError(f"Cycles could not bake the light ({error}); bake without lighting.") from error
-        values = np.empty(12 * len(points), np.float32)
-        mesh.color_attributes[NAME].data.foreach_get("color", values)
+        values = arrays.read(mesh.color_attributes[NAME].data, "color", np.float32, 4)
     return values.reshape(-1, 3, 4)[..., :3].mean(1, dtype=np.float64)
 
 

@@ -11,35 +11,13 @@ import numpy as np
 
 from ...fastgs_blender.surfaces.bake import bake, followed, surface_colours, surface_samples
 from ..background import in_background
+from ..frame_range import frame_kept, go_to
 from . import baked_light
 from .material_colour import MaterialColours
-from .surface import Recorder, frame_kept, go_to, whole_frames_only
+from .surface import Recorder, whole_frames_only
 
 PER_FRAME = 2, 4, 8
 """Numbers of times per frame at which surfaces are sampled by default: the next one where one does not suffice to follow the motion."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The frames to bake, and how they are sampled and fitted; the defaults are the operator's.
-
-    tolerance       mean distance from the true motion that is allowed, as a share of the objects' size
-    tail_tolerance  the same of the 99th percentile
-    max_order       most terms of motion; 0: as many as the number of frames safely carries
-    samples_per_frame  number of times per frame; 0: PER_FRAME
-    """
-
-    frame_start: int
-    frame_end: int
-    count: int = 100_000
-    tolerance: float = 0.005
-    tail_tolerance: float = 0.01
-    max_order: int = 0
-    basis: str = "auto"
-    samples_per_frame: int = 0
-    lighting: str = 'NONE'
-    light_samples: int = 64
-    light_frames: int = 8
 
 
 def frame_times(first: int, last: int, per_frame: int) -> list[float]:
@@ -67,9 +45,10 @@ RECORD, LOOK, AGAIN, LOOK_AGAIN, ONCE_MORE, SPREAD, COLOUR, LIGHT, FIT = (Stage(
     ("fitting the motion", 0.6, 1.0)))
 
 
-def bake_steps(context, objects, settings: Settings, apart: bool):
+def bake_steps(context, objects, options, apart: bool):
     """A generator that bakes objects: it yields (share that is done, what is being done), and returns (model, report, notes).
 
+    options  BakeOptions, or those of bake_options()
     While it runs the scene is on other frames; its frame is restored at the end, also when the generator is closed early or an
     error ends it.  With `apart` the long pieces of work that need no Blender run in a thread.
     Raises FastGSError where the objects cannot be baked.
@@ -78,31 +57,31 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
     with frame_kept(scene):
         recorder = Recorder(context, objects)
         simulated = any(whole_frames_only(obj) for obj in objects)
-        first, *more = (1,) if simulated else (settings.samples_per_frame,) if settings.samples_per_frame else PER_FRAME
-        times = frame_times(settings.frame_start, settings.frame_end, first)
+        first, *more = (1,) if simulated else (options.samples_per_frame,) if options.samples_per_frame else PER_FRAME
+        times = frame_times(options.frame_start, options.frame_end, first)
         if simulated:  # a simulation has no frame to which it was not played
-            for frame in range(scene.frame_start, settings.frame_start):
+            for frame in range(scene.frame_start, options.frame_start):
                 go_to(scene, frame)
                 yield RECORD.at(0.0)
         yield from _record(recorder, times, RECORD)
         positions, triangles, part = np.stack(recorder.positions), recorder.triangles(), recorder.parts()
-        fitting = dict(frame_count=settings.frame_end - settings.frame_start + 1, tolerance=settings.tolerance,
-                       tail_tolerance=settings.tail_tolerance, max_order=settings.max_order, basis=settings.basis, part=part)
+        fitting = dict(frame_count=options.frame_end - options.frame_start + 1, tolerance=options.tolerance / 100,
+                       tail_tolerance=options.tail_tolerance / 100, max_order=options.max_order, basis=options.basis.lower(), part=part)
         for per_frame, look, again in zip(more, (LOOK, LOOK_AGAIN), (AGAIN, ONCE_MORE), strict=False):
-            relative = np.array(times) - settings.frame_start
+            relative = np.array(times) - options.frame_start
             if (yield from _run(partial(_followed, positions, triangles, relative, fitting), apart, look)):
                 break
-            known, times = times, frame_times(settings.frame_start, settings.frame_end, per_frame)
+            known, times = times, frame_times(options.frame_start, options.frame_end, per_frame)
             yield from _record(recorder, sorted(set(times) - set(known)), again)
             recorder.sort()
             positions = np.stack(recorder.positions)
-        samples = yield from _run(lambda _: surface_samples(positions, triangles, settings.count), apart, SPREAD)
+        samples = yield from _run(lambda _: surface_samples(positions, triangles, options.count), apart, SPREAD)
         yield COLOUR.at(0.0)
         materials = MaterialColours(recorder.pieces)
         painted = surface_colours(materials, positions, triangles, samples)
-        if settings.lighting == 'CYCLES':
-            lit = yield from _during(LIGHT, baked_light.apply(context, recorder, times, painted.rgba, samples, settings.light_samples,
-                                                              settings.light_frames))
+        if options.lighting == 'CYCLES':
+            lit = yield from _during(LIGHT, baked_light.apply(context, recorder, times, painted.rgba, samples, options.light_samples,
+                                                              options.light_frames))
             painted = replace(painted, rgba=lit)
     patch, fps = recorder.patches(), scene.render.fps / scene.render.fps_base
     provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
@@ -111,8 +90,8 @@ def bake_steps(context, objects, settings: Settings, apart: bool):
         with warnings.catch_warnings():  # what they say stands in the report too, and Blender's user reads that
             warnings.simplefilter("ignore", UserWarning)
             return bake(
-                positions, triangles, painted, frames=np.array(times) - settings.frame_start, fps=fps,
-                start_frame=settings.frame_start, count=settings.count, patch=patch, samples=samples, provenance=provenance,
+                positions, triangles, painted, frames=np.array(times) - options.frame_start, fps=fps,
+                start_frame=options.frame_start, count=options.count, patch=patch, samples=samples, provenance=provenance,
                 progress=progress, **fitting)
 
     model, report = yield from _run(fit, apart, FIT)

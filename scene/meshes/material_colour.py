@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...fastgs_blender.rendering.colour import linear_to_srgb, srgb_to_linear
+from .. import arrays
 from .surface import Piece
 
 NO_MATERIAL = (0.8, 0.8, 0.8, 1.0)
@@ -106,9 +107,7 @@ def _pixels(image) -> np.ndarray:
     width, height = image.size
     if not (width and height and image.channels):
         raise Unreadable(f'image "{image.name}", which cannot be loaded,')
-    values = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(values)
-    values = values.reshape(height, width, image.channels)
+    values = arrays.pixels(image)
     if image.channels < 3:
         values = np.concatenate([values[..., :1]] * 3 + ([values[..., 1:]] if image.channels == 2 else []), -1)
     if values.shape[2] == 3:

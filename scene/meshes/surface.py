@@ -2,7 +2,6 @@
 """Records the evaluated surface of objects, frame by frame, as arrays: rigs, shape keys and modifiers are applied."""
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, field
 
 import bpy
@@ -11,9 +10,11 @@ import numpy as np
 from ...fastgs_blender.surfaces.borders import welded
 from ...fastgs_blender.surfaces.sampling import SurfaceSamples
 from ...fastgs_blender.util.errors import FastGSError
-from ..objects import is_splat
+from .. import arrays
+from ..frame_range import go_to
+from ..model_space import mapped
+from ..objects import MESHABLE, is_splat
 
-MESHABLE = {'MESH', 'CURVE', 'SURFACE', 'FONT', 'META'}
 SIMULATED = {'CLOTH', 'SOFT_BODY', 'FLUID', 'DYNAMIC_PAINT', 'PARTICLE_SYSTEM', 'EXPLODE', 'OCEAN'}
 """Modifiers that can be evaluated on whole frames only, or must be played from their first frame."""
 
@@ -99,9 +100,7 @@ class Recorder:
         except RuntimeError as error:
             raise FastGSError(f'"{owner}" has no surface on frame {frame:g} ({error}).') from error
         try:
-            points = np.empty(3 * len(mesh.vertices), np.float32)
-            mesh.vertices.foreach_get("co", points)
-            loops = _get(mesh.loops, "vertex_index", np.int32)
+            points, loops = arrays.points(mesh), arrays.read(mesh.loops, "vertex_index", np.int32)
             if not self.positions:
                 self._keys.append(key)
                 self.pieces.append(_describe(obj, mesh, owner, loops, matrix))
@@ -111,7 +110,7 @@ class Recorder:
             obj.to_mesh_clear()
         if not np.isfinite(points).all():
             raise FastGSError(f'"{owner}" has vertices whose positions are not finite numbers on frame {frame:g}; repair its mesh.')
-        return (points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        return mapped(points, matrix).astype(np.float32)
 
     def _compare(self, owner, key, vertices, loops, frame):
         if key not in self._keys:
@@ -193,42 +192,20 @@ def _simulates(group, depth=0) -> bool:
         node.bl_idname == 'GeometryNodeSimulationInput' or _simulates(getattr(node, "node_tree", None), depth + 1) for node in group.nodes)
 
 
-def go_to(scene, frame: float) -> None:
-    """Set the scene to a frame, whole or not."""
-    whole = int(np.floor(frame))
-    scene.frame_set(whole, subframe=frame - whole)
-
-
-@contextlib.contextmanager
-def frame_kept(scene):
-    """Restore the scene's frame after the block, also after an error."""
-    frame, subframe = scene.frame_current, scene.frame_subframe
-    try:
-        yield
-    finally:
-        scene.frame_set(frame, subframe=subframe)
-
-
-def _get(collection, name, kind, width=1):
-    values = np.empty(len(collection) * width, kind)
-    collection.foreach_get(name, values)
-    return values if width == 1 else values.reshape(-1, width)
-
-
 def _describe(obj, mesh, owner, loops, matrix) -> Piece:
     mesh.calc_loop_triangles()
     triangles = mesh.loop_triangles
-    normals = _get(mesh.corner_normals, "vector", np.float32, 3) @ np.linalg.pinv(matrix[:3, :3])
+    normals = arrays.read(mesh.corner_normals, "vector", np.float32, 3) @ np.linalg.pinv(matrix[:3, :3])
     piece = Piece(
-        owner, len(mesh.vertices), loops, _get(triangles, "vertices", np.int32, 3), _get(triangles, "loops", np.int32, 3),
-        _get(triangles, "material_index", np.int32), [slot.material and slot.material.original for slot in obj.material_slots],
+        owner, len(mesh.vertices), loops, arrays.read(triangles, "vertices", np.int32, 3), arrays.read(triangles, "loops", np.int32, 3),
+        arrays.read(triangles, "material_index", np.int32), [slot.material and slot.material.original for slot in obj.material_slots],
         normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
     for layer in mesh.uv_layers:
-        piece.uv[layer.name] = _get(layer.uv, "vector", np.float32, 2)
+        piece.uv[layer.name] = arrays.read(layer.uv, "vector", np.float32, 2)
         if layer.active_render or not piece.default_uv:
             piece.default_uv = layer.name
     for attribute in mesh.color_attributes:
-        values = _get(attribute.data, "color", np.float32, 4)  # linear, for byte colours too
+        values = arrays.read(attribute.data, "color", np.float32, 4)  # linear, for byte colours too
         piece.colours[attribute.name] = values if attribute.domain == 'CORNER' else values[loops]
     return piece
 

@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 
 from ...fastgs_blender.model.edits import State, state_of
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, objects, point_edits, snapshot
+from .. import arrays, model_space, objects, point_edits, snapshot
 from ..colour import rec709_to_working
 from ..time import clip_frame
 from . import proxy
@@ -107,9 +107,7 @@ def _make(obj, model, turn):
 def _write(mesh, state: State, given: dict[str, np.ndarray]):
     """Write what point_edits.given() says of a state, and the state's own places, to the first vertices; the others keep theirs."""
     number, count = len(state.position), len(mesh.vertices)
-    at, place = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    mesh.vertices.foreach_get("co", at.ravel())
-    mesh.attributes[model_space.PLACE].data.foreach_get("vector", place.ravel())
+    at, place = arrays.points(mesh), arrays.read(mesh.attributes[model_space.PLACE].data, "vector", np.float32, 3)
     at[:number], place[:number] = given.pop("position"), state.position
     mesh.vertices.foreach_set("co", at.ravel())
     mesh.attributes[model_space.PLACE].data.foreach_set("vector", place.ravel())

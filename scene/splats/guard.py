@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, notices, objects, paths
+from .. import arrays, model_space, notices, objects, paths
 from . import proxy
 from .proxy_nodes import GAUSSIAN, NAME, OFFSET, RADIUS, SHADE, give_modifier, modifier_of
 
@@ -167,13 +167,9 @@ def _trouble(mesh, points) -> str | None:
 
 def _points(mesh) -> np.ndarray | None:
     """Which vertices [M] bool are those of a proxy; None where a mesh has nothing of one."""
-    count = len(mesh.vertices)
     if GAUSSIAN not in mesh.attributes or RADIUS not in mesh.attributes or OFFSET in mesh.attributes:
         return None
-    gaussian, radius = np.empty(count, np.int32), np.empty(count, np.float32)
-    mesh.attributes[GAUSSIAN].data.foreach_get("value", gaussian)
-    mesh.attributes[RADIUS].data.foreach_get("value", radius)
-    return (radius > 0) | (gaussian < 0)
+    return (arrays.read(mesh.attributes[RADIUS].data, "value") > 0) | (arrays.read(mesh.attributes[GAUSSIAN].data, "value", np.int32) < 0)
 
 
 def _gone() -> list[_Record]:
@@ -206,10 +202,7 @@ def _put_back(obj, model, single: bool):
 
 def _part(obj, points):
     """Take the points of proxies out of a mesh that they were joined into; the splat objects come back."""
-    _delete(obj.data, points)
-    for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
-        if name in obj.data.attributes:
-            obj.data.attributes.remove(obj.data.attributes[name])
+    _leave(obj.data, ~points)
     _bring_back()
 
 
@@ -218,24 +211,25 @@ def _split_off(obj, foreign):
     here = {other.session_uid for other in bpy.data.objects}
     names = [name for uid, (name, _) in _meshes.items() if uid not in here]
     mesh = obj.data.copy()
-    _delete(mesh, ~foreign)
-    for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
-        if name in mesh.attributes:
-            mesh.attributes.remove(mesh.attributes[name])
+    _leave(mesh, foreign)
     other = bpy.data.objects.new(names[0] if len(names) == 1 else "Parted", mesh)
     for collection in obj.users_collection:
         collection.objects.link(other)
     other.matrix_world = obj.matrix_world
 
 
-def _delete(mesh, chosen):
+def _leave(mesh, chosen):
+    """Leave only these vertices of a mesh, and nothing of a proxy."""
     edited = bmesh.new()
     edited.from_mesh(mesh)
     edited.verts.ensure_lookup_table()
-    bmesh.ops.delete(edited, geom=[edited.verts[i] for i in np.flatnonzero(chosen)], context='VERTS')
+    bmesh.ops.delete(edited, geom=[edited.verts[i] for i in np.flatnonzero(~chosen)], context='VERTS')
     edited.to_mesh(mesh)
     edited.free()
     mesh.update()
+    for name in (model_space.PLACE, GAUSSIAN, RADIUS, SHADE):
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
 
 
 def _bring_back() -> list:

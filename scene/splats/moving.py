@@ -14,7 +14,7 @@ from ...fastgs_blender.rendering.crops import kept_by
 from ...fastgs_blender.rendering.filters import hidden
 from ...fastgs_blender.rendering.looks import look_numbers
 from ...fastgs_blender.util.errors import FastGSError
-from .. import mesh_scene, model_space, objects, point_edits, snapshot
+from .. import arrays, mesh_scene, model_space, objects, point_edits, snapshot
 from ..colour import rec709_to_working
 from ..time import shown_frames
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, NONE, OFFSET, RADIUS
@@ -31,8 +31,8 @@ class _Chosen:
     """
 
     def __init__(self, model, mesh, usual: int):
-        self.model, self.key = model, _read(mesh, GAUSSIAN, "value", np.int32)
-        self.index = np.unique(self.key[(self.key >= 0) & (_read(mesh, RADIUS, "value", np.float32) > 1e10 * NONE)])
+        self.model, self.key = model, arrays.read(mesh.attributes[GAUSSIAN].data, "value", np.int32)
+        self.index = np.unique(self.key[(self.key >= 0) & (arrays.read(mesh.attributes[RADIUS].data, "value") > 1e10 * NONE)])
         taken = self.index
         if len(model) != usual:
             taken = np.sort(choose(model, len(self.index)).index)
@@ -41,7 +41,7 @@ class _Chosen:
         self.part = model.take(taken) if len(taken) and taken[-1] < len(model) else None
 
     def of(self, model, mesh) -> bool:
-        return self.model is model and np.array_equal(self.key, _read(mesh, GAUSSIAN, "value", np.int32))
+        return self.model is model and np.array_equal(self.key, arrays.read(mesh.attributes[GAUSSIAN].data, "value", np.int32))
 
 
 _chosen: dict[tuple[int, int], _Chosen] = {}
@@ -139,10 +139,10 @@ def _together(parts: list[_Chosen], looks, shares: list[float]):
 def _write(obj, index, shown: Shown, seen):
     """Move every vertex of an octahedron to the ellipsoid of its Gaussian; octahedra without a Gaussian shrink to a point."""
     mesh, turn = obj.data, model_space.model_matrix(obj)
-    number = _read(mesh, GAUSSIAN, "value", np.int32)
+    number = arrays.read(mesh.attributes[GAUSSIAN].data, "value", np.int32)
     row = np.minimum(np.searchsorted(index, number), len(index) - 1)
-    at = _read(mesh, "position", "vector", np.float32).reshape(-1, 3)
-    offset = _read(mesh, OFFSET, "vector", np.float32).reshape(-1, 3)
+    at = arrays.points(mesh)
+    offset = arrays.read(mesh.attributes[OFFSET].data, "vector", np.float32, 3)
     drawn = offset.any(1) | (point_edits.OPACITY not in mesh.attributes)  # of all points, modifiers have the last word
     ours = (index[row] == number) & drawn
     row, offset = row[ours], offset[ours]
@@ -150,14 +150,7 @@ def _write(obj, index, shown: Shown, seen):
     at[ours] = model_space.mapped(place, turn)
     at[drawn & ~ours & (number >= 0)] = model_space.mapped(shown.position[:1], turn)
     mesh.vertices.foreach_set("co", at.ravel())
-    colour = _read(mesh, COLOUR, "color", np.float32).reshape(-1, 4)
+    colour = arrays.read(mesh.attributes[COLOUR].data, "color", np.float32, 4)
     colour[ours, :3] = (shown.colour @ rec709_to_working().T)[row]
     mesh.attributes[COLOUR].data.foreach_set("color", colour.ravel())
     mesh[MOVED] = True
-
-
-def _read(mesh, name, member, kind):
-    attribute = mesh.attributes[name]
-    values = np.empty(len(attribute.data) * {"value": 1, "vector": 3, "color": 4}[member], kind)
-    attribute.data.foreach_get(member, values)
-    return values

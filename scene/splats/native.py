@@ -21,10 +21,10 @@ from ...fastgs_blender.util.errors import FastGSError
 from .. import model_space, objects, snapshot
 from ..colour import rec709_to_working, srgb_to_linear
 from . import proxy_nodes
+from .proxy_nodes import COLOUR
 
 NAME = "FAST-GS Discs"
 """Of the material."""
-COLOUR = "Color"
 CORNERS = 6
 """Of a disc."""
 EDGE = 1.5
@@ -260,14 +260,4 @@ def _material() -> bpy.types.Material:
     found = next((m for m in bpy.data.materials if m.name == NAME and m.library is None), None)
     if found is not None:
         return found
-    found = bpy.data.materials.new(NAME)
-    if found.node_tree is None:  # Blender 5.0 and later make one by themselves
-        found.use_nodes = True
-    nodes, links = found.node_tree.nodes, found.node_tree.links
-    nodes.clear()
-    colour, shine, out = (nodes.new(kind) for kind in ('ShaderNodeAttribute', 'ShaderNodeEmission', 'ShaderNodeOutputMaterial'))
-    colour.attribute_name = COLOUR
-    shine.location, out.location = (200, 0), (400, 0)
-    links.new(colour.outputs["Color"], shine.inputs["Color"])
-    links.new(shine.outputs[0], out.inputs["Surface"])
-    return found
+    return proxy_nodes.shining_material(NAME)

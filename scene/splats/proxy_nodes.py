@@ -149,10 +149,16 @@ def _material(number: int, srgb) -> bpy.types.Material:
     material = _own(bpy.data.materials, name)
     if material is not None:
         return material
+    material = shining_material(name)
+    material.diffuse_color = (*Color(srgb).from_srgb_to_scene_linear(), 1)
+    return material
+
+
+def shining_material(name: str) -> bpy.types.Material:
+    """A new material that emits the colours of the attribute COLOUR."""
     material = bpy.data.materials.new(name)
     if material.node_tree is None:  # Blender 5.0 and later make one by themselves
         material.use_nodes = True
-    material.diffuse_color = (*Color(srgb).from_srgb_to_scene_linear(), 1)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     colour, out = nodes.new('ShaderNodeAttribute'), nodes.new('ShaderNodeOutputMaterial')

@@ -17,6 +17,7 @@ from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
 from ...fastgs_blender.util.errors import FastGSError, printable_lines
 from ...fastgs_blender.util.identity import FileIdentity
 from ...fastgs_blender.util.reading import open_file
+from .. import arrays
 
 PREVIEW, LOSS, LOG = "FAST-GS Training", "FAST-GS Training Loss", "FAST-GS Training Log"
 MOST_TEXT = 200_000
@@ -48,15 +49,13 @@ def icons_of(path: Path) -> list[int]:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError:
         return []
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
+    pixels = arrays.pixels(image)
     bpy.data.images.remove(image)
     if _icons is None:
         _icons = bpy.utils.previews.new()
     _icons.clear()
     found = []
-    for name, half in zip(("model", "truth"), np.array_split(pixels.reshape(height, width, 4), 2, axis=1)):
+    for name, half in zip(("model", "truth"), np.array_split(pixels, 2, axis=1)):
         icon = _icons.new(name)
         icon.image_size = half.shape[1::-1]
         icon.image_pixels_float.foreach_set(np.ascontiguousarray(half).ravel())

@@ -15,6 +15,8 @@ from ... import fastgs_blender as fg
 from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import camera as cameras
+from ..filming.film import file_names, steady_lens
+from ..frame_range import frame_kept
 
 AXES = "RFU"
 PICTURES = (".png", ".jpg", ".jpeg", ".exr")
@@ -136,18 +138,16 @@ def write_capture(context, out: Path) -> str:
     last = min(scene.frame_end, *(plate.last for plate in plates.values()))
     if last < first:
         raise FastGSError("the cameras' films have no frame of the scene in common; shift them, or the scene's range.")
-    names = _names(plates)
+    names = dict(zip(plates, file_names([obj.name for obj in plates])))
     poses = _poses(context, plates, range(first, last + 1))
     entries = []
     try:
         out.mkdir(parents=True, exist_ok=True)
         for obj, plate in plates.items():
-            lens = np.array([(c.fx, c.fy, c.cx, c.cy) for c in poses[obj]])
-            if np.ptp(lens, axis=0).max() > 1e-3 * lens[0, 0]:
-                raise FastGSError(f'the lens of the camera "{obj.name}" is animated, which a capture cannot hold; choose another.')
+            lens = steady_lens(obj.name, poses[obj])
             matrices = np.array([camera.world_to_camera for camera in poses[obj]])
             entry = dict(name=names[obj], width=plate.size[0], height=plate.size[1],
-                         **dict(zip(("fx", "fy", "cx", "cy"), lens[0].tolist())),
+                         **dict(zip(("fx", "fy", "cx", "cy"), lens.tolist())),
                          world_to_camera=matrices if np.ptp(matrices, axis=0).max() > 1e-9 else matrices[0])
             entries.append(entry | _lay_out(out, names[obj], plate, first, last))
         fastgs.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base,
@@ -157,25 +157,15 @@ def write_capture(context, out: Path) -> str:
     return str(out)
 
 
-def _names(plates) -> dict:
-    names = {obj: re.sub(r"[^\w.-]+", "_", obj.name).strip(".") or "cam" for obj in plates}
-    clash = len(set(names.values())) < len(names) or "masks" in names.values()
-    return {obj: f"cam{k:02}" for k, obj in enumerate(plates)} if clash else names
-
-
 def _poses(context, plates, frames) -> dict:
     """The library's camera of each plate on each frame; the scene's frame is put back."""
-    scene = context.scene
-    before = scene.frame_current, scene.frame_subframe
     found: dict = {obj: [] for obj in plates}
-    try:
+    with frame_kept(context.scene):
         for frame in frames:
-            scene.frame_set(frame)
+            context.scene.frame_set(frame)
             depsgraph = context.evaluated_depsgraph_get()
             for obj, plate in plates.items():
                 found[obj].append(picture_camera(_frame_camera(obj.evaluated_get(depsgraph), depsgraph), plate))
-    finally:
-        scene.frame_set(before[0], subframe=before[1])
     return found
 
 

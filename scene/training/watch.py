@@ -9,6 +9,7 @@ import bpy
 
 from ...fastgs_blender.jobs.job import Job, State
 from ...fastgs_blender.util.errors import FastGSError
+from .. import notices
 from . import displays, installation, results
 
 log = logging.getLogger(__name__)
@@ -135,10 +136,8 @@ def redraw() -> None:
 
 
 def _redraw() -> None:
+    notices.redraw('VIEW_3D', 'IMAGE_EDITOR', 'TEXT_EDITOR')
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in {'VIEW_3D', 'IMAGE_EDITOR', 'TEXT_EDITOR'}:
-                area.tag_redraw()
         if not len(window.modal_operators):  # clears no other operator's text; and nothing else redraws a status bar
             window.workspace.status_text_set(None)
 

@@ -278,7 +278,7 @@ def test_in_steps_beside_the_user(module, add, scene, fg):
     cube = add("cube")
     key(cube, "location", [(0.1 * f, 0, np.sin(f / 3)) for f in range(FRAMES)])
     scene.frame_set(5, subframe=0.5)
-    settings = baking.Settings(1, FRAMES, count=300)
+    settings = module("scene.meshes.options").bake_options(frame_start=1, frame_end=FRAMES, count=300)
 
     def finish(apart):
         steps, shares = baking.bake_steps(bpy.context, [cube], settings, apart), []

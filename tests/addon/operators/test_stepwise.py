@@ -34,7 +34,6 @@ def operator(stepwise):
 
         def finish(self, context, result):
             self.result = result
-            return {'FINISHED'}
 
         def steps(self, error=None):
             try:

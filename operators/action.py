@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What operators have in common: when they can be called, how they report, and how they take what nobody has set from the scene."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import bpy
+
+from ..fastgs_blender.util.errors import FastGSError, printable
+from ..scene import objects
+from ..scene.splats.splat_object import sentence
+
+
+class Need(NamedTuple):
+    """A condition under which an operator can be called, and what its button's tooltip says where it is not met."""
+
+    met: Callable[[bpy.types.Context], bool]
+    reason: str
+
+
+OBJECT_MODE = Need(lambda context: context.mode == 'OBJECT', "Go to Object Mode first")
+SPLATS = Need(lambda context: objects.is_splat(context.object), "Select an object that shows splats")
+EDITABLE_SPLATS = Need(lambda context: objects.is_splat(context.object) and context.object.is_editable, SPLATS.reason)
+VIEW_3D = Need(lambda context: context.space_data is not None and context.space_data.type == 'VIEW_3D', "A 3D view is needed")
+IN_VIEW = Need(lambda context: VIEW_3D.met(context) and context.region_data is not None, VIEW_3D.reason)
+"""With the mouse in it, from a script with its region."""
+
+
+class Action:
+    """Base class of operators.
+
+    needs  what must be met, in the order in which it is told
+    act()  does the work of an operator that is done at once; it returns what is reported, if anything
+    """
+
+    bl_options = {'REGISTER', 'UNDO'}
+    needs: tuple[Need, ...] = ()
+
+    @classmethod
+    def poll(cls, context):
+        unmet = next((need for need in cls.needs if not need.met(context)), None)
+        if unmet is not None:
+            cls.poll_message_set(unmet.reason)
+        return unmet is None
+
+    def act(self, context) -> str | None:
+        """Do the work.  Raises FastGSError, which is reported."""
+        raise NotImplementedError
+
+    def execute(self, context):
+        return self._ended(lambda: self.act(context))
+
+    def _ended(self, work: Callable[[], str | None]) -> set[str]:
+        """Do the work and report how it ended."""
+        try:
+            done = work()
+        except FastGSError as error:
+            return self.fail(error)
+        if done:
+            self.report({'INFO'}, printable(done))
+        return {'FINISHED'}
+
+    def fail(self, error: FastGSError | str) -> set[str]:
+        """Report an error; returns what an operator returns then."""
+        self.report({'ERROR'}, sentence(error))
+        return {'CANCELLED'}
+
+    def warn(self, text: FastGSError | str) -> None:
+        """Report a warning."""
+        self.report({'WARNING'}, sentence(text))
+
+    def fill(self, **values) -> None:
+        """Give the properties that nobody has set these values."""
+        for name, value in values.items():
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+
+    def draw_options(self, *names: str):
+        """Draw properties as options of an import or export; returns the layout."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for name in names:
+            layout.prop(self, name)
+        return layout
+
+
+def keep_text(context, name: str, content: str) -> str:
+    """Keep a text in the .blend, in place of an earlier one of that name; text editors show it.  Returns its name."""
+    text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
+    text.use_fake_user = False
+    text.from_string(content)
+    text.cursor_set(0)
+    for area in context.screen.areas if context.screen else ():
+        if area.type == 'TEXT_EDITOR':
+            area.spaces.active.text, area.spaces.active.top = text, 0
+    return text.name
+
+
+def item_of(items, index: int):
+    """One of an object's crops or filters.  Raises FastGSError where there is none of that number."""
+    if index >= len(items):
+        raise FastGSError(f"there is no number {index}; choose one of the {len(items)} in the list, counted from 0.")
+    return items[index]

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads Blender's collections, meshes and images as arrays."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+
+def read(collection, name: str, dtype: type = np.float32, width: int = 1) -> np.ndarray:
+    """A property of all members of a collection: [n], or [n, width]."""
+    values = np.empty(len(collection) * width, dtype)
+    collection.foreach_get(name, values)
+    return values if width == 1 else values.reshape(-1, width)
+
+
+def points(mesh: bpy.types.Mesh) -> np.ndarray:
+    """The places of a mesh's vertices [V, 3] float32."""
+    return read(mesh.vertices, "co", np.float32, 3)
+
+
+def triangles(mesh: bpy.types.Mesh) -> np.ndarray:
+    """The vertices of a mesh's triangles [F, 3] int32."""
+    mesh.calc_loop_triangles()
+    return read(mesh.loop_triangles, "vertices", np.int32, 3)
+
+
+def pixels(image: bpy.types.Image) -> np.ndarray:
+    """The numbers of an image [h, w, channels] float32, the bottom row first."""
+    width, height = image.size
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(height, width, image.channels)
