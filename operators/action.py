@@ -76,14 +76,14 @@ class Action:
             if not self.properties.is_property_set(name):
                 setattr(self, name, value)
 
-    def draw_options(self, *names: str):
-        """Draw properties as options of an import or export; returns the layout."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        for name in names:
-            layout.prop(self, name)
-        return layout
+
+def draw_options(operator, *names: str):
+    """Draw properties of an import or export in its dialog; returns the layout."""
+    layout = operator.layout
+    layout.use_property_split, layout.use_property_decorate = True, False
+    for name in names:
+        layout.prop(operator, name)
+    return layout
 
 
 def keep_text(context, name: str, content: str) -> str:

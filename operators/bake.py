@@ -15,7 +15,7 @@ from ..scene.meshes.baking import bake_steps
 from ..scene.meshes.options import BakeOptions, bake_options
 from ..scene.meshes.surface import bakeable
 from ..scene.splats import splat_object
-from .action import OBJECT_MODE, Need
+from .action import OBJECT_MODE, Need, draw_options
 from .stepwise import Stepwise
 
 
@@ -49,7 +49,7 @@ class FASTGS_OT_bake(Stepwise, BakeOptions, bpy.types.Operator, ExportHelper):
         return ExportHelper.invoke(self, context, event)
 
     def draw(self, context):
-        layout = self.draw_options()
+        layout = draw_options(self)
         col = layout.column(align=True)
         col.prop(self, "frame_start")
         col.prop(self, "frame_end")

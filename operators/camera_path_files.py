@@ -17,7 +17,7 @@ from ..scene import camera as cameras
 from ..scene.cameras import space as camera_space
 from ..scene.cameras.placing import animate, new_camera, set_optics, set_pose, use_render_size
 from ..scene.frame_range import frame_kept, frame_rate
-from .action import Action, Need
+from .action import Action, Need, draw_options
 
 AXES = {"nerfstudio": "RFU", "instant-ngp": "RFU", "transforms.json": "RFU"}
 """Of the formats that do not live in COLMAP's axes."""
@@ -66,7 +66,7 @@ class FASTGS_OT_import_camera_path(Action, bpy.types.Operator, ImportHelper):
         name="Set Scene", description="Give the scene the path's length, frame rate and picture size", default=False)
 
     def draw(self, context):
-        self.draw_options("space", "keys", "new_camera", "keep_speed", "set_scene")
+        draw_options(self, "space", "keys", "new_camera", "keep_speed", "set_scene")
 
     def act(self, context):
         file = bpy.path.abspath(self.filepath or self.directory)
@@ -147,7 +147,7 @@ class FASTGS_OT_export_camera_path(Action, bpy.types.Operator, ExportHelper):
 
     def draw(self, context):
         own = () if self.selected else ("use_range", "frame_start", "frame_end") if self.use_range else ("use_range",)
-        self.draw_options("format", "space", "selected", *own)
+        draw_options(self, "format", "space", "selected", *own)
 
     def act(self, context):
         scene, name = context.scene, NAMES[self.format]

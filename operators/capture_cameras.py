@@ -16,7 +16,7 @@ from ..scene.cameras import clips, undistorted
 from ..scene.cameras import space as camera_space
 from ..scene.cameras.backgrounds import reel_of, show_behind
 from ..scene.cameras.placing import animate, new_camera, set_optics, set_pose, use_render_size
-from .action import Action, Need
+from .action import Action, Need, draw_options
 from .stepwise import Stepwise
 
 MOST_UNDISTORTED = 600
@@ -51,7 +51,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         default=False)
 
     def draw(self, context):
-        self.draw_options("space", "backgrounds", "scale", "set_scene")
+        draw_options(self, "space", "backgrounds", "scale", "set_scene")
 
     def invoke(self, context, event):
         self._interactive = True

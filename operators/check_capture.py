@@ -11,6 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..fastgs_blender.jobs import capture_check
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import installation, watch
+from ..scene.training.options import capture_arguments
 from .action import keep_text
 from .stepwise import Stepwise, watched
 
@@ -39,13 +40,7 @@ class FASTGS_OT_check_capture(Stepwise, bpy.types.Operator):
     def steps(self, context):
         settings = context.scene.fastgs.training
         path = installation.capture_path(self.capture or settings.capture)
-        options = []
-        if settings.scale:
-            options += ["--scale", f"{settings.scale:.6g}"]
-        for flag, value in (("--frames", settings.frames), ("--held-out", settings.held_out)):
-            if value.strip():
-                options += [flag, ",".join(part.strip() for part in value.split(",") if part.strip())]
-        running = capture_check.CaptureCheck(installation.python(), path, self._folder(path), options)
+        running = capture_check.CaptureCheck(installation.python(), path, self._folder(path), capture_arguments(settings))
         return watched(running, lambda: running.progress)
 
     def _folder(self, path: str) -> str:

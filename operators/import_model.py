@@ -15,7 +15,7 @@ from ..fastgs_blender.formats.streamed_sog import with_level
 from ..scene import upright
 from ..scene.splats.importing import Options, decided, import_files
 from ..scene.splats.proxy import LIMIT
-from .action import Action
+from .action import Action, draw_options
 from .fit_scene import offer_set_up
 from .upright import AXES
 
@@ -84,7 +84,7 @@ class FASTGS_OT_import(Action, bpy.types.Operator, ImportHelper):
         self.fill(**{name: getattr(chosen, option) for name, option in SCENE.items()})
 
     def draw(self, context):
-        layout = self.draw_options("relative_path", "as_sequence", "level", "orientation", "proxy_points", "view")
+        layout = draw_options(self, "relative_path", "as_sequence", "level", "orientation", "proxy_points", "view")
         col = layout.column(heading="Scene")
         col.prop(self, "set_scene_range", text="Frame Range")
         col.prop(self, "use_engine", text="Render Engine")

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import bpy
 
+from .node_trees import Builder
+
 COLOUR, NUMBER = 'NodeSocketColor', 'NodeSocketFloat'
 INPUTS = (
     ("Splats", COLOUR, None), ("Splat Alpha", NUMBER, 0.0), ("Splat Depth", NUMBER, 1e10), ("Splat Holdout", NUMBER, 0.0),
@@ -29,83 +31,45 @@ def build(tree: bpy.types.NodeTree) -> None:
         if name == "Shadow Strength":
             socket.min_value, socket.max_value, socket.subtype = 0.0, 1.0, 'FACTOR'
     tree.interface.new_socket(name="Image", in_out='OUTPUT', socket_type=COLOUR)
-    _Builder(tree).join()
+    b = Builder(tree)
+    given, math = b.given, b.math
+    shade = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Shadow"]), given["Shadow Strength"])
+    lit = _less(b, given["Meshes"], _alpha(b, 'Apply Mask', given["Lamp"], shade))
+    meshes = _alpha(b, 'Replace Alpha', lit, given["Mesh Alpha"])
+    # splats over (meshes x factor) = splats + straight meshes x holdout
+    clear = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Alpha"]), given["Mesh Alpha"])
+    free = math('LESS_THAN', given["Splat Holdout"], FAINT)
+    factor = math('ADD', math('DIVIDE', given["Splat Holdout"], clear), free)
+    front = _over(b, _alpha(b, 'Apply Mask', meshes, factor), given["Splats"])
+    back = _over(b, given["Splats"], meshes)
+    nearer = b.node('CompositorNodeZcombine', (front, math('MULTIPLY', given["Splat Depth"], free), back, given["Mesh Depth"]))
+    if hasattr(nearer, "use_alpha"):
+        nearer.use_alpha = nearer.use_antialias_z = False
+    else:
+        nearer.inputs["Use Alpha"].default_value = nearer.inputs["Anti-Alias"].default_value = False
+    world = _alpha(b, 'Apply Mask', given["World"], math('SUBTRACT', 1.0, given["Transparent"]))
+    b.node('NodeGroupOutput', (_over(b, world, nearer.outputs[0]),))
 
 
-class _Builder:
-    """Adds nodes to an empty group."""
+def _alpha(b: Builder, kind: str, image, alpha):
+    node = b.node('CompositorNodeSetAlpha', {"Image": image, "Alpha": alpha})
+    if hasattr(node, "mode"):  # before Blender 5
+        node.mode = {'Apply Mask': 'APPLY', 'Replace Alpha': 'REPLACE_ALPHA'}[kind]
+    else:
+        node.inputs["Type"].default_value = kind
+    return node.outputs[0]
 
-    def __init__(self, tree):
-        self.tree, self.place = tree, 0
-        self.given = self._node('NodeGroupInput').outputs
 
-    def join(self):
-        given, math = self.given, self._math
-        shade = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Shadow"]), given["Shadow Strength"])
-        lit = self._less(given["Meshes"], self._alpha('Apply Mask', given["Lamp"], shade))
-        meshes = self._alpha('Replace Alpha', lit, given["Mesh Alpha"])
-        # splats over (meshes x factor) = splats + straight meshes x holdout
-        clear = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Alpha"]), given["Mesh Alpha"])
-        free = math('LESS_THAN', given["Splat Holdout"], FAINT)
-        factor = math('ADD', math('DIVIDE', given["Splat Holdout"], clear), free)
-        front = self._over(self._alpha('Apply Mask', meshes, factor), given["Splats"])
-        back = self._over(given["Splats"], meshes)
-        nearer = self._node('CompositorNodeZcombine')
-        if hasattr(nearer, "use_alpha"):
-            nearer.use_alpha = nearer.use_antialias_z = False
-        else:
-            nearer.inputs["Use Alpha"].default_value = nearer.inputs["Anti-Alias"].default_value = False
-        for number, socket in enumerate((front, math('MULTIPLY', given["Splat Depth"], free), back, given["Mesh Depth"])):
-            self.tree.links.new(socket, nearer.inputs[number])
-        world = self._alpha('Apply Mask', given["World"], math('SUBTRACT', 1.0, given["Transparent"]))
-        self.tree.links.new(self._over(world, nearer.outputs[0]), self._node('NodeGroupOutput').inputs[0])
+def _less(b: Builder, image, taken):
+    """The difference of two colours."""
+    if bpy.app.version >= (5, 0, 0):
+        return b.first('ShaderNodeMix', (1.0, image, taken), data_type='RGBA', blend_type='SUBTRACT')
+    return b.first('CompositorNodeMixRGB', (1.0, image, taken), blend_type='SUBTRACT')
 
-    def _node(self, kind):
-        node = self.tree.nodes.new(kind)
-        node.location = self.place, -140 * (len(self.tree.nodes) % 4)
-        self.place += 110
-        return node
 
-    def _math(self, operation, *values):
-        node = self._node('ShaderNodeMath' if bpy.app.version >= (5, 0, 0) else 'CompositorNodeMath')
-        node.operation = operation
-        for socket, value in zip(node.inputs, values):
-            if isinstance(value, float):
-                socket.default_value = value
-            else:
-                self.tree.links.new(value, socket)
-        return node.outputs[0]
-
-    def _alpha(self, kind, image, alpha):
-        node = self._node('CompositorNodeSetAlpha')
-        if hasattr(node, "mode"):  # before Blender 5
-            node.mode = {'Apply Mask': 'APPLY', 'Replace Alpha': 'REPLACE_ALPHA'}[kind]
-        else:
-            node.inputs["Type"].default_value = kind
-        self.tree.links.new(image, node.inputs["Image"])
-        self.tree.links.new(alpha, node.inputs["Alpha"])
-        return node.outputs[0]
-
-    def _less(self, image, taken):
-        """The difference of two colours."""
-        if bpy.app.version >= (5, 0, 0):
-            node = self._node('ShaderNodeMix')
-            node.data_type, node.blend_type = 'RGBA', 'SUBTRACT'
-            first, second = (socket for socket in node.inputs if socket.type == 'RGBA')
-            output = next(socket for socket in node.outputs if socket.type == 'RGBA')
-        else:
-            node = self._node('CompositorNodeMixRGB')
-            node.blend_type = 'SUBTRACT'
-            first, second, output = node.inputs[1], node.inputs[2], node.outputs[0]
-        node.inputs[0].default_value = 1.0
-        self.tree.links.new(image, first)
-        self.tree.links.new(taken, second)
-        return output
-
-    def _over(self, background, foreground):
-        """Alpha Over; the place of its colours differs between Blender's versions."""
-        node = self._node('CompositorNodeAlphaOver')
-        first, second = (socket for socket in node.inputs if socket.type == 'RGBA')
-        self.tree.links.new(background, first)
-        self.tree.links.new(foreground, second)
-        return node.outputs[0]
+def _over(b: Builder, background, foreground):
+    """Alpha Over; the place of its colours differs between Blender's versions."""
+    node = b.node('CompositorNodeAlphaOver')
+    for socket, value in zip((socket for socket in node.inputs if socket.type == 'RGBA'), (background, foreground)):
+        b.tree.links.new(value, socket)
+    return node.outputs[0]

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Defines what the add-on stores in a .blend: one property group for each kind of datablock, behind a pointer named `fastgs`."""
+from dataclasses import fields
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -16,18 +18,11 @@ from ..fastgs_blender.rendering.instances import LOOKS, ObjectSettings
 from ..fastgs_blender.rendering.passes import PASSES
 from . import paths, shadows, updates
 from .settings import BLEND_RELATIVE
-from .time import MOST_ECHOES
+from .time import Retime
 from .training.options import FASTGS_PG_training
 
 _OWN = {'LIBRARY_OVERRIDABLE'}
 _SHOWN = {"override": _OWN, "update": updates.shown}
-
-OUTSIDE = (
-    ('HIDE', "Hide", "Show nothing", 0),
-    ('HOLD', "Hold", "Keep showing the nearest frame of the clip", 1),
-    ('LOOP', "Loop", "Start over", 2),
-    ('PING_PONG', "Ping-Pong", "Play back and forth", 3),
-)
 
 BACKDROP = (
     ('INSIDE', "From Inside", "Show the backdrop to cameras and views that stand inside it", 0),
@@ -96,10 +91,12 @@ def _look(name, look):
     return made(name=look.label, description=look.tooltip, default=default, min=look.low, max=look.high, **look.options, **_SHOWN)
 
 
-_Looks = type("_Looks", (), {"__annotations__": {name: _look(name, look) for name, look in LOOKS.items()}})
+_TIMES = {member.name: {float: FloatProperty, int: IntProperty, str: EnumProperty}[type(member.default)](
+    default=member.default, **member.metadata, **_SHOWN) for member in fields(Retime) if member.metadata}
+_Shared = type("_Shared", (), {"__annotations__": {name: _look(name, look) for name, look in LOOKS.items()} | _TIMES})
 
 
-class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
+class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     """A splat object: the file it shows, what is known of it, and its place in time."""
 
     filepath: StringProperty(
@@ -123,45 +120,17 @@ class FASTGS_PG_object(_Looks, bpy.types.PropertyGroup):
         name="Backdrop", description="When to show the Gaussians that stand for sky and far walls", items=BACKDROP, default='INSIDE',
         override=_OWN, update=updates.viewports)
 
-    start_frame: FloatProperty(
-        name="Start Frame", description="Scene frame on which the clip begins", default=1.0, **_SHOWN)
-    speed: FloatProperty(
-        name="Speed", description="Playback speed; negative plays from the last frame backwards",
-        default=1.0, soft_min=-4.0, soft_max=4.0, **_SHOWN)
-    offset: FloatProperty(
-        name="Time Shift", description="By how many frames of the capture playback runs ahead: at 10 the clip begins with its frame 10. "
-        "Nothing is cut off, as it is by trimming", default=0.0, **_SHOWN)
-    before: EnumProperty(
-        name="Before", description="What to show before the clip's first frame", items=OUTSIDE, default='HOLD', **_SHOWN)
-    after: EnumProperty(
-        name="After", description="What to show after the clip's last frame", items=OUTSIDE, default='HOLD', **_SHOWN)
     subframes: EnumProperty(
         name="Sub-Frames", description="What a sequence of files shows between two of its frames",
         items=(
             ('INTERPOLATE', "Interpolate", "What lies between the two; the nearer one where their Gaussians do not match", 0),
             ('HOLD', "Hold", "The nearer frame", 1),
         ), default='INTERPOLATE', **_SHOWN)
-    trim_start: FloatProperty(
-        name="Trim Start", description="Frames to cut off the beginning of the capture: the clip starts after them", min=0.0, **_SHOWN)
-    trim_end: FloatProperty(
-        name="Trim End", description="Frames to cut off the end of the capture", min=0.0, **_SHOWN)
     use_capture_frame: BoolProperty(
         name="Key the Capture Frame", description="Show the capture frame below, and ignore start, speed and time shift. Its keys make "
         "speed ramps, freezes and reverses", default=False, **_SHOWN)
     capture_frame: FloatProperty(
         name="Capture Frame", description="The frame of the capture to show; 0 is its first, fractions lie between frames", **_SHOWN)
-    fade: FloatProperty(
-        name="Loop Fade", description="Frames at the seam of a loop over which its end and its beginning are shown together; at most half "
-        "of the clip", min=0.0, soft_max=50.0, **_SHOWN)
-    echoes: IntProperty(
-        name="Echoes", description="How many earlier moments of the capture are shown besides the current one, each as much to draw as the "
-        "object itself", min=0, max=MOST_ECHOES, soft_max=8, **_SHOWN)
-    echo_spacing: FloatProperty(
-        name="Echo Spacing", description="Frames of the capture between two echoes; negative shows later moments", default=5.0,
-        soft_min=0.1, soft_max=30.0, **_SHOWN)
-    echo_fade: FloatProperty(
-        name="Echo Fade", description="Opacity of an echo as a share of that of the one before", default=0.5, min=0.0, max=1.0,
-        subtype='FACTOR', **_SHOWN)
     points: EnumProperty(
         name="Modifiers Change", description="What modifiers of this object, such as Geometry Nodes, lattices and armatures, change",
         items=(

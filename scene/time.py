@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 from ..fastgs_blender.util.errors import FastGSError
 
@@ -22,40 +22,47 @@ class Run(NamedTuple):
     backwards: bool
 
 
+OUTSIDE = (
+    ('HIDE', "Hide", "Show nothing", 0),
+    ('HOLD', "Hold", "Keep showing the nearest frame of the clip", 1),
+    ('LOOP', "Loop", "Start over", 2),
+    ('PING_PONG', "Ping-Pong", "Play back and forth", 3),
+)
+
+
+def _shown(default: Any, name: str, description: str, **options: Any) -> Any:
+    """A member of Retime that is a property of objects: its default, name, tooltip and options in Blender."""
+    return field(default=default, metadata={"name": name, "description": description, **options})
+
+
 @dataclass(frozen=True)
 class Retime:
-    """How an object plays its clip.
+    """How an object plays its clip; properties.py makes properties of most of it.
 
-    start_frame  scene frame on which the clip begins
-    speed        playback speed; negative begins at the clip's last frame and plays backwards
-    run          where the speed changes over time, how far the clip has run by the scene's frame; None: the speed is always the same
-    offset       frames of the capture that are skipped at the beginning
-    before       'HIDE', 'HOLD', 'LOOP' or 'PING_PONG': what shows before the clip's first frame
-    after        the same after its last
-    hold         whether a sequence shows the nearer frame between two, instead of what lies between them
-    trim_start, trim_end
-                 frames of the capture that are cut off at its beginning and at its end: the clip is what is left
+    run            where the speed changes over time, how far the clip has run by the scene's frame; None: the speed is always the same
+    hold           whether a sequence shows the nearer frame between two, instead of what lies between them
     capture_frame  the capture's frame to show, whatever the scene's frame, speed and offset are; None: these decide
-    fade         frames at the seam of a loop over which its end and its begin are shown together; at most half of the clip
-    echoes       how many earlier frames (later ones where speed is negative) are shown besides
-    echo_spacing, echo_fade
-                 frames of the capture between them; factor on the opacity from one to the next
     """
 
-    start_frame: float = 1.0
-    speed: float = 1.0
+    start_frame: float = _shown(1.0, "Start Frame", "Scene frame on which the clip begins")
+    speed: float = _shown(1.0, "Speed", "Playback speed; negative plays from the last frame backwards", soft_min=-4.0, soft_max=4.0)
     run: Run | None = None
-    offset: float = 0.0
-    before: str = 'HOLD'
-    after: str = 'HOLD'
+    offset: float = _shown(0.0, "Time Shift", "By how many frames of the capture playback runs ahead: at 10 the clip begins with its frame "
+                           "10. Nothing is cut off, as it is by trimming")
+    before: str = _shown('HOLD', "Before", "What to show before the clip's first frame", items=OUTSIDE)
+    after: str = _shown('HOLD', "After", "What to show after the clip's last frame", items=OUTSIDE)
     hold: bool = False
-    trim_start: float = 0.0
-    trim_end: float = 0.0
+    trim_start: float = _shown(0.0, "Trim Start", "Frames to cut off the beginning of the capture: the clip starts after them", min=0.0)
+    trim_end: float = _shown(0.0, "Trim End", "Frames to cut off the end of the capture", min=0.0)
     capture_frame: float | None = None
-    fade: float = 0.0
-    echoes: int = 0
-    echo_spacing: float = 5.0
-    echo_fade: float = 0.5
+    fade: float = _shown(0.0, "Loop Fade", "Frames at the seam of a loop over which its end and its beginning are shown together; at most "
+                         "half of the clip", min=0.0, soft_max=50.0)
+    echoes: int = _shown(0, "Echoes", "How many earlier moments of the capture are shown besides the current one, each as much to draw as "
+                         "the object itself", min=0, max=MOST_ECHOES, soft_max=8)
+    echo_spacing: float = _shown(5.0, "Echo Spacing", "Frames of the capture between two echoes; negative shows later moments",
+                                 soft_min=0.1, soft_max=30.0)
+    echo_fade: float = _shown(0.5, "Echo Fade", "Opacity of an echo as a share of that of the one before", min=0.0, max=1.0,
+                              subtype='FACTOR')
 
     def range(self, clip) -> tuple[float, float]:
         """The first and the last frame of the capture that trimming leaves."""

@@ -131,12 +131,20 @@ def _chosen(studio, plan) -> dict[str, list[fg.Camera]]:
     return dict(zip(file_names(views), views.values()))
 
 
-def steady_lens(name: str, shots: list[fg.Camera]) -> np.ndarray:
-    """The focal lengths and the centre [4] of a camera's shots.  Raises FastGSError where they change."""
+def camera_entry(name: str, shots: list[fg.Camera]) -> dict:
+    """What cameras.json says of a camera: its lens, and its pose, or those of all frames where it moves."""
+    first = shots[0]
+    still = all(np.allclose(shot.world_to_camera, first.world_to_camera, atol=1e-9) for shot in shots)
+    pose = first.world_to_camera if still else np.array([shot.world_to_camera for shot in shots])
+    return dict(name=name, width=first.width, height=first.height, fx=first.fx, fy=first.fy, cx=first.cx, cy=first.cy,
+                world_to_camera=np.round(pose, 12))
+
+
+def steady_lens(name: str, shots: list[fg.Camera]) -> None:
+    """Raises FastGSError where the lens of a camera changes from shot to shot."""
     lens = np.array([(c.fx, c.fy, c.cx, c.cy) for c in shots])
     if np.ptp(lens, axis=0).max() > 1e-3 * lens[0, 0]:
         raise FastGSError(f'the lens of the camera "{name}" is animated, which a capture cannot hold; choose others.')
-    return lens[0]
 
 
 def file_names(names: Iterable[str]) -> list[str]:
@@ -147,13 +155,7 @@ def file_names(names: Iterable[str]) -> list[str]:
 
 def _describe(out: Path, scene, plan, views):
     """cameras.json; a folder that holds a capture with other settings is refused."""
-    entries = []
-    for name, shots in views.items():
-        first = shots[0]
-        still = all(np.allclose(shot.world_to_camera, first.world_to_camera, atol=1e-9) for shot in shots)
-        pose = first.world_to_camera if still else np.array([shot.world_to_camera for shot in shots])
-        entries.append(dict(name=name, width=first.width, height=first.height, fx=first.fx, fy=first.fy, cx=first.cx, cy=first.cy,
-                            world_to_camera=np.round(pose, 12)))
+    entries = [camera_entry(name, shots) for name, shots in views.items()]
     made = {**asdict(plan), "engine": scene.render.engine, "scene": scene.name}
     old = out / fastgs.FILE
     try:

@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 import bpy
 
 from .. import point_edits
-from .proxy_nodes import find_socket, keep_last, modifier_of
+from ..node_trees import Builder, find_socket
+from .proxy_nodes import keep_last, modifier_of
 
 VERSION = 1
 """Of the effects: the file of the asset library is named by it."""
-SPACING = 180, 260
-"""Distance of the nodes in the editor, in x and in y; so many columns make a row."""
-COLUMNS = 8
 
 
 def set_input(modifier: bpy.types.Modifier, name: str, value) -> None:
@@ -30,42 +28,14 @@ def set_input(modifier: bpy.types.Modifier, name: str, value) -> None:
     modifier.id_data.update_tag()
 
 
-class Builder:
-    """Writes a node tree as expressions.  A value is an output socket, or a constant for an input's default."""
-
-    def __init__(self, tree):
-        self.tree, self._count = tree, 0
-        self.inputs = self.node('NodeGroupInput').outputs
-
-    def node(self, kind: str, inputs: dict | tuple = (), **settings):
-        """A node with these settings and inputs, by name or in their order."""
-        node = self.tree.nodes.new(kind)
-        node.location = SPACING[0] * (self._count % COLUMNS), -SPACING[1] * (self._count // COLUMNS)
-        self._count += 1
-        for name, value in settings.items():
-            setattr(node, name, value)
-        for key, value in inputs.items() if isinstance(inputs, dict) else enumerate(inputs):
-            target = find_socket([s for s in node.inputs if s.enabled], key)
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, target)
-            else:
-                target.default_value = value
-        return node
-
-    def given(self, name: str):
-        """An input of the group."""
-        return self.inputs[name]
-
-    def math(self, operation: str, *values, clamp: bool = False):
-        """A number."""
-        return self.node('ShaderNodeMath', values, operation=operation, use_clamp=clamp).outputs[0]
+class _Points(Builder):
+    """Adds nodes that change points."""
 
     def vector(self, operation: str, *values):
         """A vector, or the number that the operation gives; SCALE takes a vector and a number."""
         if operation == 'SCALE':
             values = {"Vector": values[0], "Scale": values[1]}
-        node = self.node('ShaderNodeVectorMath', values, operation=operation)
-        return find_socket([s for s in node.outputs if s.enabled], 0)
+        return self.first('ShaderNodeVectorMath', values, operation=operation)
 
     def mix(self, a, b, share):
         """The vector from a (share 0) to b (share 1)."""
@@ -77,18 +47,13 @@ class Builder:
         ramp = self.math('DIVIDE', self.math('SUBTRACT', value, low), extent, clamp=True)
         return self.math('MULTIPLY', self.math('MULTIPLY', ramp, ramp), self.math('SUBTRACT', 3.0, self.math('MULTIPLY', ramp, 2.0)))
 
-    def attribute(self, name: str):
+    def value(self, name: str):
         """An attribute of points."""
-        return self.node('GeometryNodeInputNamedAttribute', {"Name": name}, data_type=point_edits.ATTRIBUTES[name]).outputs[0]
+        return self.attribute(name, point_edits.ATTRIBUTES[name]).outputs[0]
 
-    def position(self):
-        """Where points are."""
-        return self.node('GeometryNodeInputPosition').outputs[0]
-
-    def store(self, geometry, name: str, value):
+    def set(self, geometry, name: str, value):
         """The geometry with an attribute of points."""
-        return self.node('GeometryNodeStoreNamedAttribute', {"Geometry": geometry, "Name": name, "Value": value},
-                         data_type=point_edits.ATTRIBUTES[name], domain='POINT').outputs[0]
+        return self.store(geometry, name, point_edits.ATTRIBUTES[name], value)
 
     def moved(self, geometry, offset):
         """The geometry with its points moved."""
@@ -105,61 +70,61 @@ class Builder:
         return self.node('FunctionNodeRandomValue', {"Min": low, "Max": high, "Seed": seed}, data_type='FLOAT_VECTOR').outputs[0]
 
 
-def _dissolve(b: Builder):
-    noise, _ = b.noise(b.position(), b.given("Noise Scale"))
+def _dissolve(b: _Points):
+    noise, _ = b.noise(b.position(), b.given["Noise Scale"])
     spread = b.math('DIVIDE', b.math('SUBTRACT', noise, 0.35), 0.3, clamp=True)
-    soft = b.math('MAXIMUM', b.given("Softness"), 1e-4)
-    gone = b.math('DIVIDE', b.math('SUBTRACT', b.math('MULTIPLY', b.given("Amount"), b.math('ADD', 1.0, soft)), spread), soft, clamp=True)
-    opacity = b.math('MULTIPLY', b.attribute(point_edits.OPACITY), b.math('SUBTRACT', 1.0, gone))
-    geometry = b.store(b.given("Geometry"), point_edits.OPACITY, opacity)
-    return b.moved(geometry, b.vector('SCALE', b.given("Drift"), gone))
+    soft = b.math('MAXIMUM', b.given["Softness"], 1e-4)
+    gone = b.math('DIVIDE', b.math('SUBTRACT', b.math('MULTIPLY', b.given["Amount"], b.math('ADD', 1.0, soft)), spread), soft, clamp=True)
+    opacity = b.math('MULTIPLY', b.value(point_edits.OPACITY), b.math('SUBTRACT', 1.0, gone))
+    geometry = b.set(b.given["Geometry"], point_edits.OPACITY, opacity)
+    return b.moved(geometry, b.vector('SCALE', b.given["Drift"], gone))
 
 
-def _wind(b: Builder):
+def _wind(b: _Points):
     time = b.node('GeometryNodeInputSceneTime').outputs["Seconds"]
-    box = b.node('GeometryNodeBoundBox', {"Geometry": b.given("Geometry")})
+    box = b.node('GeometryNodeBoundBox', {"Geometry": b.given["Geometry"]})
     places = box.outputs["Min"], box.outputs["Max"], b.position()
     low, high, here = (b.node('ShaderNodeSeparateXYZ', (place,)).outputs["Z"] for place in places)
     height = b.math('DIVIDE', b.math('SUBTRACT', here, low), b.math('MAXIMUM', b.math('SUBTRACT', high, low), 1e-6), clamp=True)
-    rooted = b.math('ADD', 1.0, b.math('MULTIPLY', b.given("Rooted"), b.math('SUBTRACT', height, 1.0)))
-    strength = b.math('MULTIPLY', b.given("Strength"), rooted)
-    gust, swirl = b.noise(b.position(), b.given("Noise Scale"), b.math('MULTIPLY', time, b.given("Speed")))
-    push = b.vector('SCALE', b.vector('NORMALIZE', b.given("Direction")), gust)
-    return b.moved(b.given("Geometry"), b.vector('SCALE', b.vector('ADD', push, b.vector('SCALE', swirl, b.given("Turbulence"))), strength))
+    rooted = b.math('ADD', 1.0, b.math('MULTIPLY', b.given["Rooted"], b.math('SUBTRACT', height, 1.0)))
+    strength = b.math('MULTIPLY', b.given["Strength"], rooted)
+    gust, swirl = b.noise(b.position(), b.given["Noise Scale"], b.math('MULTIPLY', time, b.given["Speed"]))
+    push = b.vector('SCALE', b.vector('NORMALIZE', b.given["Direction"]), gust)
+    return b.moved(b.given["Geometry"], b.vector('SCALE', b.vector('ADD', push, b.vector('SCALE', swirl, b.given["Turbulence"])), strength))
 
 
-def _scatter(b: Builder):
-    way = b.random((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0), b.given("Seed"))
-    far = b.math('MULTIPLY', b.given("Amount"), b.given("Distance"))
-    fall = b.vector('SCALE', b.given("Pull"), b.math('MULTIPLY', b.given("Amount"), b.given("Amount")))
-    geometry = b.moved(b.given("Geometry"), b.vector('ADD', b.vector('SCALE', way, far), fall))
-    smaller = b.math('SUBTRACT', 1.0, b.math('MULTIPLY', b.given("Amount"), b.given("Shrink")))
-    return b.store(geometry, point_edits.SCALE, b.vector('SCALE', b.attribute(point_edits.SCALE), smaller))
+def _scatter(b: _Points):
+    way = b.random((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0), b.given["Seed"])
+    far = b.math('MULTIPLY', b.given["Amount"], b.given["Distance"])
+    fall = b.vector('SCALE', b.given["Pull"], b.math('MULTIPLY', b.given["Amount"], b.given["Amount"]))
+    geometry = b.moved(b.given["Geometry"], b.vector('ADD', b.vector('SCALE', way, far), fall))
+    smaller = b.math('SUBTRACT', 1.0, b.math('MULTIPLY', b.given["Amount"], b.given["Shrink"]))
+    return b.set(geometry, point_edits.SCALE, b.vector('SCALE', b.value(point_edits.SCALE), smaller))
 
 
-def _sweep(b: Builder):
-    along = b.vector('DOT_PRODUCT', b.position(), b.vector('NORMALIZE', b.given("Direction")))
-    box = b.node('GeometryNodeAttributeStatistic', {"Geometry": b.given("Geometry"), "Attribute": along}, data_type='FLOAT', domain='POINT')
+def _sweep(b: _Points):
+    along = b.vector('DOT_PRODUCT', b.position(), b.vector('NORMALIZE', b.given["Direction"]))
+    box = b.node('GeometryNodeAttributeStatistic', {"Geometry": b.given["Geometry"], "Attribute": along}, data_type='FLOAT', domain='POINT')
     low, extent = find_socket(box.outputs, "Min"), find_socket(box.outputs, "Range")
     at = b.math('DIVIDE', b.math('SUBTRACT', along, low), b.math('MAXIMUM', extent, 1e-6))
-    width = b.math('MAXIMUM', b.given("Width"), 1e-4)
-    gone = b.math('DIVIDE', b.math('SUBTRACT', b.math('MULTIPLY', b.given("Amount"), b.math('ADD', 1.0, width)), at), width, clamp=True)
+    width = b.math('MAXIMUM', b.given["Width"], 1e-4)
+    gone = b.math('DIVIDE', b.math('SUBTRACT', b.math('MULTIPLY', b.given["Amount"], b.math('ADD', 1.0, width)), at), width, clamp=True)
     left = b.math('SUBTRACT', 1.0, gone)
     edge = b.math('MULTIPLY', b.math('MULTIPLY', gone, left), 4.0)
-    colour = b.mix(b.attribute(point_edits.COLOR), b.given("Glow"), edge)
-    geometry = b.store(b.given("Geometry"), point_edits.COLOR, colour)
-    return b.store(geometry, point_edits.OPACITY, b.math('MULTIPLY', b.attribute(point_edits.OPACITY), left))
+    colour = b.mix(b.value(point_edits.COLOR), b.given["Glow"], edge)
+    geometry = b.set(b.given["Geometry"], point_edits.COLOR, colour)
+    return b.set(geometry, point_edits.OPACITY, b.math('MULTIPLY', b.value(point_edits.OPACITY), left))
 
 
-def _freeze(b: Builder):
-    centre = b.node('GeometryNodeObjectInfo', {"Object": b.given("Centre")}, transform_space='RELATIVE').outputs["Location"]
-    far = b.vector('DISTANCE', b.attribute(point_edits.STILL), centre)
-    end = b.math('ADD', b.given("Distance"), b.given("Width"))
-    frozen = b.math('MULTIPLY', b.between(far, b.given("Distance"), end), b.given("Amount"))
-    opacity = b.attribute(point_edits.OPACITY)
-    change = b.math('MULTIPLY', b.math('SUBTRACT', b.attribute(point_edits.STILL_OPACITY), opacity), frozen)
-    geometry = b.store(b.given("Geometry"), point_edits.OPACITY, b.math('ADD', opacity, change))
-    return b.moved(geometry, b.vector('SCALE', b.vector('SUBTRACT', b.attribute(point_edits.STILL), b.position()), frozen))
+def _freeze(b: _Points):
+    centre = b.node('GeometryNodeObjectInfo', {"Object": b.given["Centre"]}, transform_space='RELATIVE').outputs["Location"]
+    far = b.vector('DISTANCE', b.value(point_edits.STILL), centre)
+    end = b.math('ADD', b.given["Distance"], b.given["Width"])
+    frozen = b.math('MULTIPLY', b.between(far, b.given["Distance"], end), b.given["Amount"])
+    opacity = b.value(point_edits.OPACITY)
+    change = b.math('MULTIPLY', b.math('SUBTRACT', b.value(point_edits.STILL_OPACITY), opacity), frozen)
+    geometry = b.set(b.given["Geometry"], point_edits.OPACITY, b.math('ADD', opacity, change))
+    return b.moved(geometry, b.vector('SCALE', b.vector('SUBTRACT', b.value(point_edits.STILL), b.position()), frozen))
 
 
 @dataclass(frozen=True)
@@ -244,7 +209,7 @@ def build(effect: Effect) -> bpy.types.NodeTree:
         item = tree.interface.new_socket(name, in_out='INPUT', socket_type=f"NodeSocket{kind}")
         for setting, value in values.items():
             setattr(item, setting, value)
-    builder = Builder(tree)
+    builder = _Points(tree)
     builder.node('NodeGroupOutput', (effect.build(builder),))
     return tree
 

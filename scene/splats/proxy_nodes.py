@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Color
 
 from .. import proxies
+from ..node_trees import Builder
 from ..point_edits import OPACITY
 from ..proxies import OFFSET, STILL
 
@@ -68,75 +69,32 @@ def group(name: str = NAME) -> bpy.types.NodeTree:
 
 
 def _build(tree):
-    node = {}
-    for x, (key, kind) in enumerate((
-            ("in", 'NodeGroupInput'), ("parts", 'GeometryNodeSeparateComponents'), ("vertices", 'GeometryNodePointsToVertices'),
-            ("points", 'GeometryNodeJoinGeometry'), ("radius", 'GeometryNodeInputNamedAttribute'), ("drawn", 'FunctionNodeCompare'),
-            ("ball", 'GeometryNodeMeshUVSphere'), ("position", 'GeometryNodeInputPosition'), ("store", 'GeometryNodeStoreNamedAttribute'),
-            ("smooth", 'GeometryNodeSetShadeSmooth'), ("balls", 'GeometryNodeJoinGeometry'), ("shade", 'GeometryNodeInputNamedAttribute'),
-            ("instance", 'GeometryNodeInstanceOnPoints'), ("realize", 'GeometryNodeRealizeInstances'), ("join", 'GeometryNodeJoinGeometry'),
-            ("which", 'GeometryNodeInputNamedAttribute'), ("corner", 'FunctionNodeCompare'),
-            ("corners", 'GeometryNodeSeparateGeometry'), ("box", 'GeometryNodeBoundBox'), ("edges", 'GeometryNodeDeleteGeometry'),
-            ("all", 'GeometryNodeInputNamedAttribute'), ("carried", 'GeometryNodeSeparateGeometry'), ("kept", 'GeometryNodeJoinGeometry'),
-            ("hide", 'FunctionNodeInputBool'), ("viewport", 'GeometryNodeIsViewport'), ("both", 'FunctionNodeBooleanMath'),
-            ("switch", 'GeometryNodeSwitch'), ("out", 'NodeGroupOutput'))):
-        node[key] = tree.nodes.new(kind)
-        node[key].location = 200 * x, 0
-    node["hide"].name, node["hide"].label, node["hide"].boolean = proxies.SWITCH, proxies.SWITCH, proxies.wanted_hidden()
-    node["edges"].mode, node["edges"].domain = 'ONLY_FACE', 'FACE'
-    node["both"].operation = 'AND'
-    node["switch"].input_type = 'GEOMETRY'
-    node["radius"].data_type, node["shade"].data_type = 'FLOAT', 'INT'
-    node["radius"].inputs["Name"].default_value = RADIUS
-    node["shade"].inputs["Name"].default_value = SHADE
-    node["all"].data_type, node["carried"].domain = 'FLOAT', 'POINT'
-    node["all"].inputs["Name"].default_value = OPACITY
-    node["which"].data_type, node["corners"].domain = 'INT', 'POINT'
-    node["which"].inputs["Name"].default_value = GAUSSIAN
-    node["corner"].data_type, node["corner"].operation = 'INT', 'LESS_THAN'
-    node["drawn"].data_type, node["drawn"].operation = 'FLOAT', 'GREATER_THAN'
-    find_socket(node["drawn"].inputs, "B", 'VALUE').default_value = 1e10 * NONE
-    node["store"].data_type, node["store"].domain = 'FLOAT_VECTOR', 'POINT'
-    node["store"].inputs["Name"].default_value = OFFSET
-    for name, value in (("Segments", 4), ("Rings", 2), ("Radius", 1.0)):
-        node["ball"].inputs[name].default_value = value
-
-    def link(source, output, target, socket, kind=None):
-        tree.links.new(find_socket(node[source].outputs, output), find_socket(node[target].inputs, socket, kind))
-
-    for wire in (
-            ("ball", "Mesh", "store", "Geometry"), ("position", 0, "store", "Value", 'VECTOR'),
-            # of what modifiers before this one make, mesh and point cloud are points
-            ("in", 0, "parts", 0), ("parts", "Mesh", "points", 0), ("parts", "Point Cloud", "vertices", 0), ("vertices", 0, "points", 0),
-            ("radius", "Attribute", "drawn", "A", 'VALUE'), ("points", 0, "instance", "Points"),
-            ("drawn", "Result", "instance", "Selection"),
-            ("store", "Geometry", "smooth", "Geometry"),
-            ("balls", 0, "instance", "Instance"), ("shade", "Attribute", "instance", "Instance Index"),
-            ("radius", "Attribute", "instance", "Scale"), ("instance", 0, "realize", 0), ("realize", 0, "join", 0),
-            ("which", "Attribute", "corner", "A", 'INT'), ("points", 0, "corners", 0), ("corner", "Result", "corners", "Selection"),
-            ("corners", 0, "box", "Geometry"), ("box", "Bounding Box", "edges", "Geometry"), ("kept", 0, "switch", "True"),
-            # hidden points that carry something stay as vertices without a face, which no viewport draws
-            ("points", 0, "carried", 0), ("all", "Exists", "carried", "Selection"), ("carried", 0, "kept", 0), ("edges", 0, "kept", 0),
-            ("hide", 0, "both", 0), ("viewport", 0, "both", 1), ("both", 0, "switch", "Switch"), ("switch", 0, "out", 0),
-            # the points themselves come along: only they know which colour attribute is the active one
-            ("points", 0, "join", 0), ("join", 0, "switch", "False")):
-        link(*wire)
-    node["instance"].inputs["Pick Instance"].default_value = True
-    for number, material in reversed(list(enumerate(_palette()))):  # the last link comes first
-        paint, single = tree.nodes.new('GeometryNodeSetMaterial'), tree.nodes.new('GeometryNodeGeometryToInstance')
-        paint.location, single.location = (1200, -80 * number - 200), (1400, -80 * number - 200)
-        paint.inputs["Material"].default_value = material
-        tree.links.new(node["smooth"].outputs[0], paint.inputs["Geometry"])
-        tree.links.new(paint.outputs[0], single.inputs[0])
-        tree.links.new(single.outputs[0], node["balls"].inputs[0])
-
-
-def find_socket(sockets, key, kind=None):
-    """The socket of this number, or of this name or identifier and type: nodes with a data type may have one of a name for every type."""
-    if isinstance(key, int):
-        return sockets[key]
-    named = [s for s in sockets if key in (s.name, s.identifier)]
-    return next((s for s in named if s.type == kind), named[0])
+    b = Builder(tree)
+    parts = b.node('GeometryNodeSeparateComponents', (b.given["Geometry"],)).outputs
+    # of what modifiers before this one make, mesh and point cloud are points
+    points = b.joined(parts["Mesh"], b.first('GeometryNodePointsToVertices', (parts["Point Cloud"],)))
+    ball = b.node('GeometryNodeMeshUVSphere', {"Segments": 4, "Rings": 2, "Radius": 1.0}).outputs["Mesh"]
+    ball = b.first('GeometryNodeSetShadeSmooth', {"Geometry": b.store(ball, OFFSET, 'FLOAT_VECTOR', b.position())})
+    painted = [b.first('GeometryNodeGeometryToInstance', (b.first('GeometryNodeSetMaterial', {"Geometry": ball, "Material": material}),))
+               for material in _palette()]
+    radius = b.attribute(RADIUS, 'FLOAT').outputs[0]
+    drawn = b.first('FunctionNodeCompare', {"A": radius, "B": 1e10 * NONE}, data_type='FLOAT', operation='GREATER_THAN')
+    balls = b.first('GeometryNodeInstanceOnPoints', {
+        "Points": points, "Selection": drawn, "Instance": b.joined(*reversed(painted)), "Pick Instance": True,
+        "Instance Index": b.attribute(SHADE, 'INT').outputs[0], "Scale": radius})
+    # the points themselves come along: only they know which colour attribute is the active one
+    shown = b.joined(b.first('GeometryNodeRealizeInstances', (balls,)), points)
+    corner = b.first('FunctionNodeCompare', {"A": b.attribute(GAUSSIAN, 'INT').outputs[0], "B": 0}, data_type='INT', operation='LESS_THAN')
+    corners = b.first('GeometryNodeSeparateGeometry', {"Geometry": points, "Selection": corner}, domain='POINT')
+    box = b.node('GeometryNodeBoundBox', {"Geometry": corners}).outputs["Bounding Box"]
+    edges = b.first('GeometryNodeDeleteGeometry', {"Geometry": box}, mode='ONLY_FACE', domain='FACE')
+    # hidden points that carry something stay as vertices without a face, which no viewport draws
+    carried = b.first('GeometryNodeSeparateGeometry', {"Geometry": points, "Selection": b.attribute(OPACITY, 'FLOAT').outputs["Exists"]},
+                      domain='POINT')
+    wanted = b.first('FunctionNodeInputBool', name=proxies.SWITCH, label=proxies.SWITCH, boolean=proxies.wanted_hidden())
+    hidden = b.first('FunctionNodeBooleanMath', (wanted, b.first('GeometryNodeIsViewport')), operation='AND')
+    switched = b.first('GeometryNodeSwitch', {"Switch": hidden, "False": shown, "True": b.joined(carried, edges)}, input_type='GEOMETRY')
+    b.node('NodeGroupOutput', (switched,))
 
 
 def _palette() -> list[bpy.types.Material]:

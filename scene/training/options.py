@@ -83,10 +83,11 @@ def arguments(options) -> list[str]:
     for name, flag in (("iterations", "--iterations"), ("max_gaussians", "--max-gaussians"), ("order", "--order")):
         if getattr(options, name):
             chosen += [flag, str(getattr(options, name))]
-    if options.scale:
-        chosen += ["--scale", f"{options.scale:.6g}"]
-    if options.frames.strip():
-        chosen += ["--frames", options.frames.strip()]
-    if options.held_out.strip():
-        chosen += ["--held-out", ",".join(name.strip() for name in options.held_out.split(",") if name.strip())]
-    return chosen
+    return chosen + capture_arguments(options)
+
+
+def capture_arguments(options) -> list[str]:
+    """Those of them that choose a part of the capture, as `fastgs check` takes them too."""
+    names = ",".join(name.strip() for name in options.held_out.split(",") if name.strip())
+    given = {"--scale": f"{options.scale:.6g}" if options.scale else "", "--frames": options.frames.strip(), "--held-out": names}
+    return [word for flag, value in given.items() if value for word in (flag, value)]

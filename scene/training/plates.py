@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ... import fastgs_blender as fg
 from ...fastgs_blender.captures.layouts import fastgs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import camera as cameras
-from ..filming.film import file_names, steady_lens
+from ..filming.film import camera_entry, file_names, steady_lens
 from ..frame_range import frame_kept
 
 AXES = "RFU"
@@ -144,12 +143,8 @@ def write_capture(context, out: Path) -> str:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for obj, plate in plates.items():
-            lens = steady_lens(obj.name, poses[obj])
-            matrices = np.array([camera.world_to_camera for camera in poses[obj]])
-            entry = dict(name=names[obj], width=plate.size[0], height=plate.size[1],
-                         **dict(zip(("fx", "fy", "cx", "cy"), lens.tolist())),
-                         world_to_camera=matrices if np.ptp(matrices, axis=0).max() > 1e-9 else matrices[0])
-            entries.append(entry | _lay_out(out, names[obj], plate, first, last))
+            steady_lens(obj.name, poses[obj])
+            entries.append(camera_entry(names[obj], poses[obj]) | _lay_out(out, names[obj], plate, first, last))
         fastgs.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base,
                           axes=AXES)
     except OSError as error:

@@ -300,7 +300,7 @@ def test_scene_summary(module, obj, scene, make_model, model_file):
 
 
 def test_import_options_draw(module):
-    operator = module("operators").FASTGS_OT_import
+    operator = module("operators.import_model").FASTGS_OT_import
     names, labels = [], []
     layout = SimpleNamespace(prop=lambda data, name, text=None: names.append(name))
     layout.column = lambda heading="", align=False: layout
