@@ -32,8 +32,7 @@ SAME, ALIKE, SIDE = 1e-6, 0.8, 48
 def run(looked: Looked) -> Section:
     """Measure errors of matches against the calibration; find the wrong cameras and the angle by which each seems turned."""
     section = Section("Calibration", "How many pixels matches between two pictures miss the lines on which the calibration puts them: "
-                                     "under 1 is "
-                      "good. They were found without the calibration.")
+                                     "under 1 is good. They were found without the calibration.")
     if not looked.capture.posed:
         section.summary = "The capture does not say where its cameras are; training finds them from its pictures first, as was tried here."
         _unknown_places(section, looked)
@@ -43,9 +42,8 @@ def run(looked: Looked) -> Section:
     matches = looked.matches
     if not matches.pairs:
         pairs = f"none of {matches.tried} pairs" if matches.tried else "none of the pairs"
-        section.add("note", f"The calibration cannot be judged: {pairs} of pictures has enough in common, as with "
-                            "cameras that are "
-                    "far apart or a scene without texture.", "Train a draft, and look at the held-out views.")
+        section.add("note", f"The calibration cannot be judged: {pairs} of pictures has enough in common, as with cameras that are far "
+                            "apart or a scene without texture.", "Train a draft, and look at the held-out views.")
         return section
     scale = {view: samples[0].shrunk for view, samples in looked.samples.items()}
     bad, error = looked.judged.wrong, looked.judged.misses
@@ -53,18 +51,15 @@ def run(looked: Looked) -> Section:
     for view in bad:
         _tell(section, looked, matches, view, error[view] * scale[view], bad)
     if not bad and np.isfinite(usual) and usual > OFF:
-        section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * _most(scale):.1f} pixels with all "
-                                                            "cameras: the "
+        section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * _most(scale):.1f} pixels with all cameras: the "
                     "calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are neither cropped, "
-                                                                         "turned nor "
-                    "stabilised, and that lens correction in the cameras was the same as when they were calibrated.", (),
+                    "turned nor stabilised, and that lens correction in the cameras was the same as when they were calibrated.", (),
                     ("reprojection error", round(usual, 3), "pixels"))
     _borders(section, looked, matches, bad)
     unknown = [view for view in looked.views if not np.isfinite(error[view])]
     if unknown:
         section.add("note", f"{listed(unknown)} {'has' if len(unknown) == 1 else 'have'} too little in common with the other cameras for "
-                            "the calibration "
-                    "to be judged there.", "Look at the coverage; cameras 20 degrees apart have more in common.", unknown)
+                    "the calibration to be judged there.", "Look at the coverage; cameras 20 degrees apart have more in common.", unknown)
     xyz = matches.good_points(bad)
     grades = dict.fromkeys(bad, "wrong")
     shown = {view: value * scale[view] for view, value in error.items()}
@@ -122,9 +117,8 @@ def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: 
         moved = f" and moved by {found[1]:.2g} of the world's units" if found[1] > 0.02 * looked.capture.extent else ""
         by = f"it seems turned by {found[0]:.1f} degrees{moved} against its calibration, as by a bump"
         section.measures.setdefault("turned_degrees", {})[view] = round(found[0], 3)
-    section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.",
-                f"Calibrate {view} again, or leave it out: all that it sees is blurred otherwise.", [view],
-                ("reprojection error", round(error, 3), "pixels"))
+    section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.", f"Calibrate {view} again, "
+                "or leave it out: all that it sees is blurred otherwise.", [view], ("reprojection error", round(error, 3), "pixels"))
 
 
 def _borders(section: Section, looked: Looked, matches: Matches, bad) -> None:
@@ -143,11 +137,9 @@ def _borders(section: Section, looked: Looked, matches: Matches, bad) -> None:
     rise = {view: float(np.median(outside[view]) - np.median(inside[view])) for view in inside
             if len(outside[view]) >= LEAST_POINTS and len(inside[view]) >= LEAST_POINTS}
     for view in [view for view, value in rise.items() if value > RISE]:
-        section.add("poor", f"Near the borders of {view}, matches miss by {rise[view]:.1f} pixels more than in its middle: its lens is "
-                            "not what the "
-                    "calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of distortion or "
-                                         "as a fisheye.",
-                    [view], ("rise at the border", round(rise[view], 3), "pixels"))
+        section.add("poor", f"Near the borders of {view}, matches miss by {rise[view]:.1f} pixels more than in its middle: its lens is not "
+                    "what the calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of "
+                    "distortion or as a fisheye.", [view], ("rise at the border", round(rise[view], 3), "pixels"))
     section.measures["border_rise_pixels"] = {view: round(value, 4) for view, value in rise.items()}
 
 
@@ -164,8 +156,7 @@ def _lenses(section: Section, looked: Looked) -> None:
             odd.append(f"its optical axis is {off:.0%} of the picture off its middle")
         if odd:
             section.add("note", f"The calibration of {view} is unusual: {' and '.join(odd)}.", "That is right for cropped or squeezed "
-                                                                                               "pictures only; "
-                        "else calibrate again.", [view])
+                        "pictures only; else calibrate again.", [view])
         inside = None if sample.shot.image.lens.is_pinhole else undistortion.valid(sample.shot)  # sample.valid knows transparency too
         empty = 0.0 if inside is None else float(1 - inside.mean())
         if empty > EMPTY:

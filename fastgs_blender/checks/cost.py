@@ -18,8 +18,7 @@ def run(looked: Looked) -> Section:
     """Bytes of the cache of decoded pictures against what is free, and the presets' time and memory on this machine's processor."""
     capture = looked.capture
     section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
-                                       "without a "
-                      "GPU, roughly.")
+                                       "without a GPU, roughly.")
     first: dict = {}
     counts: dict = {}
     for shot in capture.shots:

@@ -19,8 +19,7 @@ MOST_PICTURES = 24
 def run(looked: Looked) -> Section:
     """Count cameras in a ground plan and over each camera's picture, without occlusion, which is not known."""
     section = Section("Coverage", "How many training cameras have a place in their pictures; what hides it from them is not known. Depth "
-                                  "comes from "
-                      f"at least two views, and {ENOUGH} make it sure.")
+                                  f"comes from at least two views, and {ENOUGH} make it sure.")
     if not looked.capture.posed:
         section.summary = "The capture does not say where its cameras are, so that what they see in common is not known yet."
         return section
@@ -35,10 +34,9 @@ def run(looked: Looked) -> Section:
         worst = sorted(lonely, key=lambda view: -few[view])
         if worst:
             mean = float(np.mean([few[view] for view in looked.training]))
-            section.add("poor", f"{few[worst[0]]:.0%} of the picture of {worst[0]} is seen by fewer than {ENOUGH} cameras, {mean:.0%} "
-                                "over all cameras: what is "
-                        f"there will be smeared when it is looked at from "
-                        f"elsewhere{f' (also {listed(worst[1:], 3)})' if worst[1:] else ''}.",
+            section.add("poor", f"{few[worst[0]]:.0%} of the picture of {worst[0]} is seen by fewer than {ENOUGH} cameras, {mean:.0%} over "
+                                "all cameras: what is there will be smeared when it is looked at from "
+                                f"elsewhere{f' (also {listed(worst[1:], 3)})' if worst[1:] else ''}.",
                         "Turn outer cameras inwards, add cameras there, or keep the final camera away from these parts.", worst,
                         ("share of its picture", round(few[worst[0]], 3), ""))
     section.pictures.append(Picture("What the colours mean: training cameras that see a place.", drawing.key_of_counts(), wide=True))

@@ -144,9 +144,7 @@ def _uneven(section: Section, even, gains, whole) -> None:
             tints[view] = f"{view} ({('red', 'green', 'blue')[channel]} x {tint[channel]:.2f})", float(tint[channel])
     if tints:
         section.add("poor", f"{listed([words for words, _ in tints.values()])} {'has' if len(tints) == 1 else 'have'} another white "
-                            "balance "
-                    "than the "
-                    "others.", advice, tints, ("tint", _farthest(t for _, t in tints.values()), "times"))
+                            "balance than the others.", advice, tints, ("tint", _farthest(t for _, t in tints.values()), "times"))
 
 
 def _farthest(gains) -> float:
@@ -161,15 +159,12 @@ def _dark(section: Section, looked: Looked) -> None:
         burnt[view] = float(np.mean([(sample.rgb.min(2) >= 255 * BURNT).mean() for sample in samples]))
     if gloomy := [view for view, value in dark.items() if value < DARK]:
         section.add("poor", f"{listed(gloomy)} {'is' if len(gloomy) == 1 else 'are'} dark: half of the picture is below "
-                            f"{max(dark[v] for v in gloomy):.0%} "
-                    "of white, where noise and compression hide details.", "Add light rather than gain; a black background is no "
-                                                                           "fault.", gloomy,
-                    ("median brightness", round(min(dark[v] for v in gloomy), 3), ""))
+                    f"{max(dark[v] for v in gloomy):.0%} of white, where noise and compression hide details.", "Add light rather than "
+                    "gain; a black background is no fault.", gloomy, ("median brightness", round(min(dark[v] for v in gloomy), 3), ""))
     if flat := [view for view, value in burnt.items() if value > BURNT_SHARE]:
         section.add("poor" if len(flat) < len(burnt) else "note", f"{listed(flat)} {'is' if len(flat) == 1 else 'are'} burnt out in "
-                                                                  f"{max(burnt[v] for v in flat):.0%} of the picture: "
-                    "nothing is known of what is there.", "Lower the exposure when filming; a white background is no fault.", flat,
-                    ("burnt share", round(max(burnt[v] for v in flat), 3), ""))
+                    f"{max(burnt[v] for v in flat):.0%} of the picture: nothing is known of what is there.", "Lower the exposure when "
+                    "filming; a white background is no fault.", flat, ("burnt share", round(max(burnt[v] for v in flat), 3), ""))
     section.measures |= {"median_brightness": {v: round(x, 4) for v, x in dark.items()},
                          "burnt_share": {v: round(x, 4) for v, x in burnt.items()}}
 
@@ -190,8 +185,7 @@ def _changing(section: Section, looked: Looked) -> None:
         section.add("poor", f"The light changes: what stands still becomes up to {max(change.values()):.0%} brighter or darker in "
                             f"{listed(moving)}.",
                     "Light the scene with lamps that neither move nor flicker (at 50 or 60 Hz film with a shutter of 1/50 or 1/60 s), or "
-                    "with no "
-                    "sun between clouds.", moving, ("change of brightness", round(max(change.values()), 3), ""))
+                    "with no sun between clouds.", moving, ("change of brightness", round(max(change.values()), 3), ""))
     elif moving:
         section.add("poor", f"{listed(moving)} {'changes its' if len(moving) == 1 else 'change their'} exposure while filming, by up to "
                             f"{max(change[v] for v in moving):.0%}.", "Turn automatic "

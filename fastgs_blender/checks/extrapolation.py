@@ -48,16 +48,13 @@ def run(looked: Looked) -> Section:
     widest = max(space.angle(a, b) for a in looked.training for b in looked.training)
     if widest < NARROW:
         section.add("poor", f"All cameras stand within {widest:.1f} degrees, seen from the scene: depth is uncertain, and views beside "
-                            "them will be "
-                    "distorted.", "Spread the cameras; 20 degrees from one to the next are "
+                            "them will be distorted.", "Spread the cameras; 20 degrees from one to the next are "
                                   "fine.", (), ("baseline", round(widest, 2), "degrees"))
     lonely = [view for view, gap in gaps.items() if gap > FAR]
     if lonely and count >= FEW:
         section.add("poor", f"{listed(lonely)} {'stands' if len(lonely) == 1 else 'stand'} more than {FAR:.0f} degrees from the nearest "
-                            "other camera: "
-                    "between them the model has to guess.", "Add cameras in between, or keep the final camera near the filmed "
-                                                            "directions.", lonely,
-                    ("gap", round(max(gaps[v] for v in lonely), 1), "degrees"))
+                    "other camera: between them the model has to guess.", "Add cameras in between, or keep the final camera near the "
+                    "filmed directions.", lonely, ("gap", round(max(gaps[v] for v in lonely), 1), "degrees"))
     shown = {view: angle for view, (_, angle) in nearest.items()}
     grades = {view: "wrong" if angle > FAR else "poor" if angle > APART else "" for view, angle in shown.items()}
     section.pictures.append(drawing.bars_picture("Degrees from each camera to the nearest training camera.", shown, "degrees",
@@ -76,12 +73,10 @@ def _held_out(section: Section, space: Space, view: str, nearest: tuple[str, flo
         return
     grade = "poor" if angle > FAR or few >= 0.5 or count < FEW else "note"
     section.add(grade, f"The held-out view {view} will be poor: it stands {angle:.0f} degrees from the nearest training camera, {other}, "
-                       "and "
-                f"{few:.0%} of its picture is seen by fewer than {ENOUGH} of the {count} training cameras, "
-                f"{float((seen < 1).mean()):.0%} by none. "
-                "Surfaces that face it were filmed at a slant or not at all.", f"No setting changes that: film from directions at most "
-                                                                               f"{APART:.0f} "
-                "degrees apart. Judge this model from between its training cameras.", [view], ("angle", round(angle, 2), "degrees"))
+                f"and {few:.0%} of its picture is seen by fewer than {ENOUGH} of the {count} training cameras, "
+                f"{float((seen < 1).mean()):.0%} by none. Surfaces that face it were filmed at a slant or not at all.", "No setting "
+                f"changes that: film from directions at most {APART:.0f} degrees apart. Judge this model from between its training "
+                "cameras.", [view], ("angle", round(angle, 2), "degrees"))
 
 
 def _few(section: Section, space: Space, training: list[str]) -> None:

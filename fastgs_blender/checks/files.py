@@ -15,8 +15,7 @@ def run(looked: Looked) -> Section:
                       "headers of all files were read.")
     for problem in found[:MOST]:
         section.add("wrong", f"{problem[:1].upper()}{problem[1:].rstrip('.')}.", "Copy or export these files again, or leave the camera "
-                                                                                 "or the "
-                    "frames out.")
+                                                                                 "or the frames out.")
     if len(found) > MOST:
         section.add("wrong", f"There are {len(found) - MOST} more problems with files.", "fastgs info lists them all.")
     for note in capture.notes:

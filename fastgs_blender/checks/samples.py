@@ -87,8 +87,7 @@ class Looked:
         moments = max(map(len, self.samples.values()), default=0)
         some = f" of {len(self.capture.views)}" if len(self.samples) < len(self.capture.views) else ""
         return (f"Looked at: {pictures} pictures of the {len(self.capture)} there are, {moments} moments of {len(self.samples)}{some} "
-                "cameras; "
-                "what happens between them is not known.")
+                "cameras; what happens between them is not known.")
 
 
 def thumbnail(rgb: np.ndarray) -> np.ndarray:

@@ -20,14 +20,11 @@ def run(looked: Looked) -> Section:
     soft = [view for view, value in blur.items() if len(known) > 2 and value > usual + SOFTER]
     for view in soft:
         section.add("poor", f"{view} is blurred by about {blur[view]:.1f} pixels, the others by {usual:.1f}: what it alone sees stays "
-                            "soft, and "
-                    "it pulls down what others see.", "Film again with the focus set by hand, or leave that camera out with the "
-                                                      "capture's list "
-                    "of cameras or as a held-out view.", [view], ("blur", blur[view], "pixels"))
+                    "soft, and it pulls down what others see.", "Film again with the focus set by hand, or leave that camera out with the "
+                    "capture's list of cameras or as a held-out view.", [view], ("blur", blur[view], "pixels"))
     if len(known) and usual > SOFT:
-        section.add("poor", f"All cameras are blurred by about {usual:.1f} pixels.", f"Train with --scale {_fitting(usual):g}: it loses "
-                                                                                     "no detail and "
-                    "is faster.", (), ("blur", usual, "pixels"))
+        section.add("poor", f"All cameras are blurred by about {usual:.1f} pixels.", f"Train with --scale {_fitting(usual):g}: it loses no "
+                    "detail and is faster.", (), ("blur", usual, "pixels"))
     blind = [view for view, value in blur.items() if not np.isfinite(value)]
     if blind:
         section.add("note", f"The sharpness of {listed(blind)} cannot be measured: the pictures have too little texture or are too small.",

@@ -17,8 +17,7 @@ def run(looked: Looked) -> Section:
     capture = looked.capture
     count = capture.clip.frame_count
     section = Section("Synchronisation", "How many frames each camera's clock is ahead of or behind the others', from sound, a flash, or "
-                                         "how much "
-                      f"moves in each frame{f'; the middle {FRAMES} frames were looked at' if count > FRAMES else ''}.")
+                      f"how much moves in each frame{f'; the middle {FRAMES} frames were looked at' if count > FRAMES else ''}.")
     if count < LEAST_FRAMES or len(capture.views) < 2:
         section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
         return section
@@ -26,9 +25,8 @@ def run(looked: Looked) -> Section:
         found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
     except FastGSError as error:
         reason = str(error).partition(": ")[2] or str(error)
-        section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs "
-                                                                                    "sync on that "
-                    "part of it; else look at two cameras side by side.")
+        section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs sync "
+                    "on that part of it; else look at two cameras side by side.")
         return section
     stated = stated_offsets(capture.shots, count)
     off = {view: value - stated[view] for view, value in found.measured.items()}
@@ -37,8 +35,7 @@ def run(looked: Looked) -> Section:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
         if lines:
             section.pictures.append(drawing.curves_picture("How much moves from frame to frame, as it is compared: the curves of cameras "
-                                                           "that "
-                                                           "run together rise and fall "
+                                                           "that run together rise and fall "
                                                            "together.", lines, "frames", "motion", found.curves.first))
     spread = found.clocks.uncertainty
     offsets = {view: off[view] for view in capture.views if view in spread and view not in found.lost}
@@ -56,11 +53,10 @@ def _judge(section: Section, found, off: dict[str, float]) -> None:
         if view in found.lost or abs(value) <= max(LEAST, SURE * deviation):
             continue
         way = "ahead of" if value > 0 else "behind"
-        section.add("wrong" if abs(value) >= 0.5 else "poor",
-                    f"{view} is {abs(value):.2f} frames {way} the others (found by {found.clocks.found_by}, give or take {deviation:.2f}): "
-                    "what moves is seen at two places at once.",
-                    "fastgs sync writes the offsets beside the capture, and training uses them; next time, start all cameras by a genlock "
-                    "or a trigger.", [view], ("offset", round(value, 3), "frames"))
+        section.add("wrong" if abs(value) >= 0.5 else "poor", f"{view} is {abs(value):.2f} frames {way} the others (found by "
+                    f"{found.clocks.found_by}, give or take {deviation:.2f}): what moves is seen at two places at once.", "fastgs sync "
+                    "writes the offsets beside the capture, and training uses them; next time, start all cameras by a genlock or a "
+                    "trigger.", [view], ("offset", round(value, 3), "frames"))
     if found.lost:
         section.add("note", f"Unsure: the clock of {listed(found.lost)} could not be compared well enough with the others'. Too little "
                             "moves there, or it looks too different. Training leaves it as it is.",

@@ -110,8 +110,7 @@ class Keyframes(Basis):
     def whole(self, spans: list[tuple[float, float]]) -> Basis:
         """The tables of all segments side by side."""
         if self.interpolation != "linear":
-            raise FastGSError("the segments cannot be joined: smooth keyframes of different segments disturb each other; "
-                              "use linear ones.")
+            raise FastGSError("the segments cannot be joined: smooth keyframes of different segments disturb each other; use linear ones.")
         times = np.unique(np.round(np.concatenate([begin + length * np.array(self.times) for begin, length in spans]), 12))
         return replace(self, times=tuple(times[np.diff(times, prepend=-np.inf) > 2 * LEAST_GAP].tolist()))
 

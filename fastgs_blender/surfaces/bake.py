@@ -117,9 +117,8 @@ class BakeReport:
     def __str__(self) -> str:
         if isinstance(self.basis, Static):
             return f"{self.gaussians:,} Gaussians, no motion, size {self.size:.3g}"
-        return (f"{self.gaussians:,} Gaussians, {self.motion}, "
-                f"size {self.size:.3g}, off by {self._percent(self.mean_residual)} of it on average, "
-                f"99 % of them by at most {self._percent(self.tail_residual)}, worst at {self.worst}")
+        return (f"{self.gaussians:,} Gaussians, {self.motion}, size {self.size:.3g}, off by {self._percent(self.mean_residual)} of it on "
+                f"average, 99 % of them by at most {self._percent(self.tail_residual)}, worst at {self.worst}")
 
 
 class Baked(NamedTuple):
