@@ -14,7 +14,7 @@ import numpy as np
 
 from ..util.arguments import shown
 from ..util.errors import FastGSError
-from ..util.outputs import replacing
+from ..util.outputs import writing
 from ..util.reading import read_json, reading
 from . import poses
 from .camera import LARGEST_SIDE, Camera
@@ -67,12 +67,8 @@ def save_cameras(views: Iterable[View | Camera], path: str | Path) -> None:
         camera, pose = view.camera, poses.inverse(view.camera.world_to_camera)
         entries.append({"id": i, "img_name": view.name, "width": camera.width, "height": camera.height, "position": pose[:3, 3].tolist(),
                         "rotation": pose[:3, :3].tolist(), "fy": camera.fy, "fx": camera.fx, "cx": camera.cx, "cy": camera.cy})
-    try:
-        with replacing([path]) as (part,):
-            part.write_text(json.dumps(entries, allow_nan=False) + "\n", encoding="utf-8")
-    except (FastGSError, OSError) as error:
-        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
-        raise FastGSError(f"{path}: it cannot be written ({reason}); choose another place.") from error
+    with writing([path], "choose another place") as (part,):
+        part.write_text(json.dumps(entries, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _views(path: str | Path, entries: Any) -> list[View]:
@@ -110,13 +106,8 @@ def _view(path: str | Path, i: int, entry: Any) -> View:
         poses.number(entry["cx"], f"{where}: its cx") if "cx" in entry else width / 2,
         poses.number(entry["cy"], f"{where}: its cy") if "cy" in entry else height / 2,
         world_to_camera)
-    return View(_name(entry, i), camera)
-
-
-def _name(entry: Any, i: int) -> str:
-    """img_name, else id, where it is a text or a number, else the entry's number."""
-    found = next((entry[key] for key in ("img_name", "id") if isinstance(entry.get(key), (str, int))), i)
-    return str(found)
+    name = next((entry[key] for key in ("img_name", "id") if isinstance(entry.get(key), (str, int))), i)
+    return View(str(name), camera)
 
 
 def choose(views: list[View], name: str, path: str | Path) -> View:

@@ -5,8 +5,8 @@ import io
 import json
 from pathlib import Path
 
-from ..util.errors import FastGSError, printable
-from ..util.outputs import replacing
+from ..util.errors import printable
+from ..util.outputs import writing
 from .evaluate import MEASURES
 
 COLUMNS = {"psnr": ("PSNR dB", ".2f"), "psnr_right": ("right half", ".2f"), "psnr_foreground": ("fg PSNR", ".2f"),
@@ -44,13 +44,9 @@ def table(result: dict) -> str:
 def write(result: dict, folder: Path) -> list[Path]:
     """evaluation.json, all of it, and evaluation.csv, a line for each frame and each average; returns the two files."""
     targets = [folder / "evaluation.json", folder / "evaluation.csv"]
-    try:
-        with replacing(targets) as (values, lines):
-            values.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-            lines.write_text(_csv(result), encoding="utf-8", newline="")
-    except (FastGSError, OSError) as error:
-        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
-        raise FastGSError(f"{folder}: the results cannot be written ({reason}); choose another folder with --out.") from error
+    with writing(targets, "choose another folder with --out") as (values, lines):
+        values.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        lines.write_text(_csv(result), encoding="utf-8", newline="")
     return targets
 
 

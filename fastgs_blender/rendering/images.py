@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rendered frames as files: PNG in display colours, multi-layer EXR in scene-linear floats."""
-import contextlib
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ..util import picture_files
 from ..util.errors import FastGSError
-from ..util.outputs import replacing
+from ..util.outputs import writing
 from . import colour
 from .passes import PASSES
+
+ELSEWHERE = "free space on its disk or choose another folder"
 
 
 def save_image(image: Mapping[str, np.ndarray], path: str | os.PathLike, colour_space: str = "srgb") -> None:
@@ -32,7 +33,7 @@ def save_image(image: Mapping[str, np.ndarray], path: str | os.PathLike, colour_
 
 def write_png(path: str | os.PathLike, image: Mapping[str, np.ndarray], colour_space: str) -> None:
     """image["rgb"] and ["alpha"], as render() returns them, as 8-bit sRGB with straight alpha."""
-    with _written_aside(path) as part:
+    with writing([path], ELSEWHERE) as (part,):
         part.write_bytes(png(image, colour_space))
 
 
@@ -52,7 +53,7 @@ def write_exr(path: str | os.PathLike, image: Mapping[str, np.ndarray], colour_s
     attributes of the file.
     """
     planes = _channels(image, colour_space, image if passes is None else passes)
-    with _written_aside(path) as part:
+    with writing([path], ELSEWHERE) as (part,):
         picture_files.write_exr(part, planes, texts)
 
 
@@ -66,12 +67,3 @@ def _channels(image: Mapping[str, np.ndarray], colour_space: str, passes: Iterab
     return {name: np.ascontiguousarray(plane, np.float32) for name, plane in planes.items()}
 
 
-@contextlib.contextmanager
-def _written_aside(path: str | os.PathLike) -> Iterator[Path]:
-    """Gives the file to write, which becomes `path` at the end; raises FastGSError where the system cannot write."""
-    try:
-        with replacing([Path(path)]) as (part,):
-            yield part
-    except (FastGSError, OSError) as error:
-        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
-        raise FastGSError(f"{path} could not be written: {reason}; free space on its disk or choose another folder.") from error

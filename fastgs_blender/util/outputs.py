@@ -77,6 +77,18 @@ def replacing(paths: list[Path]) -> Iterator[list[Path]]:
             _replace_together(aside, targets)
 
 
+@contextmanager
+def writing(paths: Iterable[str | Path], advice: str) -> Iterator[list[Path]]:
+    """replacing(); where the system or the block cannot write, FastGSError with the reason and `advice`, what to do about it."""
+    targets = [Path(path) for path in paths]
+    try:
+        with replacing(targets) as parts:
+            yield parts
+    except (FastGSError, OSError) as error:
+        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
+        raise FastGSError(f"{targets[0]} could not be written: {reason}; {advice}.") from error
+
+
 def complete(paths: Iterable[Path]) -> None:
     """Finish the replacement of these files that a killed process began; raises FastGSError where that fails.
 

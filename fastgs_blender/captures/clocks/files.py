@@ -16,7 +16,7 @@ from pathlib import Path
 from ...cameras import poses
 from ...util.arguments import shown
 from ...util.errors import FastGSError
-from ...util.outputs import replacing
+from ...util.outputs import writing
 from ...util.reading import read_json
 
 FILE = "sync.json"
@@ -82,9 +82,6 @@ def write_clocks(capture: str | os.PathLike, clocks: Clocks) -> Path:
               "offsets": {name: round(float(value), 4) for name, value in clocks.offsets.items()},
               "uncertainty": {name: round(float(value), 4) for name, value in clocks.uncertainty.items()}}
     text = json.dumps(values, indent=1, allow_nan=False) + "\n"
-    try:
-        with replacing([path]) as (part,):
-            part.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FastGSError(f"{path}: it cannot be written ({error.strerror}); copy the capture to another place.") from error
+    with writing([path], "copy the capture to another place") as (part,):
+        part.write_text(text, encoding="utf-8")
     return path

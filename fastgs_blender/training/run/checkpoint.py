@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...util.errors import FastGSError
-from ...util.outputs import replacing
+from ...util.outputs import writing
 from ...util.reading import reading
 from ...util.tensor_files import open_tensors, write_tensors
 from ..core.state import LARGEST_COUNT, LONGEST, is_number
@@ -54,12 +54,8 @@ def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
 
 def write_aside(path: Path, write) -> None:
     """write(temporary file), which then takes the place of `path`; raises FastGSError with the reason where it cannot."""
-    try:
-        with replacing([Path(path)]) as (part,):
-            write(part)
-    except (FastGSError, OSError) as error:
-        reason = f"{getattr(error, 'strerror', None) or error}".rstrip(".")
-        raise FastGSError(f"{path} could not be written: {reason}; what was there before is kept.") from error
+    with writing([path], "what was there before is kept") as (part,):
+        write(part)
 
 
 def write_json(path: Path, values) -> None:
