@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5, the first row at the top."""
+from __future__ import annotations
+
 from dataclasses import dataclass
 from numbers import Real
 from typing import NamedTuple
@@ -72,6 +74,16 @@ class Camera:
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > self.width or y + h > self.height:
             raise FastGSError(f"the window {self.window} does not lie within the image of {self.width} x {self.height} pixels.")
         set_(self, "window", (x, y, w, h))
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Where the camera stands in the world [3], if its matrix is a rotation and a shift."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    def stretched(self, width: int, height: int) -> Camera:
+        """The camera of the same picture at another size."""
+        x, y = width / self.width, height / self.height
+        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.world_to_camera)
 
     def tangent_limits(self) -> tuple[float, float, float, float]:
         """x/z low and high, y/z low and high, to which the projection's Jacobian is clamped.

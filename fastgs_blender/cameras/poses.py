@@ -87,6 +87,21 @@ def number(value, where: str, low: float = -np.inf, high: float = np.inf) -> flo
     return found
 
 
+def read(text, where: str, low: float = -np.inf, high: float = np.inf) -> float:
+    """A finite number from low to high that a text names."""
+    try:
+        return number(float(text), where, low, high)
+    except (TypeError, ValueError) as error:
+        raise FastGSError(f"{where} must be a number, not {shortened(text)}.") from error
+
+
+def needed(values: dict, key: str, where: str):
+    """A value that must be there."""
+    if key not in values:
+        raise FastGSError(f"{where}: it lacks {key}.")
+    return values[key]
+
+
 def whole(value, where: str, low: int = 0, high: int = 10**7) -> int:
     """A whole number from low to high."""
     found = number(value, where, low, high)

@@ -75,6 +75,14 @@ class Shot:
     t: float = 0.0
 
 
+def by_view(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
+    """The shots of each view, in their order."""
+    views: dict[str, list[Shot]] = {}
+    for shot in shots:
+        views.setdefault(shot.view, []).append(shot)
+    return views
+
+
 @dataclass(eq=False)
 class Capture:
     """A multi-view capture.

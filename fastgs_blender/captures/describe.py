@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from ..util.errors import FastGSError
 from ..util.screen import screen
-from .capture import Capture, Shot
+from .capture import Capture, Shot, by_view
 from .pixels.checks import problems
 from .pixels.probe import Facts, facts
 
@@ -15,16 +15,13 @@ MEANINGS = {"foreground": "mask files, white is the subject", "valid": "mask fil
 
 def describe(capture: Capture) -> dict:
     """Layout, cameras, time line, pictures, masks, points, remarks and problems, as JSON values; headers of all files are read."""
-    first: dict[str, Shot] = {}
-    for shot in capture.shots:
-        first.setdefault(shot.view, shot)
-    counts = Counter(shot.view for shot in capture.shots)
-    known = {view: _facts(shot) for view, shot in first.items()}
+    shots = by_view(capture.shots)
+    known = {view: _facts(each[0]) for view, each in shots.items()}
     return {
         "capture": str(capture.path),
         "layout": capture.layout,
         "posed": capture.posed,
-        "views": [_view(shot, counts[view], known[view]) for view, shot in first.items()],
+        "views": [_view(each[0], len(each), known[view]) for view, each in shots.items()],
         "held_out": capture.held_out_views,
         "pictures": len(capture),
         "clip": {**asdict(capture.clip), "duration_seconds": capture.clip.duration},

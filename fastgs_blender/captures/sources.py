@@ -1,9 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Source: the file of one picture, its frame where that is a video, and the lens it was taken with."""
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..cameras.lens import Intrinsics, Lens
+from ..util.errors import FastGSError
+from ..util.reading import open_file
+
+
+def beginning(file: Path, endings: Sequence[str], count: int = 4096) -> bytes:
+    """The first bytes of a file with one of these endings; none of another one, or where there is no such file."""
+    if file.suffix.lower() not in endings or not file.is_file():
+        return b""
+    with open_file(file) as stream:
+        return stream.read(count)
+
+
+def files_at(path: Path, wanted: Callable[[Path], object], inside: str = "*/*") -> list[Path]:
+    """The wanted files: the path itself, or those in that folder or, if there are none, those in folders in it."""
+    if not path.is_dir():
+        return [path] if wanted(path) else []
+    return [file for file in sorted(path.iterdir()) if wanted(file)] or [file for file in sorted(path.glob(inside)) if wanted(file)]
+
+
+def only(path: Path, files: Sequence[Path], what: str) -> Path:
+    """The one file; raises FastGSError where there are others."""
+    if len(files) != 1:
+        raise FastGSError(f"{path}: there are {len(files)} {what} in it; give the file to be used instead.")
+    return files[0]
+
 
 PICTURES = (".png", ".jpg", ".jpeg", ".exr")
 VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".mpg", ".mpeg", ".mts", ".ts")

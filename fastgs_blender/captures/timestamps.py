@@ -53,18 +53,11 @@ def read_times(path: Path) -> Times:
     cameras: dict[str, list[tuple[float, float]]] = {}
     for number, row in enumerate(rows, 2):
         where = f"{path}: line {number}"
-        time = _number(row[TIME], f"{where}: its {TIME}")
-        moment = _number(row[MOMENT], f"{where}: its {MOMENT}") if MOMENT in head else np.nan
+        time = poses.read(row[TIME], f"{where}: its {TIME}", -1e12, 1e12)
+        moment = poses.read(row[MOMENT], f"{where}: its {MOMENT}", -1e12, 1e12) if MOMENT in head else np.nan
         cameras.setdefault(str(row[called]), []).append((time, moment))
     known = {name: np.array(sorted(pairs)) for name, pairs in cameras.items()}
     return _timed(path, known, MOMENT in head)
-
-
-def _number(text, where: str) -> float:
-    try:
-        return poses.number(float(text), where, -1e12, 1e12)
-    except (TypeError, ValueError) as error:
-        raise FastGSError(f"{where} must be a number.") from error
 
 
 def _timed(path: Path, known: dict[str, np.ndarray], numbered: bool) -> Times:

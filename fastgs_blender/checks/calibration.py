@@ -13,7 +13,7 @@ from ..util.documentation import page
 from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
-from .report import Section, listed
+from .report import Section, listed, rounded
 from .reprojection import OFF, offsets
 from .samples import Looked, Sample
 
@@ -51,10 +51,10 @@ def run(looked: Looked) -> Section:
     for view in bad:
         _tell(section, looked, matches, view, error[view] * scale[view], bad)
     if not bad and np.isfinite(usual) and usual > OFF:
-        section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * _most(scale):.1f} pixels with all cameras: the "
-                    "calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are neither cropped, "
-                    "turned nor stabilised, and that lens correction in the cameras was the same as when they were calibrated.", (),
-                    ("reprojection error", round(usual, 3), "pixels"))
+        section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
+                    "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
+                    "neither cropped, turned nor stabilised, and that lens correction in the cameras was the same as when they were "
+                    "calibrated.", (), ("reprojection error", round(usual, 3), "pixels"))
     _borders(section, looked, matches, bad)
     unknown = [view for view in looked.views if not np.isfinite(error[view])]
     if unknown:
@@ -66,7 +66,7 @@ def run(looked: Looked) -> Section:
     section.pictures.append(drawing.bars_picture("Distance of features from where the other cameras put them, the median of each "
                                                  "camera.", shown, "px", grades))
     section.columns = {"Calibration": {view: f"{value:.1f} px" if np.isfinite(value) else "?" for view, value in shown.items()}}
-    section.measures |= {"reprojection_pixels": {view: _number(value) for view, value in shown.items()}, "median_pixels": _number(usual),
+    section.measures |= {"reprojection_pixels": {view: rounded(value) for view, value in shown.items()}, "median_pixels": rounded(usual),
                          "pairs": len(matches.pairs), "pairs_tried": matches.tried, "points": len(xyz), "wrong_cameras": bad}
     return section
 
@@ -195,11 +195,3 @@ def _alike(a: Sample, b: Sample) -> float:
     inside = (u >= 0) & (u < two.shape[1]) & (v >= 0) & (v < two.shape[0])
     values = np.stack([one[inside], two[v[inside], u[inside]]])
     return float(np.corrcoef(values)[0, 1]) if inside.sum() > SIDE and values.std(1).min() > 1 else 1.0
-
-
-def _most(scale: dict[str, int]) -> int:
-    return max(scale.values())
-
-
-def _number(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None

@@ -2,6 +2,7 @@
 """Estimates the disk space, memory and time that training will need."""
 import shutil
 
+from ..captures.capture import by_view
 from ..captures.pixels import decoding
 from ..captures.pixels.bounds import most_bytes
 from ..captures.pixels.framefiles import default_folder
@@ -19,18 +20,13 @@ def run(looked: Looked) -> Section:
     capture = looked.capture
     section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
                                        "without a GPU, roughly.")
-    first: dict = {}
-    counts: dict = {}
-    for shot in capture.shots:
-        first.setdefault(shot.view, shot)
-        counts[shot.view] = counts.get(shot.view, 0) + 1
     size, pixels = 0, 0
-    for view, shot in first.items():
+    for shots in by_view(capture.shots).values():
         try:
-            height, width, channels = decoding.shape(shot, capture.scale)
+            height, width, channels = decoding.shape(shots[0], capture.scale)
         except FastGSError:  # told with the files
             continue
-        size += height * width * channels * counts[view]
+        size += height * width * channels * len(shots)
         pixels = max(pixels, height * width)
     free = _free(default_folder(capture))
     most = most_bytes()

@@ -58,7 +58,7 @@ def run(looked: Looked) -> Section:
 
 def plan(space: Space, looked: Looked) -> str:
     """The scene from above as SVG."""
-    centres = space.planned(np.array([space.centre(view) for view in space.cameras]))
+    centres = space.planned(np.array([camera.centre for camera in space.cameras.values()]))
     low, high = space.box
     left = np.minimum(low[:2], centres[:, :2].min(0))
     right = np.maximum(high[:2], centres[:, :2].max(0))
@@ -89,7 +89,7 @@ def plan(space: Space, looked: Looked) -> str:
         parts += [f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1.4" fill="{INK}" fill-opacity="0.55"/>' for a, b in spots
                   if 0 <= a <= size[0] and 0 <= b <= size[1]]
     for view, camera in space.cameras.items():
-        place = at(space.planned(space.centre(view)[None]))[0]
+        place = at(space.planned(camera.centre[None]))[0]
         toward = space.planned(camera.world_to_camera[2:3, :3])[0, :2] * [1, -1]
         length = np.linalg.norm(toward)
         toward = toward / max(length, 1e-9)

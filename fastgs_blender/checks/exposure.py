@@ -2,6 +2,7 @@
 """Checks exposure: differences of brightness and white balance between cameras, dark and burnt-out pictures, changes of light over time."""
 import numpy as np
 
+from ..util import groups
 from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
@@ -66,48 +67,23 @@ def common_gains(matches: Matches, views: list[str]) -> dict[str, np.ndarray]:
             rows.append((pair.a, pair.b, np.median(np.log(one[good] / other[good]), 0), np.sqrt(good.sum())))
             counts[pair.a] += 1
             counts[pair.b] += 1
-    group = _largest_group(views, [(a, b) for a, b, _, _ in rows])
+    group = max(groups.joined(views, [(a, b) for a, b, _, _ in rows]), key=len)
     if len(group) < 2:
         return {}
     at = {view: k for k, view in enumerate(group)}
     rows = [row for row in rows if row[0] in at]
-    system, right = np.zeros((len(rows) + 1, len(group))), np.zeros((len(rows) + 1, 3))
-    for k, (a, b, ratio, weight) in enumerate(rows):
-        system[k, at[a]], system[k, at[b]], right[k] = weight, -weight, weight * ratio
-    system[-1] = 1
+    heavy = np.ones(len(rows) + 1)
     for _ in range(8):  # of pairs that disagree, the fewer count less
+        system, right = np.zeros((len(rows) + 1, len(group))), np.zeros((len(rows) + 1, 3))
+        for k, (a, b, ratio, weight) in enumerate(rows):
+            w = weight * heavy[k]
+            system[k, at[a]], system[k, at[b]], right[k] = w, -w, w * ratio
+        system[-1] = 1
         gains = np.linalg.lstsq(system, right, rcond=None)[0]
         off = np.abs(system @ gains - right).max(1) / np.maximum(np.abs(system).max(1), 1e-12)
         heavy = 1 / np.sqrt(np.maximum(off, 0.02))
-        heavy[-1] = 1
-        system, right = _weighted(rows, at, heavy)
     gains -= np.median(gains, 0)
     return {view: gains[k] for view, k in at.items()}
-
-
-def _weighted(rows, at, heavy):
-    system, right = np.zeros((len(rows) + 1, len(at))), np.zeros((len(rows) + 1, 3))
-    for k, (a, b, ratio, weight) in enumerate(rows):
-        w = weight * heavy[k]
-        system[k, at[a]], system[k, at[b]], right[k] = w, -w, w * ratio
-    system[-1] = 1
-    return system, right
-
-
-def _largest_group(views, edges) -> list[str]:
-    group = {view: view for view in views}
-
-    def root(view):
-        while group[view] != view:
-            view = group[view]
-        return view
-
-    for a, b in edges:
-        group[root(a)] = root(b)
-    members: dict[str, list[str]] = {}
-    for view in views:
-        members.setdefault(root(view), []).append(view)
-    return max(members.values(), key=len)
 
 
 def _colours(matches: Matches, moment: int, view: str, rows: np.ndarray) -> np.ndarray:

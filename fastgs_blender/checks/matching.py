@@ -13,6 +13,7 @@ import numpy as np
 
 from ..training.initial import features
 from ..training.initial.dense import spread
+from ..util import groups
 
 PICTURES = 48
 """Pictures whose features are extracted, over all moments."""
@@ -65,29 +66,14 @@ class Matches:
     def _rays(self) -> dict:
         """By (moment, view): what makes a ray of a pixel [3, 3], and the camera's place [3]."""
         return {key: (each.camera.world_to_camera[:3, :3].T @ np.linalg.inv(features.matrix(each.camera)),
-                      -each.camera.world_to_camera[:3, :3].T @ each.camera.world_to_camera[:3, 3]) for key, each in self.features.items()}
+                      each.camera.centre) for key, each in self.features.items()}
 
     def tracks(self, without: Sequence[str] = ()) -> list[tuple[int, dict[str, int]]]:
         """(moment, feature by view) of groups of features that show the same point, without some views."""
-        parent: dict = {}
-
-        def root(key):
-            while parent.setdefault(key, key) != key:
-                parent[key] = parent[parent[key]]
-                key = parent[key]
-            return key
-
-        for pair in self.pairs:
-            if pair.a in without or pair.b in without:
-                continue
-            for i, j in pair.rows.tolist():
-                one, other = root((pair.moment, pair.a, i)), root((pair.moment, pair.b, j))
-                parent[max(one, other)] = min(one, other)
-        groups: dict = {}
-        for key in sorted(parent):
-            groups.setdefault(root(key), []).append(key)
+        pairs = [((pair.moment, pair.a, i), (pair.moment, pair.b, j)) for pair in self.pairs
+                 if pair.a not in without and pair.b not in without for i, j in pair.rows.tolist()]
         found = []
-        for group in groups.values():
+        for group in groups.joined(sorted({key for pair in pairs for key in pair}), pairs):
             views = [view for _, view, _ in group]
             once = {view: row for _, view, row in group if views.count(view) == 1}
             if len(once) >= 2:

@@ -139,6 +139,11 @@ def _wrapped(text: str, head: str = "") -> list[str]:
                          break_on_hyphens=False) or [""]
 
 
+def rounded(value: float) -> float | None:
+    """A measure as a JSON value; None where it could not be measured."""
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
 def listed(names: Iterable[str], most: int = 4) -> str:
     """cam00, cam01 and cam02; of many, the first and how many more."""
     names = [printable(name) for name in names]

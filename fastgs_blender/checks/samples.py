@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..captures.capture import Capture, Shot
+from ..captures.capture import Capture, Shot, by_view
 from ..captures.pixels import decoding, undistortion
 from ..training.core.targets import small_camera, smaller
 from ..training.initial.dense import spread
@@ -99,21 +99,17 @@ def thumbnail(rgb: np.ndarray) -> np.ndarray:
 def look(looked: Looked) -> None:
     """Decode the sampled pictures; those that cannot be decoded are listed in `unreadable`."""
     capture = looked.capture
-    by_view: dict[str, list[Shot]] = {}
-    for shot in capture.shots:
-        by_view.setdefault(shot.view, []).append(shot)
-    kept = set(capture.held_out_views)
-    views = spread([view for view in by_view if view not in kept], MOST_VIEWS)
-    views = [view for view in by_view if view in views or (view in kept and len(kept) <= MOST_VIEWS // 4)]
-    first = next(iter(by_view.values()))[0]
+    shots, kept = by_view(capture.shots), set(capture.held_out_views)
+    views = spread([view for view in shots if view not in kept], MOST_VIEWS)
+    views = [view for view in shots if view in views or (view in kept and len(kept) <= MOST_VIEWS // 4)]
     try:
-        height, width, _ = decoding.shape(first, capture.scale)
+        height, width, _ = decoding.shape(capture.shots[0], capture.scale)
     except FastGSError:
         height, width = SIDE, SIDE
     pixels = height * width // reduction_of(height, width)**2
     moments = int(np.clip(MOST_PIXELS // max(pixels * len(views), 1), 2, MOMENTS))
     frames = spread(sorted({shot.frame for shot in capture.shots}), moments)
-    chosen = [shot for view in views for shot in _near(by_view[view], frames)]
+    chosen = [shot for view in views for shot in _near(shots[view], frames)]
     looked.samples = {view: [] for view in views}
     for done, (shot, found) in enumerate(decoding.decode([replace(shot, mask=None) for shot in chosen], capture.scale), 1):
         looked.progress("reading pictures", done / len(chosen))
@@ -134,8 +130,7 @@ def reduction_of(height: int, width: int) -> int:
 
 def _near(shots: list[Shot], frames: list[int]) -> list[Shot]:
     """Of a view's shots, those nearest to the frames, each once."""
-    return list({min(shots, key=lambda shot: abs(shot.frame - frame)).frame: min(shots, key=lambda shot: abs(shot.frame - frame))
-                 for frame in frames}.values())
+    return list({shot.frame: shot for frame in frames for shot in [min(shots, key=lambda shot: abs(shot.frame - frame))]}.values())
 
 
 def _sample(shot: Shot, found: np.ndarray) -> Sample:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from . import drawing
-from .report import Section, listed
+from .report import Section, listed, rounded
 from .samples import Looked
 
 SOFTER, SOFT = 0.9, 1.6
@@ -23,8 +23,9 @@ def run(looked: Looked) -> Section:
                     "soft, and it pulls down what others see.", "Film again with the focus set by hand, or leave that camera out with the "
                     "capture's list of cameras or as a held-out view.", [view], ("blur", blur[view], "pixels"))
     if len(known) and usual > SOFT:
-        section.add("poor", f"All cameras are blurred by about {usual:.1f} pixels.", f"Train with --scale {_fitting(usual):g}: it loses no "
-                    "detail and is faster.", (), ("blur", usual, "pixels"))
+        scale = max(0.25, round(1 / usual, 2))  # where the blur is about one pixel
+        section.add("poor", f"All cameras are blurred by about {usual:.1f} pixels.",
+                    f"Train with --scale {scale:g}: it loses no detail and is faster.", (), ("blur", usual, "pixels"))
     blind = [view for view, value in blur.items() if not np.isfinite(value)]
     if blind:
         section.add("note", f"The sharpness of {listed(blind)} cannot be measured: the pictures have too little texture or are too small.",
@@ -32,19 +33,10 @@ def run(looked: Looked) -> Section:
     section.pictures.append(drawing.bars_picture("Blur of each camera in pixels of the pictures as they are trained on.", blur, "px",
                                                  dict.fromkeys(soft, "poor")))
     section.columns = {"Blur": {view: f"{value:.1f} px" if np.isfinite(value) else "?" for view, value in blur.items()}}
-    section.measures = {"blur_pixels": {view: _number(value) for view, value in blur.items()}}
+    section.measures = {"blur_pixels": {view: rounded(value) for view, value in blur.items()}}
     return section
 
 
 def _middle(values) -> float:
     known = [value for value in values if np.isfinite(value)]
     return float(np.median(known)) if known else np.nan
-
-
-def _fitting(blur: float) -> float:
-    """The scale at which a blur is about one pixel."""
-    return max(0.25, round(1 / blur, 2))
-
-
-def _number(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None

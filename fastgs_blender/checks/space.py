@@ -34,11 +34,6 @@ class Space:
         """Whether enough points are known to say how far away surfaces are."""
         return len(self.points) >= LEAST_POINTS
 
-    def centre(self, view: str) -> np.ndarray:
-        """A camera's place [3]."""
-        matrix = self.cameras[view].world_to_camera
-        return -matrix[:3, :3].T @ matrix[:3, 3]
-
     @cached_property
     def middle(self) -> np.ndarray:
         """The middle [3] of the filmed scene."""
@@ -51,7 +46,7 @@ class Space:
     def angles(self, a: str, b: str) -> np.ndarray:
         """Degrees [rows, columns] between two cameras at each place that the first one sees."""
         places = self.surfaces(a)
-        one, other = places - self.centre(a), places - self.centre(b)
+        one, other = places - self.cameras[a].centre, places - self.cameras[b].centre
         size = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
         return np.degrees(np.arccos(np.clip((one * other).sum(-1) / np.maximum(size, 1e-12), -1, 1)))
 
@@ -66,8 +61,7 @@ class Space:
         if not self.known:
             return np.full(len(places), flat)
         local = self.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        pixels = camera.pixels(local)
-        seen = np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        pixels, seen = camera.pixels(local), self.within(view, self.points)
         if seen.sum() < NEAREST:
             return np.full(len(places), flat)
         pixels, depth = pixels[seen], local[seen, 2]

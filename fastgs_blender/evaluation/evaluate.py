@@ -57,14 +57,18 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     Example:
         average = fg.evaluate(fg.load("run/model.safetensors"), fg.open_capture("my-capture", scale=0.5))["average"]
     """
-    _check(model, capture)
+    if not isinstance(model, GaussianModel) or not isinstance(capture, Capture):
+        raise FastGSError("evaluate() needs a model, as fg.load(path) reads it, and a capture, as fg.open_capture(path) does, not "
+                          f"{shown(model)} and {shown(capture)}.")
     progress, out = progress or (lambda *_: None), None if out is None else Path(out)
     known, differed = recorded(model), corrections(model)
     fit_colours = "exposures" in differed if fit_colours is None else fit_colours
     given, capture = capture, refined(capture, differed.get("cameras", {}))
     store = store if store is None or capture is given else store.of(capture)
     shots = chosen(capture, views, frames, known)
-    store = _filled(FrameStore(capture, 0), shots) if store is None else store
+    if store is None:
+        store = FrameStore(capture, 0)
+        store.fill(shots=shots)
     turns = {view: np.radians(turn) for view, turn in differed.get("poses", {}).items()}
     clock, notes = _clock(model, capture, beyond=frames is not None)
     notes = [*capture.notes, *notes]
@@ -152,17 +156,6 @@ def _remarks(rows: list[dict[str, Any]], known: TrainingRecord | None) -> list[s
         remarks.append(f"{seen} of the {len(rows)} pictures were trained on: they tell how well the model remembers, "
                        "not how well it holds in new views")
     return remarks
-
-
-def _check(model: object, capture: object) -> None:
-    if not isinstance(model, GaussianModel) or not isinstance(capture, Capture):
-        raise FastGSError("evaluate() needs a model, as fg.load(path) reads it, and a capture, as fg.open_capture(path) does, not "
-                          f"{shown(model)} and {shown(capture)}.")
-
-
-def _filled(store: FrameStore, shots: list) -> FrameStore:
-    store.fill(shots=shots)
-    return store
 
 
 def make_folder(folder: Path) -> None:

@@ -34,7 +34,8 @@ def sentence(reason: str | None, printed: str, code: int | None, out: str, what:
     if any(word in everything for word in MEMORY):
         return f"{subject} ran out of memory: close other programs{fewer}; {again}."
     if any(word in everything for word in DISK):
-        return f"{subject} ended because the disk is full: free some space for {out}, then {_repeat(what)}{_because(known)}."
+        repeat, because = "resume" if what == TRAINING else "try again", f" ({known.rstrip('.')})" if known else ""
+        return f"{subject} ended because the disk is full: free some space for {out}, then {repeat}{because}."
     if known:
         return known[:1].upper() + known[1:].rstrip(".") + "."
     if lines and MODULE in lines[-1]:
@@ -57,11 +58,3 @@ def _ended(subject: str, code: int, fewer: str, again: str, out: str) -> str:
     if code == -signal.SIGTERM:
         return f"{subject} was ended by another program or the system ({name}); {again}."
     return f"{subject} crashed ({name}) at {out}; {again}, and report it if it happens again."
-
-
-def _repeat(what: str) -> str:
-    return "resume" if what == TRAINING else "try again"
-
-
-def _because(known: str) -> str:
-    return f" ({known.rstrip('.')})" if known else ""

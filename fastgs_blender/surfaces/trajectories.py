@@ -81,10 +81,8 @@ class MovingSurface:
     @cached_property
     def sizes(self) -> np.ndarray:
         """Size of each part [P]: the largest side of its bounding box, the median over the times."""
-        return np.array([self._size(np.unique(self.triangles[self.part == p])) for p in range(self.part.max() + 1)])
-
-    def _size(self, vertices) -> float:
-        return float(np.median([np.ptp(self.positions[s][vertices], axis=0).max() for s in self._key_times]))
+        parts = [np.unique(self.triangles[self.part == p]) for p in range(self.part.max() + 1)]
+        return np.array([np.median([np.ptp(self.positions[s][part], axis=0).max() for s in self._key_times]) for part in parts])
 
     def corners(self, triangles, times=slice(None)) -> np.ndarray:
         """Corners [S, n, 3 corners, 3] float64 of some triangles."""

@@ -25,7 +25,7 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
     lines: list[str] = []
     left_out = hidden
     for name, value in texts:
-        wrapped = _wrapped(value, COLUMNS - width - 2)
+        wrapped = textwrap.wrap(printable(value), max(COLUMNS - width - 2, 20), break_long_words=False, break_on_hyphens=False) or [""]
         if not everything:
             left_out += len(wrapped[MOST:])
             wrapped = wrapped[:MOST]
@@ -54,7 +54,3 @@ def _width(stream: TextIO) -> int:
     with contextlib.suppress(OSError, ValueError, AttributeError):
         return os.get_terminal_size(stream.fileno()).columns
     return 0
-
-
-def _wrapped(value: str, width: int) -> list[str]:
-    return textwrap.wrap(printable(value), max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]

@@ -64,6 +64,8 @@ def save_path(path: CameraPath, file, name: str = "fastgs", picture: Picture | N
     """
     module = format_named(name)
     try:
+        if any(camera.orthographic for camera in path.cameras):
+            raise FastGSError(f"{module.label} holds perspective cameras only; set the camera to Perspective.")
         module.save(path, file, picture or Picture())
     except FastGSError as error:
         raise error if str(file) in str(error) else FastGSError(f"{file}: {error}") from error

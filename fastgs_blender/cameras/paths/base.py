@@ -147,12 +147,6 @@ def warn_of_losses(path: CameraPath, kind: str) -> None:
         warnings.warn(f"{kind} has one size for all frames; the first is written.", LossWarning, stacklevel=3)
 
 
-def refuse_orthographic(path: CameraPath, kind: str) -> None:
-    """Raises FastGSError for parallel projections, which no camera path holds."""
-    if any(c.orthographic for c in path.cameras):
-        raise FastGSError(f"{kind} holds perspective cameras only; set the camera to Perspective.")
-
-
 def write_json(file, values, indent=None) -> None:
     """A JSON file, written aside and renamed."""
     text = json.dumps(values, indent=indent, allow_nan=False)

@@ -11,7 +11,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.stated_paths import below
 from ..colmap_files import MODELS, has_model, read_images, read_points
-from .base import CameraPath, frame_names, pinholes, refuse_orthographic, warn_of_rate
+from .base import CameraPath, frame_names, pinholes, warn_of_rate
 
 name, label = "colmap", "COLMAP model (folder)"
 PLACES = ("", "sparse/0", "sparse")
@@ -42,7 +42,6 @@ def _plain(name: str) -> bytes:
 
 
 def save(path: CameraPath, folder, picture) -> None:
-    refuse_orthographic(path, label)
     folder = Path(folder)
     if folder.is_file():
         raise FastGSError(f"{folder}: a COLMAP model is a folder; give the name of one.")

@@ -12,7 +12,7 @@ from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
-from .base import CameraPath, check_frames, named, names_of, refuse_orthographic, write_json
+from .base import CameraPath, check_frames, named, names_of, write_json
 
 name, label = "fastgs", "FAST-GS camera path"
 FORMAT, VERSION = "fast-gs camera path", 1
@@ -41,7 +41,6 @@ def load(file, values, picture) -> CameraPath:
 
 
 def save(path: CameraPath, file, picture) -> None:
-    refuse_orthographic(path, label)
     write_json(file, {
         "format": FORMAT, "version": VERSION, "fps": path.fps or picture.fps, "start_frame": path.start_frame, "axes": path.axes,
         "frames": named([_entry(camera) for camera in path.cameras], path),

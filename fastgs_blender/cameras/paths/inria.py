@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """cameras.json of INRIA's trainer and its derivatives as a path: entry after entry, frame after frame.  See ..cameras."""
 from ..cameras_json import View, load_cameras, save_cameras
-from .base import CameraPath, frame_names, refuse_orthographic, warn_of_rate
+from .base import CameraPath, frame_names, warn_of_rate
 
 name, label = "cameras.json", "cameras.json (3D Gaussian Splatting)"
 
@@ -17,6 +17,5 @@ def load(file, values, picture) -> CameraPath:
 
 
 def save(path: CameraPath, file, picture) -> None:
-    refuse_orthographic(path, label)
     warn_of_rate(path, label)
     save_cameras([View(name, camera) for name, camera in zip(path.names or frame_names(path), path.cameras, strict=True)], file)

@@ -16,21 +16,8 @@ from ...util import rotations
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import LARGEST_SIDE, Camera
-from .base import (
-    CameraPath,
-    Picture,
-    camera_to_world,
-    check_frames,
-    check_length,
-    degrees_of,
-    focal_of,
-    named,
-    names_of,
-    refuse_orthographic,
-    symmetric,
-    warn_of_losses,
-    write_json,
-)
+from . import base
+from .base import CameraPath, Picture
 
 name, label = "instant-ngp", "instant-ngp camera path"
 SCALE, OFFSET = 0.33, 0.5
@@ -54,18 +41,18 @@ def recognises(values) -> bool:
 
 
 def load(file, values, picture) -> CameraPath:
-    check_frames(file, values["path"])
+    base.check_frames(file, values["path"])
     keys = np.array([_key(entry, f"{file}: keyframe {i}") for i, entry in enumerate(values["path"])])
     if "fps" in values:
         picture = Picture(*(poses.whole(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height")),
                           poses.number(values["fps"], f"{file}: its fps", 1e-3, 1e6))
         return CameraPath([_camera(key, picture, f"{file}: keyframe {i}") for i, key in enumerate(keys)], picture.fps, axes="RFU",
-                          names=names_of(values["path"]))
+                          names=base.names_of(values["path"]))
     order = poses.whole(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
     loop = bool(values.get("loop", False))
     ends = _ends(file, values, len(keys), order, loop, picture.fps)
     last = ends[-1] if len(ends) else 0.0
-    check_length(file, last * picture.fps + 1)
+    base.check_length(file, last * picture.fps + 1)
     frames = np.arange(int(last * picture.fps + 1e-6) + 1) / picture.fps
     cameras = [_camera(_blend(keys, ends, order, loop, at), picture, f"{file}: frame {i}") for i, at in enumerate(frames)]
     starts = [0.0, *ends][:len(keys)]
@@ -74,17 +61,16 @@ def load(file, values, picture) -> CameraPath:
 
 
 def save(path: CameraPath, file, picture) -> None:
-    refuse_orthographic(path, label)
-    warn_of_losses(path, label)
+    base.warn_of_losses(path, label)
     fps, first = path.fps or picture.fps, path.cameras[0]
     keys = []
     for i, camera in enumerate(path.cameras):
-        pose = camera_to_world(camera)
+        pose = base.camera_to_world(camera)
         w, x, y, z = rotations.from_matrices(CYCLE @ pose[:3, :3]).tolist()
         keys.append({"R": [x, y, z, w], "T": (CYCLE @ (pose[:3, 3] * SCALE + OFFSET)).tolist(), "slice": 0.0, "scale": 1.0,
-                     "fov": degrees_of(camera.fy, camera.height), "aperture_size": 0.0, "timestamp": (i + 1) / fps})
-    write_json(file, {"loop": False, "time": 0.0, "path": named(keys, path), "duration_seconds": len(keys) / fps, "spline_order": 1,
-                      "fps": fps, "width": first.width, "height": first.height})
+                     "fov": base.degrees_of(camera.fy, camera.height), "aperture_size": 0.0, "timestamp": (i + 1) / fps})
+    base.write_json(file, {"loop": False, "time": 0.0, "path": base.named(keys, path), "duration_seconds": len(keys) / fps,
+                           "spline_order": 1, "fps": fps, "width": first.width, "height": first.height})
 
 
 def _key(entry, where) -> np.ndarray:
@@ -135,4 +121,4 @@ def _camera(key, picture, where) -> Camera:
     rotation = CYCLE.T @ poses.from_quaternion((w, x, y, z), (0, 0, 0), where)[:3, :3]
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, (CYCLE.T @ key[4:7] - OFFSET) / SCALE
-    return symmetric(picture.width, picture.height, focal_of(key[7], picture.height, where), poses.inverse(pose))
+    return base.symmetric(picture.width, picture.height, base.focal_of(key[7], picture.height, where), poses.inverse(pose))

@@ -19,19 +19,8 @@ from ...util.reading import reading
 from ...util.zip_files import opened_zip, read_member
 from .. import poses
 from ..camera import Camera
-from .base import (
-    MOST_INTERPOLATED,
-    CameraPath,
-    camera_to_world,
-    check_frames,
-    check_length,
-    degrees_of,
-    focal_of,
-    refuse_orthographic,
-    symmetric,
-    warn_of_losses,
-    write_json,
-)
+from . import base
+from .base import CameraPath
 
 name, label = "supersplat", "SuperSplat / PlayCanvas settings.json"
 TURN = np.diag([-1.0, -1.0, 1.0])
@@ -63,8 +52,8 @@ def load(file, values, picture) -> CameraPath:
     if len(times) > 1 and (np.diff(times) <= 0).any():
         raise FastGSError(f"{file}: the frames of its keyframes must increase.")
     fps = rate if rate >= LEAST_RATE else picture.fps
-    check_frames(file, times)
-    check_length(file, max(length, times[-1]) * fps / rate + 1)
+    base.check_frames(file, times)
+    base.check_length(file, max(length, times[-1]) * fps / rate + 1)
     count = max(round(length * fps / rate), int(times[-1] * fps / rate + 1e-6) + 1)
     spline = _spline(times, points, period, smoothness, step)
     keys = [(at * fps / rate, _camera(point, picture, f"{file}: keyframe {i}")) for i, (at, point) in enumerate(zip(times, points))]
@@ -72,8 +61,7 @@ def load(file, values, picture) -> CameraPath:
 
 
 def save(path: CameraPath, file, picture) -> None:
-    refuse_orthographic(path, label)
-    warn_of_losses(path, label)
+    base.warn_of_losses(path, label)
     if path.names:
         warnings.warn(f"{label} holds no names of cameras; they are numbered.", LossWarning, stacklevel=2)
     fps, first = path.fps or picture.fps, path.cameras[0]
@@ -81,15 +69,15 @@ def save(path: CameraPath, file, picture) -> None:
     if fps < LEAST_RATE:
         warnings.warn(f"{label} holds no frame rate below {LEAST_RATE}: the frames are read as keyframes, with others between them.",
                       LossWarning, stacklevel=2)
-    places = np.array([camera_to_world(camera) for camera in path.cameras])
+    places = np.array([base.camera_to_world(camera) for camera in path.cameras])
     position, forward = places[:, :3, 3] @ TURN, places[:, :3, 2] @ TURN
     if np.abs(places[:, :3, 0] @ TURN @ UP).max() > 1e-6:
         warnings.warn(f"{label} holds level cameras only; their roll is left out.", LossWarning, stacklevel=2)
     side = max(first.width, first.height)
-    fov = [degrees_of(camera.fy, side) for camera in path.cameras]
+    fov = [base.degrees_of(camera.fy, side) for camera in path.cameras]
     start = {"position": position[0].tolist(), "target": (position + forward)[0].tolist(), "fov": fov[0]}
     off = {"enabled": False}
-    write_json(file, {
+    base.write_json(file, {
         "version": 2, "tonemapping": "none", "highPrecisionRendering": False, "background": {"color": [0, 0, 0]},
         "postEffectSettings": {
             "sharpness": {**off, "amount": 0}, "bloom": {**off, "intensity": 1, "blurLevel": 2},
@@ -141,7 +129,7 @@ def _project(file, values):
                      *poses.near(poses.numbers(entry.get("target"), (3,), f"{where}: its target"), where),
                      poses.number(entry.get("fov", camera.get("fov", 60)), f"{where}: its fov")])
     rows = np.array(sorted(rows, key=lambda row: row[0]))
-    length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, MOST_INTERPOLATED)
+    length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, base.MOST_INTERPOLATED)
     kept = rows[rows[:, 0] < length]
     if not len(kept):
         raise FastGSError(f"{file}: all its keyframes lie beyond the end of its timeline.")
@@ -192,4 +180,4 @@ def _camera(point, picture, where) -> Camera:
     pose[:3, :3] = TURN @ np.stack([right, np.cross(forward, right), forward], 1)
     pose[:3, 3] = TURN @ point[:3]
     side = max(picture.width, picture.height)
-    return symmetric(picture.width, picture.height, focal_of(point[6], side, where), poses.inverse(pose))
+    return base.symmetric(picture.width, picture.height, base.focal_of(point[6], side, where), poses.inverse(pose))

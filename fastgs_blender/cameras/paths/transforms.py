@@ -6,7 +6,7 @@ It sorts by file_path.  A camera that moves has a `time` in each frame, from 0 t
 """
 from .. import poses
 from ..transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
-from .base import CameraPath, check_frames, frame_names, named, names_of, opengl_to_world, pinholes, refuse_orthographic, write_json
+from .base import CameraPath, check_frames, frame_names, named, names_of, opengl_to_world, pinholes, write_json
 
 name, label = "transforms.json", "transforms.json (nerfstudio, instant-ngp)"
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".bmp", ".tif", ".tiff")
@@ -37,7 +37,6 @@ def load(file, values, picture) -> CameraPath:
 
 
 def save(path: CameraPath, file, picture) -> None:
-    refuse_orthographic(path, label)
     names = path.names or [f"frame_{number}" for number in frame_names(path)]
     frames = [{
         "file_path": name if name.lower().endswith(PICTURES) else f"{name}.png", "w": camera.width, "h": camera.height, "fl_x": camera.fx,

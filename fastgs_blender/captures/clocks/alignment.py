@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...util import groups
+
 LEAST_COMMON = 12
 """Samples in which two curves must overlap, and the least share of the shorter one."""
 COMMON_SHARE = 0.5
@@ -84,7 +86,7 @@ def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
     with the deviation inf.
     """
     offsets, deviations = np.full(count, np.nan), np.full(count, np.inf)
-    group = _largest(count, pairs)
+    group = max(groups.joined(range(count), [(pair.i, pair.j) for pair in pairs]), key=len)
     pairs = [pair for pair in pairs if pair.i in group]
     if len(group) < 2:
         return offsets, deviations
@@ -106,15 +108,3 @@ def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
         deviations[camera] = least[k] * (max(1.0, np.median(surprise), np.median(own)) if len(own) > 1 else 2.0)
     offsets[group] = found - np.median(found)
     return offsets, deviations
-
-
-def _largest(count: int, pairs: Sequence[Pair]) -> list[int]:
-    """The largest group of curves that pairs join, in order."""
-    group = list(range(count))
-    for _ in range(count):
-        for pair in pairs:
-            group[pair.i] = group[pair.j] = min(group[pair.i], group[pair.j])
-    members: dict[int, list[int]] = {}
-    for curve, number in enumerate(group):
-        members.setdefault(number, []).append(curve)
-    return max(members.values(), key=len)

@@ -9,7 +9,7 @@ import numpy as np
 from ...cameras.lens import Lens
 from ...util.errors import FastGSError
 from ...util.threads import gathered
-from ..capture import Capture, Shot
+from ..capture import Capture, Shot, by_view
 from ..pixels import decoding
 from ..pixels.probe import picture_size
 
@@ -44,15 +44,15 @@ def curves(capture: Capture, progress: Callable[[int, int], None] | None = None,
     """
     frames = range(capture.clip.frame_count)
     frames = frames[max((len(frames) - most) // 2, 0):][:most]
-    by_view = {view: [shot for shot in capture.shots if shot.view == view and shot.frame in frames] for view in capture.views}
-    total, done = sum(map(len, by_view.values())), [0] * len(by_view)
+    views = {view: [shot for shot in shots if shot.frame in frames] for view, shots in by_view(capture.shots).items()}
+    total, done = sum(map(len, views.values())), [0] * len(views)
     report = progress or (lambda done, of: None)
 
     def work(k: int, shots: list[Shot]) -> tuple[np.ndarray, np.ndarray]:
         return _of_view(shots, frames, lambda: done.__setitem__(k, done[k] + 1))
 
-    found = gathered([partial(work, k, shots) for k, shots in enumerate(by_view.values())], lambda: report(sum(done), total))
-    return Curves(tuple(by_view), frames.start, np.array([b for b, _ in found]), np.array([c for _, c in found]))
+    found = gathered([partial(work, k, shots) for k, shots in enumerate(views.values())], lambda: report(sum(done), total))
+    return Curves(tuple(views), frames.start, np.array([b for b, _ in found]), np.array([c for _, c in found]))
 
 
 def _of_view(shots: Sequence[Shot], frames: range, count: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...util.errors import FastGSError
 from ...util.threads import gathered
-from ..capture import Capture, Shot
+from ..capture import Capture, Shot, by_view
 from ..pixels import decoding
 from .alignment import Pair, between
 
@@ -67,7 +67,7 @@ def pairs(capture: Capture, progress: Callable[[int, int], None] = lambda done, 
     if capture.clip.frame_count < LEAST_FRAMES or len(views) < 2:
         return views, []
     occupied = _occupancies(standing, cameras, pictures or _decoded, progress)
-    centres = np.array([_centre(cameras[view]) for view in views])
+    centres = np.array([cameras[view].centre for view in views])
     depths = DEPTHS * np.linalg.norm(centres - capture.focus, axis=1).mean()
     found = []
     for i, j in _neighbours(centres):
@@ -81,10 +81,7 @@ def pairs(capture: Capture, progress: Callable[[int, int], None] = lambda done, 
 def _standing(capture: Capture) -> dict[str, list[Shot]]:
     """By view: its shots in the middle of the clip; only views that stand still."""
     begin = max((capture.clip.frame_count - MOST_FRAMES) // 2, 0)
-    shots: dict[str, list[Shot]] = {}
-    for shot in capture.shots:
-        if begin <= shot.frame < begin + MOST_FRAMES:
-            shots.setdefault(shot.view, []).append(shot)
+    shots = by_view(shot for shot in capture.shots if begin <= shot.frame < begin + MOST_FRAMES)
     return {view: each for view, each in shots.items() if len(each) > 1 and all(map(_stands_as(each[0].camera), each))}
 
 
@@ -95,9 +92,7 @@ def _stands_as(first: Camera | None) -> Callable[[Shot], bool]:
 
 def _shrunk(camera: Camera) -> Camera:
     factor = min(1.0, SIDE / max(camera.width, camera.height))
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    x, y = width / camera.width, height / camera.height
-    return Camera(width, height, camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y, camera.world_to_camera)
+    return camera.stretched(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
 
 
 def _decoded(shots: list[Shot], small: Camera) -> Iterator[tuple[Shot, np.ndarray]]:
@@ -136,10 +131,6 @@ def occupancy(frames: np.ndarray) -> np.ndarray:
     return np.uint8(255 * np.clip((away / noise - NOISE) / (SOLID - NOISE), 0, 1) + 0.5)  # of all views at once: bytes, not floats
 
 
-def _centre(camera: Camera) -> np.ndarray:
-    return -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
-
-
 def _neighbours(centres: np.ndarray) -> list[tuple[int, int]]:
     """Pairs of cameras: each with those that stand nearest, but not where it stands itself."""
     apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
@@ -153,7 +144,7 @@ def _profiles(a: Camera, b: Camera, in_a: np.ndarray, in_b: np.ndarray, depths: 
 
     A plane is named by its angle around the line through both centres, a pixel's plane by its ray: its depth does not matter.
     """
-    along = _centre(b) - _centre(a)
+    along = b.centre - a.centre
     along /= np.linalg.norm(along)
     ahead = a.world_to_camera[2, :3] + b.world_to_camera[2, :3]
     ahead = ahead - ahead @ along * along
@@ -165,7 +156,7 @@ def _profiles(a: Camera, b: Camera, in_a: np.ndarray, in_b: np.ndarray, depths: 
     for camera, other in ((a, b), (b, a)):
         rays = _rays(camera)
         angles.append(np.arctan2(rays @ aside, rays @ ahead))
-        seen.append(_seen_by(other, _centre(camera), rays, depths))
+        seen.append(_seen_by(other, camera.centre, rays, depths))
     if min(each.sum() for each in seen) < LEAST_PIXELS:
         return None
     low = max(angle[each].min() for angle, each in zip(angles, seen))

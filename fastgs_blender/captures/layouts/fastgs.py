@@ -56,12 +56,12 @@ def load(path: Path, options: Options) -> Capture:
     version = poses.whole(values.get("version", VERSION), where + "its version", 1, 10**6)
     if version > VERSION:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
-    count = poses.whole(_needed(values, "frame_count", where), where + "its frame_count", 1, MOST_FRAMES)
+    count = poses.whole(poses.needed(values, "frame_count", file), where + "its frame_count", 1, MOST_FRAMES)
     start = poses.whole(values.get("start_frame", 1), where + "its start_frame", -10**9, 10**9)
     mask_means, axes, colour = (_choice(values, *rule, where) for rule in (
         ("masks", MASKS), ("axes", AXES), ("colour", COLOURS)))
     faults: list[str] = []
-    entries = poses.listed(_needed(values, "cameras", where), where + "its cameras")
+    entries = poses.listed(poses.needed(values, "cameras", file), where + "its cameras")
     check_count(file, count, len(entries))
     cameras = [_camera(folder, poses.table(entry, f"{where}camera {i}"), f"{where}camera {i}", count, start, colour, faults)
                for i, entry in enumerate(entries)]
@@ -89,7 +89,7 @@ def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
         lens = Lens.named(poses.name_of(lens_given.get("model"), "the lens model"), {k: v for k, v in lens_given.items() if k != "model"})
     except FastGSError as error:
         raise FastGSError(f"{where}: {error}") from error
-    given = poses.intrinsics(where, *(_needed(entry, key, where + ": ") for key in ("fx", "fy", "cx", "cy", "width", "height")))
+    given = poses.intrinsics(where, *(poses.needed(entry, key, where) for key in ("fx", "fy", "cx", "cy", "width", "height")))
     settings = dict(lens=lens, intrinsics=given)
     place = folder / called
     beside_it = (folder / (called + suffix) for suffix in VIDEOS)
@@ -109,19 +109,13 @@ def _numbered(folder: Path, count: int, start: int, **settings) -> list[Source |
 
 
 def _pose(entry, where, count) -> np.ndarray:
-    value = _needed(entry, "world_to_camera", where + ": ")
+    value = poses.needed(entry, "world_to_camera", where)
     moves = isinstance(value, list) and value and isinstance(value[0], list) and value[0] and isinstance(value[0][0], list)
     if not moves:
         return poses.rigid(value, f"{where}: its world_to_camera")
     if len(value) != count:
         raise FastGSError(f"{where}: it has {len(value)} poses for {count} frames; give one, or one for each frame.")
     return np.array([poses.rigid(pose, f"{where}: its world_to_camera of frame {i}") for i, pose in enumerate(value)])
-
-
-def _needed(values: dict, key: str, where: str):
-    if key not in values:
-        raise FastGSError(f"{where.rstrip(': ')}: it lacks {key}.")
-    return values[key]
 
 
 def _choice(values, key, known, where):

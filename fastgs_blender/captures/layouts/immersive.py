@@ -74,33 +74,28 @@ def load(path: Path, options: Options) -> Capture:
 
 
 def _lens(entry, where) -> Lens:
-    kind = _field(entry, "projection_type", where)
+    kind = poses.needed(entry, "projection_type", where)
     if not isinstance(kind, str) or kind not in LENSES:
         raise FastGSError(f"{where}: its projection_type {shortened(kind)} is not known; there are {', '.join(LENSES)}.")
-    radial = _field(entry, "radial_distortion", where)
+    radial = poses.needed(entry, "radial_distortion", where)
     count = len(radial) if isinstance(radial, list) and len(radial) in {2, 3} else 3
     return Lens(LENSES[kind], tuple(poses.numbers(radial, (count,), f"{where}: its radial_distortion")))
 
 
 def _intrinsics(entry, where):
-    focal = poses.number(_field(entry, "focal_length", where), f"{where}: its focal_length")
+    focal = poses.number(poses.needed(entry, "focal_length", where), f"{where}: its focal_length")
     aspect = poses.number(entry.get("pixel_aspect_ratio", 1.0), f"{where}: its pixel_aspect_ratio", 0.1, 10)
-    centre = poses.numbers(_field(entry, "principal_point", where), (2,), f"{where}: its principal_point")
-    return poses.intrinsics(where, focal, focal * aspect, *centre, _field(entry, "width", where), _field(entry, "height", where))
+    centre = poses.numbers(poses.needed(entry, "principal_point", where), (2,), f"{where}: its principal_point")
+    sides = (poses.needed(entry, side, where) for side in ("width", "height"))
+    return poses.intrinsics(where, focal, focal * aspect, *centre, *sides)
 
 
 def _pose(entry, where) -> np.ndarray:
-    centre = poses.numbers(_field(entry, "position", where), (3,), f"{where}: its position")
-    axis = poses.numbers(_field(entry, "orientation", where), (3,), f"{where}: its orientation")
+    centre = poses.numbers(poses.needed(entry, "position", where), (3,), f"{where}: its position")
+    axis = poses.numbers(poses.needed(entry, "orientation", where), (3,), f"{where}: its orientation")
     pose = poses.from_quaternion(rotations.exp(axis / 2), np.zeros(3), where)
     pose[:3, 3] = -pose[:3, :3] @ poses.near(centre, where)
     return pose
-
-
-def _field(entry: dict, key: str, where: str):
-    if key not in entry:
-        raise FastGSError(f"{where}: it lacks {key}.")
-    return entry[key]
 
 
 def _videos(folder: Path) -> dict[str, Path]:

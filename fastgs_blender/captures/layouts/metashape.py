@@ -18,11 +18,10 @@ import numpy as np
 
 from ...cameras import opencv, poses
 from ...util.errors import FastGSError
-from ...util.reading import open_file
 from ...util.xml_files import plain_xml
 from .. import beside
 from ..capture import Capture, Options
-from ..sources import PICTURES, VIDEOS
+from ..sources import PICTURES, VIDEOS, beginning, files_at, only
 
 name = "Metashape"
 LARGEST_FILE = 64 << 20
@@ -33,15 +32,13 @@ GEOCENTRIC = 1e6
 
 def recognises(path: Path) -> bool:
     """A folder with such an XML file, or that file."""
-    return bool(_files(path))
+    return bool(files_at(path, _is_export, "*/*.xml"))
 
 
 def load(path: Path, options: Options) -> Capture:
     """The capture of the aligned cameras that have a film, or else a picture."""
-    files = _files(path)
-    if len(files) != 1:
-        raise FastGSError(f"{path}: there are {len(files)} exports of Metashape's cameras in it; give the file to be used instead.")
-    return beside.capture_of(path, name, files[0], read_cameras(files[0]), options, unit=1.0, photographed=True)
+    file = only(path, files_at(path, _is_export, "*/*.xml"), "exports of Metashape's cameras")
+    return beside.capture_of(path, name, file, read_cameras(file), options, unit=1.0, photographed=True)
 
 
 def read_cameras(file: Path) -> list[opencv.Calibrated]:
@@ -111,22 +108,9 @@ def _calibration(sensor: ET.Element, where: str):
 
 
 def _floats(text: str | None, where: str) -> list[float]:
-    try:
-        return [float(word) for word in (text or "").split()]
-    except ValueError as error:
-        raise FastGSError(f"{where}: it holds something that is no number.") from error
-
-
-def _files(path: Path) -> list[Path]:
-    """The exports in a folder or, if there are none, in folders in it; or the file itself."""
-    if not path.is_dir():
-        return [path] if _is_export(path) else []
-    return [p for p in sorted(path.iterdir()) if _is_export(p)] or [p for p in sorted(path.glob("*/*.xml")) if _is_export(p)]
+    return [poses.read(word, f"{where}: a number of it") for word in (text or "").split()]
 
 
 def _is_export(file: Path) -> bool:
-    if file.suffix.lower() != ".xml" or not file.is_file():
-        return False
-    with open_file(file) as stream:
-        head = stream.read(4096)
+    head = beginning(file, (".xml",))
     return b"<document" in head and b"<chunk" in head and b"<sensor" in head

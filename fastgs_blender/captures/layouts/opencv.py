@@ -20,9 +20,9 @@ import numpy as np
 from ...cameras import opencv
 from ...cameras.file_storage import ENDINGS, read_storage
 from ...util.errors import FastGSError
-from ...util.reading import open_file
 from .. import beside
 from ..capture import Capture, Options
+from ..sources import beginning, files_at
 
 name = "calibration by OpenCV"
 MOST_FILES = 1000
@@ -153,22 +153,14 @@ def _meaning(key: str, names: list[str]) -> tuple[str, str, int]:
 
 def _files(path: Path) -> list[Path]:
     """The calibrations in a folder or, if there are none, in a folder in it; or the file itself and, of a pair of files, the other one."""
-    if path.is_dir():
-        here = [file for file in sorted(path.iterdir()) if _is_storage(file)]
-        if not here:
-            inside = [file for file in sorted(path.glob("*/*")) if _is_storage(file)]
-            here = [file for file in inside if file.parent == inside[0].parent]
-        return here[:MOST_FILES]
-    if not _is_storage(path):
-        return []
+    found = files_at(path, _is_storage)
+    if path.is_dir() or not found:
+        return [file for file in found if file.parent == found[0].parent][:MOST_FILES]
     beside_it = [file for file in sorted(path.parent.iterdir()) if file != path and file.suffix == path.suffix and _is_storage(file)]
     return sorted([path, *beside_it]) if re.match("intri|extri", path.stem.lower()) else [path]
 
 
 def _is_storage(file: Path) -> bool:
     """Whether a file's first bytes are FileStorage's, or hold a matrix as it writes them."""
-    if file.suffix.lower() not in ENDINGS or not file.is_file():
-        return False
-    with open_file(file) as stream:
-        head = stream.read(1 << 14)
+    head = beginning(file, ENDINGS, 1 << 14)
     return b"<opencv_storage" in head or b"opencv-matrix" in head or b"%YAML:1.0" in head or (b"rows:" in head and b"cols:" in head)

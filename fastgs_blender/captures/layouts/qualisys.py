@@ -12,7 +12,6 @@ divides them by 64, which undoes next to none of it.  The world has z up and bec
 """
 import re
 from pathlib import Path
-from reprlib import repr as shortened
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -20,13 +19,13 @@ import numpy as np
 from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
 from ...util.errors import FastGSError
-from ...util.reading import open_file
 from ...util.xml_files import plain_xml
 from ..beside import first_source, is_film
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
 from ..rigs import RigCamera, from_rig, lone_sentence
+from ..sources import beginning, files_at, only
 
 name = "Qualisys"
 SUBPIXELS = 64
@@ -38,15 +37,12 @@ ENDINGS = (".txt", ".xml", ".qca")
 
 def recognises(path: Path) -> bool:
     """A folder with a Qualisys calibration, or that file."""
-    return bool(_calibrations(path) if path.is_dir() else _is_calibration(path))
+    return bool(files_at(path, _is_calibration))
 
 
 def load(path: Path, options: Options) -> Capture:
     """The capture of the cameras in the calibration that have a video."""
-    files = _calibrations(path) if path.is_dir() else [path]
-    if len(files) != 1:
-        raise FastGSError(f"{path}: there are {len(files)} Qualisys calibrations in this folder; give the file to be used instead.")
-    file = files[0]
+    file = only(path, files_at(path, _is_calibration), "Qualisys calibrations") if path.is_dir() else path
     cameras = _cameras(file)
     folders = [file.parent, path, *sorted(p for p in path.iterdir() if p.is_dir())] if path.is_dir() else [file.parent]
     places = _places(folders, {camera.get("serial", "") for camera in cameras})
@@ -71,17 +67,8 @@ def load(path: Path, options: Options) -> Capture:
 
 
 def _is_calibration(file: Path) -> bool:
-    if file.suffix.lower() not in ENDINGS or not file.is_file():
-        return False
-    with open_file(file) as stream:
-        head = stream.read(4096)
+    head = beginning(file, ENDINGS)
     return b"<calibration" in head and b"<camera" in head
-
-
-def _calibrations(folder: Path) -> list[Path]:
-    """In the folder or, if there are none, in folders in it."""
-    here = [file for file in sorted(folder.iterdir()) if _is_calibration(file)]
-    return here or [file for file in sorted(folder.glob("*/*")) if _is_calibration(file)]
 
 
 def _cameras(file: Path) -> list[ET.Element]:
@@ -131,10 +118,7 @@ def _value(part, key, where, default=None) -> float:
     text = part.get(key, default)
     if text is None:
         raise FastGSError(f"{where} lacks {key} in <{part.tag}>.")
-    try:
-        return poses.number(float(text), f"{where}: its {key}")
-    except ValueError as error:
-        raise FastGSError(f"{where}: its {key} must be a number, not {shortened(text)}.") from error
+    return poses.read(text, f"{where}: its {key}")
 
 
 def _pose(camera, where) -> np.ndarray:

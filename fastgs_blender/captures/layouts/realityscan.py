@@ -18,10 +18,11 @@ import numpy as np
 
 from ...cameras import opencv, poses
 from ...util.errors import FastGSError
-from ...util.reading import open_file, read_text
+from ...util.reading import read_text
 from ...util.xml_files import plain_xml
 from .. import beside
 from ..capture import Capture, Options
+from ..sources import beginning
 
 name = "RealityScan"
 LARGEST_FILE = 64 << 20
@@ -59,7 +60,7 @@ def _table(file: Path) -> list[opencv.Calibrated]:
     found = []
     for row in rows:
         where = f"{file}: camera {row['name']}"
-        value = {key: _number(row.get(key) or "0", f"{where}: its {key}") for key in (*NEEDED[1:], "px", "py", *COEFFICIENTS)}
+        value = {key: poses.read(row.get(key) or "0", f"{where}: its {key}") for key in (*NEEDED[1:], "px", "py", *COEFFICIENTS)}
         angles = np.radians([-value["heading"], value["pitch"], value["roll"]])
         heading, pitch, roll = (opencv.from_rodrigues(angle * np.eye(3)[axis], where) for angle, axis in zip(angles, (2, 0, 1)))
         to_world = np.eye(4)
@@ -78,7 +79,7 @@ def _metadata(file: Path) -> opencv.Calibrated:
 
     def numbers(key: str, default: str = "") -> list[float]:
         text = described.get(f"{NAMESPACE}{key}") or described.findtext(f"{NAMESPACE}{key}") or default
-        return [_number(word, f"{file}: its {key}") for word in text.split()]
+        return [poses.read(word, f"{file}: its {key}") for word in text.split()]
 
     pose = np.eye(4)
     pose[:3, :3] = poses.numbers(numbers("Rotation"), (9,), f"{file}: its Rotation").reshape(3, 3)
@@ -109,13 +110,6 @@ def _calibrated(called: str, f: float, u: float, v: float, aspect: float, lens: 
     return opencv.Calibrated(called, matrix, lens, pose, relative=True)
 
 
-def _number(text: str, where: str) -> float:
-    try:
-        return poses.number(float(text), where)
-    except ValueError as error:
-        raise FastGSError(f"{where} must be a number.") from error
-
-
 def _files(path: Path) -> list[Path]:
     """The table or the metadata in a folder or, if there are none, in folders in it; or the file itself and those beside it."""
     if not path.is_dir():
@@ -130,10 +124,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _is_export(file: Path) -> bool:
-    if file.suffix.lower() not in (".csv", ".xmp") or not file.is_file():
-        return False
-    with open_file(file) as stream:
-        head = stream.read(4096)
+    head = beginning(file, (".csv", ".xmp"))
     if file.suffix.lower() == ".xmp":
         return b"capturingreality" in head
     columns = next((line for line in head.decode("utf-8", "replace").lower().splitlines() if line.startswith(("#name", "name"))), "")

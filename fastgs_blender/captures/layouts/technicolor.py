@@ -106,11 +106,7 @@ def _rows(file: Path) -> list[list[float]]:
         where = f"{file}: line {i + 2}"
         if len(words) == COLUMNS + 2:
             raise FastGSError(f"{where} has the columns of the distorted pictures; give the file of the undistorted ones.")
-        try:
-            row = [float(word) for word in words]
-        except ValueError as error:
-            raise FastGSError(f"{where} holds something that is no number.") from error
-        rows.append(poses.numbers(row, (COLUMNS,), where).tolist())
+        rows.append(poses.numbers([poses.read(word, where) for word in words], (COLUMNS,), where).tolist())
     if not rows:
         raise FastGSError(f"{file}: there are no cameras in it.")
     return rows

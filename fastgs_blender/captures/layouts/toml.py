@@ -24,9 +24,10 @@ from reprlib import repr as shortened
 
 from ...cameras import opencv, poses
 from ...util.errors import FastGSError
-from ...util.reading import open_file, read_text, reading
+from ...util.reading import read_text, reading
 from .. import beside, timestamps
 from ..capture import Capture, Options
+from ..sources import beginning, files_at, only
 
 name = "calibration in TOML"
 LARGEST_FILE = 16 << 20
@@ -38,15 +39,12 @@ UNITS = {"m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm
 
 def recognises(path: Path) -> bool:
     """A folder with such a calibration in it or in a folder in it, or that file."""
-    return bool(_calibrations(path) if path.is_dir() else _is_calibration(path))
+    return bool(files_at(path, _is_calibration, "*/*.toml"))
 
 
 def load(path: Path, options: Options) -> Capture:
     """The capture of the calibration's cameras that have a film."""
-    files = _calibrations(path) if path.is_dir() else [path]
-    if len(files) != 1:
-        raise FastGSError(f"{path}: there are {len(files)} calibrations in TOML in this folder; give the file to be used instead.")
-    file = files[0]
+    file = only(path, files_at(path, _is_calibration, "*/*.toml"), "calibrations in TOML") if path.is_dir() else path
     cameras, unit = read_cameras(file)
     times = _times(file, path, [camera.name for camera in cameras])
     return beside.capture_of(path, name, file, cameras, options, unit=unit, times=times)
@@ -98,10 +96,7 @@ def _values(file: Path) -> dict:
 
 def _is_calibration(file: Path) -> bool:
     """Whether a TOML file describes cameras; a damaged one that names their keys is to be told about."""
-    if file.suffix.lower() != ".toml" or not file.is_file():
-        return False
-    with open_file(file) as stream:
-        head = stream.read(1 << 16)
+    head = beginning(file, (".toml",), 1 << 16)
     if not all(word.encode() in head for word in NEEDED):
         return False
     with contextlib.suppress(FastGSError):
@@ -109,12 +104,6 @@ def _is_calibration(file: Path) -> bool:
         tables = [values, *([values["cameras"]] if isinstance(values.get("cameras"), dict) else [])]
         return any(isinstance(table, dict) and set(NEEDED) <= set(table) for each in tables for table in each.values())
     return True
-
-
-def _calibrations(folder: Path) -> list[Path]:
-    """In the folder or, if there are none, in folders in it."""
-    here = [file for file in sorted(folder.iterdir()) if _is_calibration(file)]
-    return here or [file for file in sorted(folder.glob("*/*.toml")) if _is_calibration(file)]
 
 
 def _times(file: Path, path: Path, names: list[str]) -> timestamps.Times | None:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks a capture's files before training: are they of one size, and do the films run together?  rigs.py left damaged ones out."""
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 
 from ...util.errors import FastGSError
-from ..capture import Capture, Shot
+from ..capture import Capture, Shot, by_view
 from ..clocks.files import FILE, read_clocks
 from ..rigs import ranges
 from .probe import facts
@@ -37,18 +36,11 @@ def problems(capture: Capture) -> list[str]:
     """The problems of a capture, a clause each, in the layout's order of views; files' headers are read, pixels are not decoded."""
     found = list(capture.faults)
     sizes: dict[str, Counter] = {}
-    for view, shots in _by_view(capture.shots).items():
+    for view, shots in by_view(capture.shots).items():
         found += _view_problems(view, shots, sizes.setdefault(view, Counter()), capture)
     if not capture.posed and len(capture.views) < 2:
         found.append("there is only one camera, and poses cannot be found from one")
     return found + _synchronisation(capture)
-
-
-def _by_view(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
-    views: dict[str, list[Shot]] = {}
-    for shot in shots:
-        views.setdefault(shot.view, []).append(shot)
-    return views
 
 
 def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str]:
@@ -113,7 +105,7 @@ def _synchronisation(capture: Capture) -> list[str]:
 
 def _times_stated(capture: Capture) -> bool:
     """Whether the layout says when each frame was taken, as timestamps.csv does: a view's frames are not equally far from their numbers."""
-    for shots in _by_view(capture.shots).values():
+    for shots in by_view(capture.shots).values():
         late = [shot.t * capture.clip.frame_count - shot.frame for shot in shots]
         if max(late) - min(late) > 1e-3:
             return True

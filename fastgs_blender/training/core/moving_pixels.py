@@ -5,6 +5,7 @@ Most of a room stands still.  What moves covers few pixels, each in few pictures
 """
 import numpy as np
 
+from ...captures.capture import by_view
 from .targets import smaller
 
 LOOKS, FEWEST = 15, 4
@@ -22,9 +23,7 @@ class MovingPixels:
     """
 
     def __init__(self, store, shots):
-        self._store, self._shots, self._still = store, {}, {}
-        for shot in shots:
-            self._shots.setdefault(shot.view, []).append(shot)
+        self._store, self._shots, self._still = store, by_view(shots), {}
 
     def share(self, shot, pixels) -> np.ndarray | None:
         """[h, w] float32 of a shot's pixels, as its camera filmed them: 0 stands still, 1 moves; None where it is not known."""

@@ -90,7 +90,7 @@ def _eroded(mask, reach):
 
 def _on_sphere(camera, pixels, centre, radius):
     """Where the rays through pixels leave the sphere."""
-    eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+    eye = camera.centre
     rays = unproject(camera, pixels, np.ones(len(pixels))) - eye
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     along = rays @ (centre - eye)

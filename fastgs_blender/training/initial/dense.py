@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ...cameras.camera import Camera
 from ...captures.capture import Points, Shot
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
@@ -261,9 +260,7 @@ def enlarged(capture, shot):
     factor = min(SMALLEST_SIDE / max(camera.width, camera.height), 1 / capture.scale)
     if factor <= 1:
         return shot
-    width, height = round(camera.width * factor), round(camera.height * factor)
-    x, y = width / camera.width, height / camera.height
-    return replace(shot, camera=Camera(width, height, camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y, camera.world_to_camera))
+    return replace(shot, camera=camera.stretched(round(camera.width * factor), round(camera.height * factor)))
 
 
 def shown_part(capture, settings, shot, pixels):

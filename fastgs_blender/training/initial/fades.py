@@ -7,6 +7,7 @@ all cameras show is the light's, and belongs to the model.
 """
 import numpy as np
 
+from ...captures.capture import by_view
 from .dense import BRIGHT, DARK, picture, spread
 
 MOMENTS, LEAST_MOMENTS = 16, 5
@@ -23,10 +24,7 @@ camera counts as steady."""
 def fades_of(capture, store, settings) -> np.ndarray:
     """How exposures change: for the V views trained on [V, 3] the logarithm of each channel's gain at the end of the clip, where that in
     the middle is 0; it is linear in time.  0 for cameras that are steady or move."""
-    views: dict[str, list] = {}
-    for shot in capture.training:
-        views.setdefault(shot.view, []).append(shot)
-    found = [_fade(capture, store, settings, shots) for shots in views.values()]
+    found = [_fade(capture, store, settings, shots) for shots in by_view(capture.training).values()]
     fades, errors = (np.array([each[k] for each in found]).reshape(-1, 3) for k in (0, 1))
     known = np.isfinite(errors).all(1)
     if known.sum() < 2:

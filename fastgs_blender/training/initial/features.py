@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...util import groups
 from ...util.errors import FastGSError
 
 LARGEST_SIDE = 1024
@@ -130,24 +131,10 @@ def tracks(features: list[Features], within: float = ON_LINE, count: int | None 
 
     within  see matches();  count: each picture is compared with so many neighbours; None: with all
     """
-    starts = np.cumsum([0, *(len(f.places) for f in features)])
-    parent = np.arange(starts[-1])
-
-    def root(i):
-        while parent[i] != i:
-            parent[i] = parent[parent[i]]
-            i = parent[i]
-        return i
-
-    for i, j in neighbours([f.camera for f in features], len(features) if count is None else count):
-        for p, q in matches(features[i], features[j], within):
-            one, other = root(starts[i] + p), root(starts[j] + q)
-            parent[max(one, other)] = min(one, other)
-    groups: dict[int, list[tuple[int, int]]] = {}
-    for picture, feature in ((k, n) for k, f in enumerate(features) for n in range(len(f.places))):
-        groups.setdefault(root(starts[picture] + feature), []).append((picture, feature))
+    near = neighbours([f.camera for f in features], len(features) if count is None else count)
+    pairs = (((i, int(p)), (j, int(q))) for i, j in near for p, q in matches(features[i], features[j], within))
     found = []
-    for group in groups.values():
+    for group in groups.joined(((k, n) for k, f in enumerate(features) for n in range(len(f.places))), pairs):
         pictures = [picture for picture, _ in group]
         once = [entry for entry in group if pictures.count(entry[0]) == 1]
         if len(once) >= 2:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cameras import poses
-from ...captures.capture import Capture
+from ...captures.capture import Capture, by_view
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json, reading
@@ -79,7 +79,7 @@ def kept(path, capture) -> dict | None:
 
 def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambda done, of: None) -> dict:
     """See refinement(); raises FastGSError where pycolmap is missing, or pictures cannot be read."""
-    shots = {view: [shot for shot in capture.training if shot.view == view] for view in capture.training_views}
+    shots = by_view(capture.training)
     if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
         return NOTHING
     first = {view: each[0] for view, each in shots.items()}

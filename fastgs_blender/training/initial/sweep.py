@@ -54,7 +54,7 @@ def swept(pictures, near: float, far: float) -> list[Depths | None]:
 def for_each(pictures, near: float, far: float, found) -> list[Depths | None]:
     """found(k, the pictures that the k-th is compared with) of each picture of a moment, in threads; None for one without neighbours."""
     looking = np.array([camera.world_to_camera[2, :3] for _, camera, _ in pictures])
-    centres = np.array([-c.world_to_camera[:3, :3].T @ c.world_to_camera[:3, 3] for _, c, _ in pictures])
+    centres = np.array([camera.centre for _, camera, _ in pictures])
     degrees = np.degrees(np.arccos(np.clip(looking @ looking.T, -1, 1)))
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
 

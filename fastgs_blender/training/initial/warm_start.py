@@ -163,10 +163,9 @@ def _seen(model, capture, store, settings) -> _Seen:
 
 def _facing(now: Slice, rows, camera) -> np.ndarray:
     """How much the Gaussians' flat side faces the camera: the cosine."""
-    eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
     axes = to_matrices(now.rotation[rows])
     normal = axes[np.arange(len(rows)), :, now.scale[rows].argmin(1)]
-    ray = now.position[rows] - eye
+    ray = now.position[rows] - camera.centre
     return np.abs((normal * ray).sum(1)) / np.maximum(np.linalg.norm(ray, axis=1), 1e-12)
 
 

@@ -26,7 +26,8 @@ def wait(kind: str, step: int) -> None:
         return
     file = Path(name)
     line = _line(file)
-    if not _applies(line, kind, step):
+    wanted, _, number = line.partition(" ")
+    if wanted != kind or not number.isdigit() or step < int(number):
         return
     reached, aside = Path(f"{name}.reached"), Path(f"{name}.{os.getpid()}.tmp")
     aside.write_text(f"{kind} {step} {os.getpid()}", "ascii")
@@ -43,8 +44,3 @@ def _line(file: Path) -> str:
         return file.read_text("ascii").strip()
     except OSError:
         return ""
-
-
-def _applies(line: str, kind: str, step: int) -> bool:
-    wanted, _, number = line.partition(" ")
-    return wanted == kind and number.isdigit() and step >= int(number)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ...util.reading import parse_json, read_text, reading
+from ..core.state import is_number
 from .checkpoint import write_aside
 
 SIZE = (900, 420)
@@ -27,15 +28,10 @@ def write_plot(path: Path, log: Path) -> None:
 
 
 def series(rows: list[dict], name: str) -> np.ndarray:
-    """[M, 2] steps and finite values of one column."""
+    """[M, 2] steps and finite values of one column; None stands in the log where there was no finite one."""
     points = [(row.get("iteration"), row.get(name)) for row in rows if isinstance(row, dict)]
-    found = np.array([point for point in points if all(map(_is_number, point))], np.float64).reshape(-1, 2)
+    found = np.array([point for point in points if all(is_number(value, -1e300, 1e300) for value in point)], np.float64).reshape(-1, 2)
     return found[np.isfinite(found).all(1)]
-
-
-def _is_number(value) -> bool:
-    """Whether a JSON value is a number that a float can hold; None stands in the log where there was no finite one."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]):
