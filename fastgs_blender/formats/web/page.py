@@ -54,6 +54,7 @@ from ...rendering.looks import look_numbers
 from ...rendering.volumes import Volume
 from ...util.errors import FastGSError
 from ..base import generator
+from . import library
 from .joining import joined
 
 VERSION = 1
@@ -183,9 +184,9 @@ def page_text(page: Page, files: Sequence[bytes], player: Mapping[str, str] | No
 
 
 def player_files() -> dict[str, str]:
-    """The texts of the player's files by their paths in its folder, in the order of their names."""
-    return {path.relative_to(PLAYER).as_posix(): path.read_text("utf-8") for path in sorted(PLAYER.rglob("*"))
-            if path.suffix in (".js", ".css", ".html")}
+    """The texts of the player's files by their paths in its folder, in the order of their names, and of the modules that are made."""
+    return library.modules() | {path.relative_to(PLAYER).as_posix(): path.read_text("utf-8") for path in sorted(PLAYER.rglob("*"))
+                                if path.suffix in (".js", ".css", ".html")}
 
 
 def _of(several: Sequence, frame: int) -> Any:

@@ -51,6 +51,10 @@ class ResolveTexel(IntEnum):
     TO_WORLD = SKY + 1
 
 
+TEXELS = ResolveTexel.TO_WORLD + 3
+"""Length of the row."""
+
+
 def resolve_table(camera: Camera, size, group, working: np.ndarray, background=None, border=(0, 0, 1, 1), opacity: float = 1.0,
                   frame=(0, 0, 1, 1), outside: float = 1.0, depths: Depths | None = None, sky=None, first: bool = True,
                   summed: bool = False, raw: bool = False) -> np.ndarray:
@@ -65,7 +69,7 @@ def resolve_table(camera: Camera, size, group, working: np.ndarray, background=N
     For the rest see Picture.resolve().
     """
     colour_space, decoder = group.colour_space, group.instance
-    values = np.zeros((1, ResolveTexel.TO_WORLD + 3, 4), np.float32)
+    values = np.zeros((1, TEXELS, 4), np.float32)
     row, at = values[0], ResolveTexel
     appearance = decoder and decoder.model.appearance
     activation = ACTIVATIONS.index(appearance.activation) if appearance else 0
