@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension site gallery test-site clean
+.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension store site gallery test-site clean
 
 PY := .venv/bin/python
 LTS := .venv313/bin/python
@@ -13,12 +13,13 @@ help:
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
-	@echo "make extension     dist/*.zip to install in Blender, for each platform and Python, and a repository's index"
+	@echo "make extension     dist/*.zip to install in Blender, one a system, and a repository's index"
+	@echo "make store         dist/store/*.zip as extensions.blender.org takes them, and a moderator's checklist of each"
 	@echo "make site          dist/index.html, the home page with the documents; WEBSITE=URL where its address is known"
 	@echo "make clean         remove everything that make made"
 
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
-.venv/ready: pyproject.toml tools/constraints.txt
+.venv/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@tools/make_venv.sh .venv 3.11 5.0.1 train,torch
 .venv313/ready: pyproject.toml
 	@tools/make_venv.sh .venv313 3.13 5.2.3
@@ -95,6 +96,10 @@ gallery: .venv/ready
 # The generator has an environment of its own, and so has the test that it builds the site.
 test-site: .venvs/site/ready
 	@.venvs/site/bin/python -m pytest tests/library/test_site.py
+
+store: .venv/ready
+	@$(PY) tools/build_extension.py --store --out dist/store
+	@$(PY) tools/checklist.py dist/store/*.zip
 
 clean:
 	rm -rf .venv .venv313 .venvs build dist wheels demo *.egg-info .ruff_cache .mypy_cache tests/.pytest_cache .hypothesis

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operators: thin modules, one a menu entry, over what scene/ and engine/ do."""
+from importlib import util
+
 import bpy
 
 from ..scene.registration import classes_of
@@ -37,9 +39,15 @@ from . import (
     view_camera,
 )
 
+if util.find_spec(f"{__package__}.make_environment"):  # not in the zip for Blender's store
+    from . import make_environment
+    MAKING = (make_environment,)
+else:
+    MAKING = ()
+
 CLASSES = classes_of(
     align_world, bake, brush, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture,
     clip, crop, effects, example, export_native, export_splats, filters, fit_scene, gpus, import_model, look, maintenance, native_copy,
-    reload, select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera,
+    reload, select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -18,7 +18,9 @@ if ! "$folder/bin/python" -c "import pip" >/dev/null 2>&1; then
 fi
 rm -f "$folder/ready"
 echo "Installing ${bpy_version:+Blender $bpy_version as a module and }the project into $folder (once; 400 MB, with training 1 GB) ..."
-if ! "$folder/bin/python" -m pip install --disable-pip-version-check -c tools/constraints.txt -e ".[$extras]" ${bpy_version:+"bpy==$bpy_version"} >"$log" 2>&1; then
+sed -n 's/^\([^#]*==[^ ]*\).*/\1/p' tools/wheels.txt >"$folder/wheels.txt"  # what is tested is what the zips contain
+if ! "$folder/bin/python" -m pip install --disable-pip-version-check -c tools/constraints.txt -c "$folder/wheels.txt" \
+    -e ".[$extras]" ${bpy_version:+"bpy==$bpy_version"} >"$log" 2>&1; then
     tail -n 15 "$log" >&2
     echo "The installation into $folder failed; the whole log is $log" >&2
     echo "If pip found no bpy $bpy_version: Blender's own package index has it as well; set PIP_EXTRA_INDEX_URL to its address." >&2

@@ -52,10 +52,11 @@ def roots(suites: list[str]) -> dict[str, str]:
 
 def zips(python: str) -> dict[str, str]:
     """The zip that users get for a Python, and a repository with one for a platform that numba does not know."""
-    bundled = wheels.download("linux-x64", python, ROOT / "build" / "wheels" / f"linux-x64-{python}")
-    full = build_extension.build("linux-x64", bundled, OUTPUT / "zips", python=python)
+    name = next(name for name, pythons in wheels.ZIPS.items() if wheels.platform_of(name) == "linux-x64" and python in pythons)
+    bundled = wheels.download(name, ROOT / "build" / "wheels" / name)
+    full = build_extension.build(name, bundled, OUTPUT / "zips")
     without = OUTPUT / "zips" / f"without-numba-{python}"
-    light = build_extension.build("linux-x64", [w for w in bundled if w.name.startswith("safetensors")], without, python=python)
+    light = build_extension.build(name, [w for w in bundled if w.name.startswith("safetensors")], without)
     build_extension.index([light], without)
     return {"FASTGS_ZIP": str(full), "FASTGS_REPOSITORY_WITHOUT_NUMBA": str(without)}
 

@@ -63,16 +63,18 @@ class FASTGS_AP_preferences(bpy.types.AddonPreferences):
         row.operator("fastgs.clear_kernels", icon='TRASH')
 
         col = headed(layout, "Training")
+        can_make = hasattr(bpy.types, "FASTGS_OT_make_training_python")  # not in the zip for Blender's store
         col.prop(self, "training_choice", text="Python")
         if self.training_choice == 'CHOSEN':
             col.prop(self, "training_python")
-        else:
+        elif can_make:
             col.prop(self, "package_index")
         if installation.is_making():
             draw_rows(col, [("Being Made", installation.maker.last_line[:60])])
         row = col.row()
         row.operator("fastgs.test_training_python", icon='CHECKMARK')
-        row.operator("fastgs.make_training_python", icon='IMPORT')
+        if can_make:
+            row.operator("fastgs.make_training_python", icon='IMPORT')
 
         col = headed(layout, "Help")
         col.prop(self, "log_level", text="Console Shows")

@@ -51,7 +51,7 @@ def write(path: Path) -> None:
             made.append(tree)
             tree.asset_mark()
             tree.asset_data.catalog_id, tree.asset_data.description = CATALOG, effect.description
-            tree.asset_data.author = "FAST-GS"
+            tree.asset_data.author, tree.asset_data.license = "FAST-GS", "CC0-1.0"
         aside = path.with_name(f"{path.name}.part")
         bpy.data.libraries.write(str(aside), set(made), fake_user=True, compress=True)
         aside.replace(path)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import bpy
 
-from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Maker, Report, purposes, python_in
+from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Report, purposes, python_in
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
 from .. import settings
 
-maker: Maker | None = None
-"""The environment that is being made, or was made last, in this Blender."""
+maker = None
+"""The jobs.maker.Maker that makes an environment, or made one last, in this Blender; None where there was none."""
 tested: dict[str, Report] = {}
 """By Python: what its last test in this Blender found."""
 
@@ -90,7 +90,7 @@ def lacking() -> str:
     else:
         return ""
     purpose = purposes(missing)
-    return f"Captures in this Python: {purpose}. The preferences can make an environment that has it." if purpose else ""
+    return f"Captures in this Python: {purpose}. Choose a Python that has it in the preferences." if purpose else ""
 
 
 def is_making() -> bool:

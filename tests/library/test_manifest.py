@@ -9,6 +9,7 @@ import importlib.util
 import json
 import os
 import re
+import subprocess
 import tomllib
 import zipfile
 from pathlib import Path
@@ -89,22 +90,19 @@ def test_manifest_says_what_the_library_says(manifest):
     assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
     assert set(manifest["tags"]) <= TAGS
     assert not {"wheels", "platforms"} & set(manifest)
-    assert set(manifest["permissions"]) == {"files", "network"} and "Make an Environment" in manifest["permissions"]["network"]
+    assert set(manifest["permissions"]) == {"files", "clipboard", "network"}
+    assert "Make an Environment" in manifest["permissions"]["network"]
 
 
 def test_zip_holds_the_extension_and_nothing_else(builder, tmp_path, capsys):
     (path,) = builder.main(["--no-wheels", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         names = {name for name in file.namelist() if not name.endswith("/")}
-    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.html", "examples/fireside.safetensors",
-              "examples/capture_train_render.py", "examples/cameras.json"}
+    wanted = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.html", "sbom.cdx.json", "examples/LICENSE.txt",
+              "examples/fireside.safetensors", "examples/capture_train_render.py", "examples/cameras.json"}
     wanted |= {str(p.relative_to(ROOT)) for package in ROOT.glob("*/__init__.py")
-               for suffix in ("py", "wgsl") for p in package.parent.rglob(f"*.{suffix}")}
-    player = ROOT / "fastgs_blender" / "formats" / "web" / "player"
-    wanted |= {str(p.relative_to(ROOT)) for p in player.rglob("*") if p.is_file()}
+               for p in package.parent.rglob("*") if p.is_file() and p.suffix != ".pyc"}
     wanted |= {"CHANGELOG.html", *(f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md"))}
-    wanted |= {f"docs/{name}" for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-               for name in re.findall(r"\]\((?:docs/)?([\w.-]+\.(?:png|webp))\)", page.read_text("utf-8"))}
     assert {"scene/__init__.py", "engine/__init__.py"} <= wanted
     assert names == wanted
     assert str(path) in capsys.readouterr().out
@@ -123,7 +121,7 @@ def test_the_zips_pages_lead_to_one_another(builder, tmp_path):
         target = Path(os.path.normpath(page.parent / name)) if name else page
         assert target.exists() and (not heading or heading in headings[target]), (page.name, link)
     readme = pages[stage / "README.html"]
-    assert "<h1" in readme and "<table>" in readme and '<img src="docs/first-light.webp"' in readme
+    assert "<h1" in readme and "<table>" in readme and not any("<img" in text for text in pages.values())
     assert (stage / "README.html", "docs/colour.html") in links
     assert (stage / "docs" / "README.html", "captures.html#check-my-capture") in links
     assert "CONTRIBUTING.md" in readme and "CONTRIBUTING.html" not in readme  # a name, where the file is not there
@@ -133,10 +131,46 @@ def test_wheels_and_website_are_named_in_the_staged_manifest_alone(builder, mani
     text = (ROOT / "blender_manifest.toml").read_text("utf-8")
     staged = tomllib.loads(builder.completed(text, "linux-x64", [Path("/x/numba-1-cp311-cp311-linux_x86_64.whl")], "https://a.example/b"))
     added = {"platforms": ["linux-x64"], "wheels": ["./wheels/numba-1-cp311-cp311-linux_x86_64.whl"], "website": "https://a.example/b"}
-    assert staged == manifest | added
+    assert staged == manifest | added | {"copyright": [*manifest["copyright"], "2012-2026 Anaconda, Inc. (numba)"]}
     (path,) = builder.main(["--no-wheels", "--website", "https://a.example/b", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         assert tomllib.loads(file.read("blender_manifest.toml").decode())["website"] == "https://a.example/b"
+
+
+def test_the_same_commit_builds_the_same_zip(builder, numbas, tmp_path, monkeypatch):
+    zips, bundled = [], numbas()
+    for umask in 0o022, 0o077:  # files of other modes and times
+        old = os.umask(umask)
+        try:
+            zips.append(builder.build("windows-x64", bundled, tmp_path / f"{umask}", "https://a.example/b"))
+        finally:
+            os.umask(old)
+    first, second = (path.read_bytes() for path in zips)
+    assert first == second
+    with zipfile.ZipFile(zips[0]) as file:
+        names = file.namelist()
+        assert names == sorted(names) and len({(entry.date_time, entry.external_attr) for entry in file.infolist()}) == 1
+        told = file.infolist()[0].date_time
+    commit = subprocess.run(["git", "log", "-1", "--format=%cd", "--date=format-local:%Y %m %d %H %M"], cwd=ROOT, check=True, text=True,
+                            capture_output=True, env={**os.environ, "TZ": "UTC"}).stdout
+    assert told[:5] == tuple(map(int, commit.split()))
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+    assert builder.made().isoformat() == "2001-09-09T01:46:40+00:00"
+
+
+def test_the_zip_lists_what_is_inside(builder, numbas, tmp_path):
+    path = builder.build("windows-x64", numbas(), tmp_path)
+    with zipfile.ZipFile(path) as file:
+        told = json.loads(file.read("sbom.cdx.json"))
+        inside = {Path(name).name: file.read(name) for name in file.namelist() if name.endswith((".whl", ".safetensors"))}
+    assert told["bomFormat"] == "CycloneDX" and told["metadata"]["component"]["name"] == "fastgs_blender"
+    hashes = {part["bom-ref"]: part["hashes"] for part in told["components"]}
+    assert hashes == {name: [{"alg": "SHA-256", "content": hashlib.sha256(content).hexdigest()}] for name, content in inside.items()}
+    llvmlite = next(part for part in told["components"] if part["name"] == "llvmlite")
+    assert llvmlite["licenses"] == [{"expression": "BSD-2-Clause AND Apache-2.0 WITH LLVM-exception"}]
+    assert "Anaconda" in llvmlite["copyright"] and llvmlite["purl"].startswith("pkg:pypi/llvmlite@0.50.0")
+    example = next(part for part in told["components"] if part["name"] == "fireside.safetensors")
+    assert example["licenses"][0]["license"]["id"] == "CC0-1.0"
 
 
 def test_wheels_that_fit_together(wheels, wheel, numbas):
@@ -151,9 +185,12 @@ def test_wheels_that_fit_together(wheels, wheel, numbas):
 
 def test_what_the_tests_run_with_goes_with_every_blender(wheels, wheel):
     """The zip gets the installed versions: what their makers say they need is there in each Blender."""
-    made = [wheel(f"{name}-{importlib.metadata.version(name)}-cp310-abi3-win_amd64", importlib.metadata.requires(name) or ())
-            for name in wheels.PACKAGES]
+    installed = {name: importlib.metadata.version(name) for name in wheels.PACKAGES}
+    made = [wheel(f"{name}-{version}-cp310-abi3-win_amd64", importlib.metadata.requires(name) or ()) for name, version in installed.items()]
     assert not wheels.problems(made)
+    locked = {name: re.match("[^=]+==([^ ]+)", line)[1] for name, line in wheels.locks().items()}
+    assert installed.items() <= locked.items()
+    assert locked.keys() == {*wheels.PACKAGES, *wheels.OPTIONAL, *(name for more in wheels.FOR_ONE.values() for name in more)}
     shipped = {line.split("<")[0].split(">")[0].split("=")[0].strip() for line in importlib.metadata.requires("bpy") or ()}
     assert shipped <= wheels.SHIPPED
 
@@ -168,53 +205,73 @@ def test_licences_are_told(wheels, wheel, numbas):
 
 
 def test_what_finds_poses_comes_along_where_there_is_room(wheels, tmp_path, monkeypatch, capsys):
-    sizes = {"llvmlite": 90, "pycolmap": 20}
+    sizes, asked = {"llvmlite": 90, "pycolmap": 20}, []
 
     def run(command, **options):
-        wanted, folder = command[-1], next(Path(part.removeprefix("--dest=")) for part in command if part.startswith("--dest="))
-        package = wanted.partition("==")[0]
-        if package in sizes:
-            with (folder / f"{package}-1-py3-none-any.whl").open("wb") as file:
+        asked.append(Path(command[-1]).read_text("utf-8"))
+        wanted = re.findall("^([a-z]+)==", asked[-1], re.MULTILINE)
+        folder = next(Path(part.removeprefix("--dest=")) for part in command if part.startswith("--dest="))
+        python = next(part.rpartition("=")[2] for part in command if part.startswith("--python-version="))
+        for package in set(wanted) & sizes.keys():
+            with (folder / f"{package}-1-cp{python.replace('.', '')}-none-any.whl").open("wb") as file:
                 file.truncate(sizes[package] * 1_000_000)
-        return SimpleNamespace(returncode=int(package == "pycolmap" and package not in sizes), stderr="ERROR: no")
+        return SimpleNamespace(returncode=int("pycolmap" in wanted and "pycolmap" not in sizes), stderr="ERROR: no")
+
+    def names(folder, name="linux-x64-python3.14"):
+        return [path.name.partition("-")[0] for path in wheels.download(name, tmp_path / folder)]
 
     monkeypatch.setattr(wheels.subprocess, "run", run)
-    found = [path.name.partition("-")[0] for path in wheels.download("linux-x64", "3.13", tmp_path / "a")]
-    assert found == ["llvmlite", "pycolmap"] and not capsys.readouterr().out
-    sizes["llvmlite"] = 110
-    assert [path.name.partition("-")[0] for path in wheels.download("linux-x64", "3.13", tmp_path / "b")] == ["llvmlite"]
-    assert "goes without pycolmap: the zip would have 130 MB of wheels" in capsys.readouterr().out
+    assert names("a") == ["llvmlite", "pycolmap"] and not capsys.readouterr().out
+    assert all("--hash=sha256:" in line for text in asked for line in text.splitlines())  # pip takes no other file
+    assert names("b", "macos-arm64") == ["llvmlite", "llvmlite"]  # for both Pythons, and not pycolmap for one of them
+    assert "goes without pycolmap: the zip would have 220 MB of wheels" in capsys.readouterr().out
+    assert "rubicon-objc==" in asked[-3] and "rubicon-objc" not in asked[0]
     del sizes["pycolmap"]
-    assert len(wheels.download("linux-x64", "3.13", tmp_path / "c")) == 1 and "no wheel of it" in capsys.readouterr().out
+    assert names("c") == ["llvmlite"] and "no wheel of it" in capsys.readouterr().out
 
 
 def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, capsys):
-    """A zip for each platform and Python, and Blender's index of them; one whose wheels are not to be had is told, the others are built."""
-    def download(platform, python, folder):
-        if platform == "macos-arm64" and python == "3.13":
+    """A zip for each system, and Blender's index of them; one whose wheels are not to be had is told, the others are built."""
+    def download(name, folder):
+        if name == "macos-arm64":
             raise wheels.Missing("macos-arm64 with Python 3.13 is left out: no such wheel.")
-        return numbas(python)
+        return list(dict.fromkeys(wheel for python in wheels.ZIPS[name] for wheel in numbas(python)))
 
     monkeypatch.setattr(wheels, "download", download)
     out = tmp_path / "dist"
     with pytest.raises(SystemExit, match="macos-arm64 with Python 3.13 is left out"):
-        builder.main(["--python", "3.11", "--python", "3.13", "--out", str(out)])
-    kinds = [("linux-x64", "3.11"), ("linux-x64", "3.13"), ("macos-arm64", "3.11"), ("windows-x64", "3.11"), ("windows-x64", "3.13")]
-    zips = {kind: out / f"fastgs_blender-{fg.__version__}-{kind[0]}-python{kind[1]}.zip" for kind in kinds}
+        builder.main(["--out", str(out)])
+    kinds = {"linux-x64": ("3.11", "3.13"), "windows-x64": ("3.11", "3.13"), "linux-x64-python3.14": ("3.14",)}
+    zips = {name: out / f"fastgs_blender-{fg.__version__}-{name}.zip" for name in kinds}
     assert sorted(out.iterdir()) == sorted([*zips.values(), out / "index.json"])
-    for (_, python), path in zips.items():
+    for name, path in zips.items():
         with zipfile.ZipFile(path) as file:
-            names = {name.removeprefix("wheels/") for name in file.namelist() if name.startswith("wheels/") and name != "wheels/"}
-            assert "THIRD-PARTY.md" in file.namelist() and names == {wheel.name for wheel in numbas(python)}
+            names = {name.removeprefix("wheels/") for name in file.namelist() if name.startswith("wheels/")}
+            assert "THIRD-PARTY.md" in file.namelist() and names == {wheel.name for wheel in download(name, None)}
+            manifest = tomllib.loads(file.read("blender_manifest.toml").decode())
+            assert "2012-2026 Anaconda, Inc. (numba)" in manifest["copyright"] and "2003-2026 LLVM contributors" in manifest["copyright"]
     entries = json.loads((out / "index.json").read_text("utf-8"))["data"]
-    found = {(*entry["platforms"], *entry["python_versions"]): entry for entry in entries}
-    assert found.keys() == zips.keys()  # Blender takes the one that fits its own platform and Python
-    for kind, path in zips.items():
-        entry = found[kind]
-        assert entry["archive_url"] == f"./{path.name}"
+    found = {entry["archive_url"]: entry for entry in entries}
+    for name, path in zips.items():
+        entry = found.pop(f"./{path.name}")
+        assert entry["platforms"] == [wheels.platform_of(name)]
+        assert tuple(entry["python_versions"]) == kinds[name]  # Blender takes the one that fits its own Python
         assert entry["archive_size"] == path.stat().st_size
         assert entry["archive_hash"] == f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
         assert entry["id"] == "fastgs_blender"
     printed = capsys.readouterr().out
-    assert f"{zips['windows-x64', '3.11']}: " in printed
+    assert not found and f"{zips['windows-x64']}: " in printed
     assert "numba-0.68.1-cp311-cp311-win_amd64.whl: 0.0 MB, BSD-2-Clause" in printed
+
+
+def test_the_zip_for_the_store_downloads_nothing(builder, wheels, numbas, tmp_path, monkeypatch):
+    """No pip, no permission for the network, and one zip a system; the other modules import none of what is left out."""
+    monkeypatch.setattr(wheels, "download", lambda name, folder: numbas())
+    (path,) = builder.main(["--store", "--zip", "linux-x64", "--zip", "linux-x64-python3.14", "--out", str(tmp_path)])
+    with zipfile.ZipFile(path) as file:
+        sources = {name: file.read(name).decode() for name in file.namelist() if name.endswith(".py")}
+        manifest = tomllib.loads(file.read("blender_manifest.toml").decode())
+    assert set(manifest["permissions"]) == {"files", "clipboard"}
+    assert "operators/training_python.py" in sources and "operators/make_environment.py" not in sources
+    assert not [name for name, text in sources.items() if re.search(r"[\"']pip[\"']", text)]
+    assert not [name for name, text in sources.items() if "jobs.maker import" in text or "from .maker" in text]

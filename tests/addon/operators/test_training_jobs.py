@@ -356,7 +356,7 @@ def test_no_environment_is_made_without_leave(scene):
 
 
 def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch):
-    operators, store = module("operators.training_python"), module("scene.training.installation")
+    operators, store = module("operators.make_environment"), module("scene.training.installation")
     app = SimpleNamespace(online_access=True, online_access_override=False, background=False)
     monkeypatch.setattr(operators, "bpy", SimpleNamespace(app=app))
     said, asked = [], []
