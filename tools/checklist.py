@@ -32,7 +32,8 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 
 READS_ITSELF = {
     "engine/compiling.py", "fastgs_blender/jobs/child.py", "fastgs_blender/jobs/command.py",  # programs in processes of their own
-    "fastgs_blender/kernels/cpu/cache.py", "fastgs_blender/kernels/equations/text.py", "fastgs_blender/kernels/gpu/shaders.py",
+    "fastgs_blender/formats/web/page.py", "fastgs_blender/kernels/cpu/cache.py",
+    "fastgs_blender/kernels/equations/text.py", "fastgs_blender/kernels/gpu/shaders.py",
     "operators/example.py", "scene/pages.py",
 }
 EVALUATES = {"scene/drivers.py"}
