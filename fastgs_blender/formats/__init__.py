@@ -211,10 +211,15 @@ def _identify(path: Path) -> Format:
         head = stream.read(HEAD)
     if not head:
         raise FastGSError("the file is empty; copy or export it again.")
+    doubt = None
     for known in FORMATS:
-        if known.sniff(head, path):
-            return known
-    raise FastGSError(f"{explain(head, path)}.")
+        try:
+            with reading(path):
+                if known.sniff(head, path):
+                    return known
+        except FastGSError as error:  # damaged: that counts if the name is of this format, and no other one knows the file
+            doubt = doubt or (error if path.name.lower().endswith(known.reads) else None)
+    raise doubt or FastGSError(f"{explain(head, path)}.")
 
 
 def writer_of(model: GaussianModel, path: Path) -> Format:

@@ -65,6 +65,14 @@ def read_json(text: str | bytes):
         raise FastGSError("the JSON in its header is damaged; copy or export the file again.") from error
 
 
+def read_table(text: str | bytes) -> dict:
+    """Decoded JSON of a table; raises FastGSError for anything else."""
+    table = read_json(text)
+    if not isinstance(table, dict):
+        raise FastGSError("the JSON in its header is no table; the file is damaged, so copy or export it again.")
+    return table
+
+
 def comments(model: GaussianModel, keys: tuple[str, ...]) -> tuple[list[str], list[str]]:
     """Lines for a PLY header that describe the model, and what could not be written (clauses)."""
     values, lost = describe(model), []
@@ -179,6 +187,11 @@ def whole_number(value, what: str) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= 2**53 or math.floor(value) != value:
         raise FastGSError(f"{what} cannot be {_short(value)}.")
     return int(value)
+
+
+def frame_rate(value, default: float) -> float:
+    """A JSON value that is a number of frames per second; else the default."""
+    return float(value) if type(value) in (int, float) and 0 < value < 1e6 else default
 
 
 def restored(arrays: dict, kinds: dict) -> dict:

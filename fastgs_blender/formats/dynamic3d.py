@@ -17,8 +17,8 @@ from ..model.motion import Keyframes
 from ..util import rotations
 from ..util.errors import FastGSError
 from ..util.numpy_files import PackedArray, packed_arrays
+from ..util.zip_files import members
 from .base import Format
-from .zipped import members
 
 NEEDED = {"means3D": (3,), "rgb_colors": (3,), "unnorm_rotations": (4,), "logit_opacities": (1,), "log_scales": (3,)}
 FPS = 30.0

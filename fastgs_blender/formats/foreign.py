@@ -9,8 +9,8 @@ from pathlib import Path, PurePosixPath
 
 from ..util.errors import FastGSError, printable
 from ..util.reading import reading
+from ..util.zip_files import MAGIC as ZIP
 from ..util.zip_files import opened_zip
-from . import zipped
 from .description import read_json
 from .static import read_whole
 
@@ -59,7 +59,7 @@ MAX_JSON = 1 << 22
 
 def look(head: bytes, path: Path) -> str | None:
     """What the file is and what to do with it, as a clause; None where nothing tells.  head: the file's first bytes."""
-    if head.startswith(zipped.MAGIC):
+    if head.startswith(ZIP):
         return _zip(path)
     for magic, text in MAGIC.items():
         if head.startswith(magic):

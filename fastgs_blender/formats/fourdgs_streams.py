@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from ..util.errors import FastGSError
-from . import zstd
+from . import packing
 
 MAGIC = b"\x894DGS1\r\n"
 POSITION, SCALE, OMITTED, ROTATION, COLOUR, OPACITY, MOTION, MU, SIGMA, FLAGS, WINDOW = range(11)
@@ -111,9 +110,7 @@ def stream(cursor: Cursor, count: int, band: bool = False) -> tuple[int, np.ndar
         return attribute, np.zeros((0, channels), np.int64)
     symbols = channels if mode == CONSTANT else count * channels
     unpack = list(CODECS.values())[codec]
-    planes = np.frombuffer(unpack(payload, symbols * width), np.uint8).reshape(width, symbols)
-    code = np.ascontiguousarray(planes.T).view(f"<u{width}").reshape(-1, channels).astype(np.int64)
-    values = (code >> 1) ^ -(code & 1)
+    values = packing.signed(packing.joined(unpack(payload, symbols * width), width)).reshape(-1, channels)
     if mode == CONSTANT:
         values = np.repeat(values, count, 0)
     return attribute, np.cumsum(values, 0) if mode == DELTA else values
@@ -126,17 +123,5 @@ def identities(values: np.ndarray) -> np.ndarray:
     return values.reshape(-1) % 2**32
 
 
-def _inflated(data: memoryview, size: int) -> bytes:
-    """Exactly `size` bytes out of a zlib stream: memory is taken as they come, not as the file says."""
-    try:
-        machine = zlib.decompressobj()
-        out = machine.decompress(data, size + 1)
-    except (zlib.error, OverflowError) as error:
-        raise FastGSError("a compressed stream in it is damaged; copy or export the file again.") from error
-    if len(out) != size or not machine.eof:
-        raise FastGSError(f"a stream in it does not have the {size} bytes that the file says; copy or export it again.")
-    return out
-
-
-CODECS = {"deflate": _inflated, "zstd": lambda data, size: zstd.unpacked(data, size, "a stream in it")}
+CODECS = {"deflate": packing.inflated, "zstd": lambda data, size: packing.unzstd(data, size, "a stream in it")}
 """(data, size) -> its bytes; the order is that of their numbers."""

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from ..util.errors import FastGSError
-from . import sog
+from .pixel_tables import META
 
 EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf")
 """Of files that are taken for frames."""
@@ -32,17 +32,17 @@ ADVICE = "name them with their frames' numbers, as in frame_0001.ply"
 
 def is_frame(name: str) -> bool:
     return (name.lower().endswith(EXTENSIONS) and not os.path.basename(name).startswith(".") and "__MACOSX" not in name) or (
-        "/" in name and os.path.basename(name) == sog.META)
+        "/" in name and os.path.basename(name) == META)
 
 
 def is_packed_frame(name: str) -> bool:
     """Whether a member of a zip file is a frame: one file, which SOG with its pictures beside it is not, and no trainer's points."""
-    return is_frame(name) and os.path.basename(name).lower() not in (sog.META, *POINTS)
+    return is_frame(name) and os.path.basename(name).lower() not in (META, *POINTS)
 
 
 def models_among(names: Iterable[str]) -> list[str]:
     """Those of a folder's or a zip file's names that are models, the one to read before others first.  Hidden ones are passed over."""
-    names = [name for name in names if not HIDDEN.search(name) and os.path.basename(name).lower() not in (sog.META, *POINTS)]
+    names = [name for name in names if not HIDDEN.search(name) and os.path.basename(name).lower() not in (META, *POINTS)]
     order = {extension: i for i, extension in enumerate(ALONE)}
     found = [name for name in names if name.lower().endswith(ALONE)] or [name for name in names if name.lower().endswith(CHECKPOINTS)]
     return sorted(latest(found), key=lambda name: (order.get(os.path.splitext(name.lower())[1], len(order)), name))

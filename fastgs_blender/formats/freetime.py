@@ -28,12 +28,12 @@ from ..model.temporal import Always
 from ..util.errors import FastGSError
 from ..util.identity import status_of
 from ..util.numpy_files import packed_arrays
+from ..util.zip_files import members
 from . import torch_zip
 from .base import OPAQUE, Format, Loader, usable
 from .ftgs import FRAMES, GSPLAT, MIN_DURATION, clip_of
 from .mediastorm import LONGEST
 from .straight import Timeline, logit, straight
-from .zipped import members
 
 NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opacities": ("opacities",), "sh0": ("sh0", "sh_0"),
          "shN": ("shN", "sh_n"), "times": ("times",), "durations": ("durations",), "velocities": ("velocities", "velocity_model")}

@@ -19,14 +19,11 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
-from ..model.sequence import Sequence
 from ..util.errors import FastGSError
-from ..util.identity import status_of
-from ..util.reading import open_file, reading
-from .base import usable
-from .description import read_json, whole_number
+from ..util.reading import exactly, open_file
+from .description import frame_rate, read_table, whole_number
 from .lz4 import unpack
-from .sequences import SequenceFormat
+from .sequences import SequenceFormat, within
 from .straight import logit
 
 MAGIC = b"GSD1"
@@ -34,7 +31,6 @@ TEXTURES = {0: 1, 1: 3, 2: 7, 3: 12}
 """Of colour, by the degree of the spherical harmonics."""
 PRECISIONS = ("positionPrecision", "rotationPrecision", "scaleOpacityPrecision", "shPrecision")
 DTYPES = ("<f4", "<f2")
-MAX_HEADER = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -63,15 +59,8 @@ class Gsd(SequenceFormat):
         if degree not in TEXTURES or not all(kind < len(DTYPES) for kind in kinds):
             raise FastGSError(f"its degree of spherical harmonics ({degree}) or its precisions ({kinds}) are unknown.")
         types = [np.dtype(DTYPES[kind]) for kind in kinds[:3] + kinds[3:] * TEXTURES[degree]]
-        fps = header.get("targetFPS", 24)
-        good = isinstance(fps, (int, float)) and not isinstance(fps, bool) and 0 < fps < 1e6
-        clip = Clip(len(frames), float(fps) if good else 24.0)
-
-        def read(i):
-            with reading(path), np.errstate(all="ignore"):
-                return usable(_model(path, frames[i], types, degree), path)
-
-        return Sequence(clip, np.arange(len(frames)), read, lambda i: status_of(str(path)), str(path))
+        clip = Clip(len(frames), frame_rate(header.get("targetFPS"), 24.0))
+        return within(path, clip, np.arange(len(frames)), lambda i: _model(path, frames[i], types, degree))
 
 
 def _layout(path: Path) -> tuple[dict, list[_Frame]]:
@@ -80,14 +69,9 @@ def _layout(path: Path) -> tuple[dict, list[_Frame]]:
         length = stream.seek(0, 2)
         stream.seek(len(MAGIC))
         size = int.from_bytes(stream.read(4), "little")
-        if size > min(MAX_HEADER, length - 8):
-            raise FastGSError("its header is cut short; copy the file again.")
-        header = read_json(stream.read(size))
-        listed = header.get("frames") if isinstance(header, dict) else None
-        if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
-            raise FastGSError("its header does not say which frames it has; copy or export the file again.")
+        header = read_table(exactly(stream, size))
         frames, at = [], 8 + size
-        for number, entry in enumerate(listed):
+        for number, entry in enumerate(header.get("frames", ())):
             stream.seek(at)
             block = int.from_bytes(stream.read(4), "little")
             count, width, height = (whole_number(entry.get(key), f"the {key} of its frame {number}")
@@ -96,13 +80,15 @@ def _layout(path: Path) -> tuple[dict, list[_Frame]]:
                 raise FastGSError(f"its frame {number} is cut short; copy the file again.")
             frames.append(_Frame(at + 4, block, count, width * height))
             at += 4 + block
+    if not frames:
+        raise FastGSError("its header does not say which frames it has; copy or export the file again.")
     return header, frames
 
 
 def _model(path: Path, frame: _Frame, types: list[np.dtype], degree: int) -> GaussianModel:
     with open_file(path) as stream:
         stream.seek(frame.begin)
-        data = unpack(stream.read(frame.length), sum(4 * kind.itemsize * frame.pixels for kind in types))
+        data = unpack(exactly(stream, frame.length), sum(4 * kind.itemsize * frame.pixels for kind in types))
     at, textures = 0, []
     for kind in types:
         size = 4 * kind.itemsize * frame.pixels

@@ -41,11 +41,7 @@ class Ksplat(StaticFormat):
         size = path.stat().st_size
         if size < HEADER + SECTION or head[:4] != b"\0\1\0\0":
             return False
-        try:
-            _sections(read_whole(path, min(size, HEADER + 64 * SECTION)), size)
-        except FastGSError:
-            return path.suffix.lower() == ".ksplat"  # damaged, which load() says
-        return True
+        return bool(_sections(read_whole(path, min(size, HEADER + 64 * SECTION)), size))
 
     def load(self, path: Path) -> GaussianModel:
         data = read_whole(path)
@@ -82,8 +78,6 @@ def _record(level: int, degree: int) -> np.dtype:
 
 def _sections(data: bytes, size: int) -> tuple[tuple, list[_Section]]:
     """The main header, and the sections; data: the headers at least; size: of the file.  Raises FastGSError."""
-    if size < HEADER:
-        raise FastGSError("the file is cut short in its header; copy or export it again.")
     main = MAIN.unpack_from(data)
     major, minor, most, level = main[0], main[1], main[2], main[6]
     if major or not minor:

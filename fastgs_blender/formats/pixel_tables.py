@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import io
 import zipfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
 
@@ -15,10 +16,11 @@ import numpy as np
 
 from ..util.errors import FastGSError
 from ..util.stated_paths import local
-from ..util.zip_files import opened_zip, read_member
-from .description import read_json
+from ..util.zip_files import MAGIC, opened_zip, read_member
+from .description import is_json_table, read_table
 from .static import read_whole
 
+META = "meta.json"
 MAX_META = 1 << 22
 """Bytes of meta.json."""
 LARGEST = 1 << 31
@@ -32,25 +34,22 @@ PNG = b"\x89PNG\r\n\x1a\n"
 class Folder:
     """The files beside a meta.json."""
 
-    def __init__(self, folder: Path):
-        self.folder = folder
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *problem):
-        pass
+    def __init__(self, folder: Path, meta: str = META):
+        self.folder, self.name = folder, meta
 
     def within(self, folder: str) -> Folder:
         """The files of a folder in it."""
         return Folder(self.folder / plain(folder))
 
+    def has(self, name: str) -> bool:
+        """Whether there is such a file."""
+        return (self.folder / plain(name)).is_file()
+
     def size(self, name: str) -> int:
         """Bytes of a file."""
-        path = self.folder / plain(name)
-        if not path.is_file():
+        if not self.has(name):
             raise FastGSError(f"its file {self.folder.name}/{name} is missing; copy or export all of its files again.")
-        return path.stat().st_size
+        return (self.folder / plain(name)).stat().st_size
 
     def read(self, name: str, limit: int = LARGEST) -> bytes:
         """A file, of at most `limit` bytes."""
@@ -58,69 +57,54 @@ class Folder:
             raise FastGSError(f"{name} is larger than it can be; the file is damaged.")
         return read_whole(self.folder / plain(name))
 
+    def meta(self, limit: int = MAX_META) -> dict:
+        """What meta.json says."""
+        return read_table(self.read(self.name, limit))
 
-class Archive:
+
+class Archive(Folder):
     """The files of a zip, wherever in it its meta.json, or a file of another name, lies; of two with one name, the last."""
 
-    def __init__(self, path: Path, meta: str = "meta.json"):
-        self._stack = ExitStack()
-        try:
-            self.zip = self._stack.enter_context(opened_zip(path))
-        except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-            raise FastGSError(f"it is a broken zip archive ({error}); copy it again.") from error
-        self.length = path.stat().st_size
-        self.members = {info.filename: info for info in self.zip.infolist() if not info.is_dir()}
+    def __init__(self, archive: zipfile.ZipFile, length: int, meta: str):
+        self.zip, self.length, self.name = archive, length, meta
+        self.members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
         self.base = next((name[:-len(meta)] for name in sorted(self.members, key=len) if name == meta or name.endswith(f"/{meta}")), "")
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *problem):
-        self._stack.close()
-
     def within(self, folder: str) -> Archive:
-        """The files of a folder in it."""
         inner = copy(self)
-        inner.base = f"{self.base}{plain(folder)}/"
+        inner.base, inner.name = f"{self.base}{plain(folder)}/", META
         return inner
 
     def has(self, name: str) -> bool:
-        """Whether there is such a file."""
         return self.base + name in self.members
 
-    def meta(self) -> dict:
-        """What meta.json says."""
-        meta = read_json(self.read("meta.json", MAX_META))
-        if not isinstance(meta, dict):
-            raise FastGSError("its meta.json is no table; the file is damaged.")
-        return meta
-
     def size(self, name: str) -> int:
-        """Bytes of a file, unpacked."""
         if not self.has(name):
             raise FastGSError(f"its part {name} is missing; export it again.")
         return self.members[self.base + name].file_size
 
     def read(self, name: str, limit: int = LARGEST) -> bytes:
-        """A file, of at most `limit` bytes."""
-        size = self.size(name)
-        if size > limit or size > max(SMALL, GROWTH * self.length):
+        if self.size(name) > min(limit, max(SMALL, GROWTH * self.length)):
             raise FastGSError(f"{name} is larger than it can be; the file is damaged.")
-        try:
-            return read_member(self.zip, self.members[self.base + name])
-        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, OSError) as error:
-            raise FastGSError(f"{name} cannot be unpacked ({error}); copy the file again.") from error
+        return read_member(self.zip, self.members[self.base + name])
 
 
-def meta_of(head: bytes, path: Path) -> dict:
-    """What meta.json in a zip file says, empty for any other file and for a broken one; head: the file's first bytes."""
-    if not head.startswith(b"PK\x03\x04"):
-        return {}
-    try:
-        with Archive(path) as files:
-            return files.meta() if files.has("meta.json") else {}
-    except FastGSError:
-        return {}
+@contextmanager
+def opened(path: Path, meta: str = META) -> Iterator[Folder]:
+    """The files that a meta.json names, by its path or by that of the zip file in which it is."""
+    if read_whole(path, len(MAGIC)) != MAGIC:
+        yield Folder(path.parent, path.name)
+        return
+    with opened_zip(path) as archive:
+        yield Archive(archive, path.stat().st_size, meta)
+
+
+def meta_of(head: bytes, path: Path, name: str = META, limit: int = MAX_META) -> dict:
+    """What meta.json says, by its path or by that of a zip file; empty for any other file.  head: the file's first bytes."""
+    if head.startswith(MAGIC):
+        with opened(path, name) as files:
+            return files.meta(limit) if files.has(name) else {}
+    return read_table(read_whole(path)) if is_json_table(head) and path.stat().st_size <= limit else {}
 
 
 def plain(name) -> str:

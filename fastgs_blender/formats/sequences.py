@@ -22,22 +22,22 @@ import shutil
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from ..model.gaussians import GaussianModel
+from ..model.gaussians import Clip, GaussianModel
 from ..model.sequence import FreeClip, Sequence, Source
 from ..model.slicing import freeze
 from ..model.temporal import Always
 from ..util.errors import FastGSError, LossWarning, shown_as
 from ..util.identity import status_of
-from ..util.reading import open_file, reading
-from ..util.zip_files import opened_zip
+from ..util.reading import reading
+from ..util.zip_files import members, opened_zip
 from . import sog, streamed_sog
-from .base import Format, Loader
+from .base import Format, Loader, usable
 from .frame_names import (
     CHECKPOINTS,
     EXTENSIONS,
@@ -51,15 +51,16 @@ from .frame_names import (
     sequences_among,
     state_of,
 )
+from .pixel_tables import META
+from .static import read_whole
 from .turning import with_axes
-from .zipped import members
 
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
 COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
 """What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
-META, LEVELS = sog.META, streamed_sog.META
-"""Of SOG in a folder, and of its levels of detail in folders beside each other."""
+LEVELS = streamed_sog.META
+"""Of SOG's levels of detail in folders beside each other."""
 DEPTH = 4
 """Folders below the one that was chosen in which frames are looked for: frame_0001/point_cloud/iteration_7000/point_cloud.ply."""
 MOST_FOLDERS = 10_000
@@ -80,6 +81,15 @@ class SequenceFormat(Format):
     def single(self, path: Path, load: Loader) -> GaussianModel | None:
         """The file's model where it is no sequence after all."""
         return None
+
+
+def within(path: Path, clip: Clip, at: np.ndarray, read: Callable[[int], GaussianModel], alike: bool = False) -> Sequence:
+    """The sequence in one file, whose frame i is read(i) as the file has it."""
+    def checked(i: int) -> GaussianModel:
+        with reading(path), np.errstate(all="ignore"):
+            return usable(read(i), path)
+
+    return Sequence(clip, at, checked, lambda i: status_of(str(path)), str(path), alike=alike)
 
 
 class NumberedFiles(SequenceFormat):
@@ -125,8 +135,10 @@ def settled(path: Path, below: bool = True) -> Path:
     for known, name in ((streamed_sog.StreamedSog(), LEVELS), (sog.Sog(), META)):
         meta = path / name
         if os.path.isfile(meta):
-            with reading(meta), open_file(meta) as stream:
-                return meta if known.sniff(stream.read(512), meta) else path
+            with contextlib.suppress(FastGSError), reading(meta):
+                if known.sniff(read_whole(meta, 512), meta):
+                    return meta
+            return path
     if not below or not os.path.isdir(path):
         return path
     names = _names(path)

@@ -8,9 +8,7 @@ for a row of shN_centroids, which holds the other coefficients, 64 rows beside e
 """
 from __future__ import annotations
 
-import functools
 import json
-import operator
 import warnings
 import zipfile
 from pathlib import Path
@@ -23,7 +21,7 @@ from ..util.errors import FastGSError, LossWarning
 from . import pixel_tables as tables
 from .base import generator
 from .codebooks import codebook, palette
-from .description import is_json_table, read_json, whole_number
+from .description import read_table, whole_number
 from .static import (
     SQRT_HALF,
     StaticFormat,
@@ -36,8 +34,6 @@ from .static import (
     with_largest,
 )
 
-ZIP = b"PK\x03\x04"
-META = "meta.json"
 COEFFICIENTS = {1: 3, 2: 8, 3: 15}
 """Above degree 0, by degree."""
 BESIDE = 64
@@ -51,25 +47,19 @@ class Sog(StaticFormat):
 
     name = "SOG"
     extensions = (".sog",)
-    reads = (".sog", "meta.json")
+    reads = (".sog", tables.META)
     antialiased = True
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        if head.startswith(ZIP):
-            try:
-                with tables.Archive(path) as files:
-                    return files.has("meta.json") and _is_meta(files.read("meta.json", tables.MAX_META))
-            except FastGSError:
-                return path.suffix.lower() == ".sog"  # broken, which load() says
-        return is_json_table(head) and path.stat().st_size <= tables.MAX_META and _is_meta(read_whole(path))
+        meta = tables.meta_of(head, path)
+        return all(isinstance(meta.get(key), dict) and "files" in meta[key] for key in ("means", "quats", "sh0"))
 
     def load(self, path: Path) -> GaussianModel:
         if (path.absolute().parent.parent / "lod-meta.json").is_file():
             warnings.warn(LossWarning(f"{path}: it is one chunk of a streamed scene; lod-meta.json in the folder above is the whole."),
                           stacklevel=3)
-        zipped = read_whole(path, 4) == ZIP
-        with (tables.Archive(path) if zipped else tables.Folder(path.parent)) as files:
-            return decoded(files.meta() if zipped else read_json(read_whole(path)), files)
+        with tables.opened(path) as files:
+            return decoded(files.meta(), files)
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if not len(model):
@@ -89,24 +79,15 @@ class Sog(StaticFormat):
                 archive.writestr(zipfile.ZipInfo(name), content)  # with the date that ZipInfo has by itself: same model, same bytes
 
 
-def _is_meta(text: bytes) -> bool:
-    try:
-        meta = read_json(text)
-    except FastGSError:
-        return False
-    return isinstance(meta, dict) and all(isinstance(meta.get(key), dict) and "files" in meta[key] for key in ("means", "quats", "sh0"))
-
-
 def pictures(path: Path) -> list[Path]:
     """The pictures that a meta.json names.  Raises FastGSError."""
-    meta = read_json(read_whole(path, tables.MAX_META))
-    parts = meta.values() if isinstance(meta, dict) else ()
+    parts = read_table(read_whole(path, tables.MAX_META)).values()
     named = [part["files"] for part in parts if isinstance(part, dict) and isinstance(part.get("files"), list)]
-    return [path.parent / tables.plain(name) for name in functools.reduce(operator.iadd, named, [])]
+    return [path.parent / tables.plain(name) for names in named for name in names]
 
 
-def decoded(meta: dict, files) -> GaussianModel:
-    """The model that a meta.json describes; files: a tables.Archive or tables.Folder."""
+def decoded(meta: dict, files: tables.Folder) -> GaussianModel:
+    """The model that a meta.json describes."""
     said = str(meta.get("version", 1))[:20]
     version = {"1": 1, "2": 2}.get(said.removesuffix(".0"))
     if version is None:

@@ -49,7 +49,7 @@ class Sog4d(Format):
         return tables.meta_of(head, path).get("type") in KINDS
 
     def load(self, path):
-        with tables.Archive(path) as files:
+        with tables.opened(path) as files:
             meta = files.meta()
             parts, timed = [], meta
             if meta["type"] == "sog4d":

@@ -17,15 +17,12 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel
-from ..model.sequence import FreeClip, Sequence
+from ..model.sequence import FreeClip
 from ..util.errors import FastGSError
-from ..util.identity import status_of
-from ..util.reading import reading
 from . import pixel_tables as tables
-from .base import usable
 from .description import whole_number
 from .frame_names import MOST_FRAMES
-from .sequences import SequenceFormat
+from .sequences import SequenceFormat, within
 from .static import logits, plausible_count
 
 BANDS = {"sh1": 3, "sh2": 5, "sh3": 7}
@@ -62,14 +59,14 @@ class Sog4dFrames(SequenceFormat):
         return meta.get("format") == "sog4d" or {"streams", "splatCount", "frameCount"} <= meta.keys()
 
     def open(self, path, load):
-        with tables.Archive(path) as files:
+        with tables.opened(path) as files:
             layout = _layout(files.meta(), files)
 
         def read(i):
-            with reading(path), tables.Archive(path) as files, np.errstate(all="ignore"):
-                return usable(_frame(layout, i, files), path)
+            with tables.opened(path) as files:
+                return _frame(layout, i, files)
 
-        return Sequence(FreeClip(max(1, layout.frames - 1)), layout.at, read, lambda i: status_of(str(path)), str(path), alike=True)
+        return within(path, FreeClip(max(1, layout.frames - 1)), layout.at, read, alike=True)
 
 
 def _layout(meta: dict, files) -> _Layout:
@@ -106,8 +103,6 @@ def _times(meta: dict, frames: int) -> np.ndarray:
 
 def _triples(values, count: int, what: str) -> np.ndarray:
     """Triples [count, 3], written as {x, y, z} or as lists; the list may be longer."""
-    if not isinstance(values, list) or not count or len(values) < count:
-        raise FastGSError(f"its {what} has not as many entries as there are frames; export it again.")
     rows = [[value.get(axis) for axis in "xyz"] if isinstance(value, dict) else value for value in values[:count]]
     return np.stack([tables.numbers(row, 3)[:3] for row in rows])
 
@@ -125,7 +120,7 @@ def _palettes(about: dict, version: int, files) -> list[dict]:
     found = []
     for part, width in parts:
         code, entries = CENTROIDS.get(str(part.get("centroidsType"))), whole_number(part.get("count"), "the length of its palette")
-        data = files.read(_path(part.get("centroidsPath")))
+        data = files.read(part["centroidsPath"])
         if code is None or entries * width * 3 * np.dtype(code).itemsize != len(data):
             raise FastGSError("a palette of its spherical harmonics has not the size that it says; export it again.")
         found.append({"centroids": np.frombuffer(data, code).astype(np.float32).reshape(entries, width, 3), **{
@@ -133,16 +128,9 @@ def _palettes(about: dict, version: int, files) -> list[dict]:
     return found
 
 
-def _path(value) -> str:
-    """A name within the zip."""
-    if not isinstance(value, str) or not value:
-        raise FastGSError("its meta.json does not name a file that it needs; export it again.")
-    return value
-
-
 def _picture(files, template, frame: int, count: int) -> np.ndarray:
     """The pixels [N, 4] of a stream at a frame."""
-    return tables.pixels(files, _path(template).replace("{frame}", f"{frame:05}"), count)
+    return tables.pixels(files, template.replace("{frame}", f"{frame:05}"), count)
 
 
 def _frame(layout: _Layout, i: int, files) -> GaussianModel:
@@ -174,22 +162,18 @@ def _palette_labels(palette: dict, i: int, n: int, files) -> np.ndarray:
     if not palette["deltaSegments"]:
         return _labels(_picture(files, palette["labelsPath"], i, n), entries, "harmonics")
     segments = palette["deltaSegments"]
-    if not isinstance(segments, list) or not all(isinstance(segment, dict) for segment in segments):
-        raise FastGSError("the runs of its labels are no list; the file is damaged.")
     spans = [tuple(whole_number(s.get(key), "a run of labels") for key in ("startFrame", "frameCount")) for s in segments]
     found = next(((s, *span) for s, span in zip(segments, spans) if span[0] <= i < sum(span)), None)
     if found is None:
         raise FastGSError(f"no run of labels has its frame {i}; export it again.")
     segment, begin, length = found
-    labels = _labels(tables.pixels(files, _path(segment.get("baseLabelsPath")), n), entries, "harmonics").copy()
-    data = memoryview(files.read(_path(segment.get("deltaPath"))))
-    if len(data) < DELTA.size or DELTA.unpack_from(data) != (DELTA_MAGIC, 1, begin, length, n, entries):
+    labels = _labels(tables.pixels(files, segment["baseLabelsPath"], n), entries, "harmonics").copy()
+    data = memoryview(files.read(segment["deltaPath"]))
+    if DELTA.unpack_from(data) != (DELTA_MAGIC, 1, begin, length, n, entries):
         raise FastGSError("the header of a run of labels is not what its meta.json says; export it again.")
     at = DELTA.size
     for _ in range(i - begin):
-        count = int.from_bytes(data[at:at + 4], "little")
-        if at + 4 + count * UPDATE.itemsize > len(data):
-            raise FastGSError("a run of labels is cut short; copy or export the file again.")
+        count, = struct.unpack_from("<I", data, at)
         updates = np.frombuffer(data, UPDATE, count, at + 4)
         if count and (updates["gaussian"].max() >= n or updates["label"].max() >= entries):
             raise FastGSError("a change of labels is of a Gaussian or an entry that does not exist; the file is damaged.")

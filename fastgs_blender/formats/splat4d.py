@@ -22,9 +22,10 @@ import numpy as np
 from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError, LossWarning
-from ..util.reading import open_file, read_bytes
+from ..util.reading import read_bytes
 from .base import Format
 from .ftgs import FRAMES, clip_of
+from .static import read_whole
 from .straight import logit, straight
 
 MAGIC = b"SPL4DV02"
@@ -65,13 +66,9 @@ def _records_only(head: bytes, path: Path) -> bool:
     """Whether a file without a magic holds records of layout 1: the first ones are sound in every way that can be seen."""
     if len(head) < RECORD.itemsize:
         return False
-    with open_file(path) as stream:
-        size = stream.seek(0, 2)
-        stream.seek(0)
-        data = stream.read(SAMPLE * RECORD.itemsize)
-    if size % RECORD.itemsize:
+    if path.stat().st_size % RECORD.itemsize:
         return False
-    records = np.frombuffer(data, RECORD)
+    records = np.frombuffer(read_whole(path, SAMPLE * RECORD.itemsize), RECORD)
     with np.errstate(all="ignore"):
         norm = np.linalg.norm((records["rotation"].astype(np.float64) - 128) / 128, axis=1)
         numbers = np.concatenate([records["position"], records["velocity"], records["time"][:, None]], 1)
@@ -82,8 +79,6 @@ def _records_only(head: bytes, path: Path) -> bool:
 
 def _with_sections(data: bytes, path: Path) -> GaussianModel:
     """The model of a file of layout 2."""
-    if len(data) < HEADER.size:
-        raise _cut_short()
     _, version, size, count, record_size, n, bands, time_model, frames, table, _, _ = HEADER.unpack_from(data)
     if version != 2 or size != HEADER.size or record_size != RECORD.itemsize:
         raise FastGSError(f"its version {version} or its sizes are not those of layout 2; export it again.")
@@ -93,10 +88,7 @@ def _with_sections(data: bytes, path: Path) -> GaussianModel:
     records = np.frombuffer(_one(data, sections, b"RECS"), RECORD) if n else np.zeros(0, RECORD)
     if len(records) != n:
         raise FastGSError(f"its header says {n} Gaussians, and there are {len(records)}; copy or export the file again.")
-    meta = _one(data, sections, b"META")
-    if len(meta) < META.size:
-        raise _cut_short()
-    _, cutoff, _, _, *palettes = META.unpack_from(meta)
+    _, cutoff, _, _, *palettes = META.unpack_from(_one(data, sections, b"META"))
     if not 0 < cutoff < 1:
         cutoff = CUTOFF
     higher = [_band(data, sections, band, palettes[4 * band - 4:4 * band], n) for band in range(1, bands + 1)]
@@ -131,21 +123,14 @@ def _model(records, time_model: int, cutoff: float, higher, frames: int) -> Gaus
 
 def _sections(data: bytes, table: int, count: int) -> np.ndarray:
     """The table of sections, every one of them within the file."""
-    end = table + 16 + count * SECTION.itemsize
-    if end > len(data):
-        raise _cut_short()
     magic, version, own_count, _ = struct.unpack_from("<4s3I", data, table)
     if magic != b"SECT" or version != 1 or own_count != count:
         raise FastGSError("its table of sections is damaged; copy or export the file again.")
     sections = np.frombuffer(data, SECTION, count, table + 16)
     size = np.uint64(len(data))
     if np.any((sections["offset"] > size) | (sections["length"] > size - np.minimum(sections["offset"], size))):
-        raise _cut_short()
+        raise FastGSError("the file is cut short, or its header is damaged; copy or export it again.")
     return sections
-
-
-def _cut_short() -> FastGSError:
-    return FastGSError("the file is cut short, or its header is damaged; copy or export it again.")
 
 
 def _one(data: bytes, sections: np.ndarray, kind: bytes, band: int = 0) -> memoryview:

@@ -21,19 +21,15 @@ import numpy as np
 
 from ..model.appearance import RGB
 from ..model.gaussians import Clip, GaussianModel
-from ..model.sequence import Sequence
 from ..util.errors import FastGSError
-from ..util.identity import status_of
-from ..util.reading import open_file, reading
-from . import pixel_tables, zstd
-from .base import usable
-from .description import read_json, whole_number
+from ..util.reading import exactly, open_file
+from . import packing, pixel_tables
+from .description import frame_rate, read_table, whole_number
 from .frame_names import MOST_FRAMES
-from .sequences import SequenceFormat
+from .sequences import SequenceFormat, within
 from .static import logits, plausible_count
 
 MAGIC = b"SP4D"
-MAX_HEADER = 1 << 26
 HEADER, STREAM = struct.Struct("<4sHHI"), struct.Struct("<BBBII")
 POSITION, ROTATION, COLOUR, OPACITY, SCALE = range(5)
 CHANNELS = (3, 4, 3, 1, 3)
@@ -62,12 +58,7 @@ class Splats4D(SequenceFormat):
 
     def open(self, path, load):
         film = _Film(path)
-
-        def read(i):
-            with reading(path), np.errstate(all="ignore"):
-                return usable(film.frame(i), path)
-
-        return Sequence(film.clip, np.arange(film.frames), read, lambda i: status_of(str(path)), str(path), alike=True)
+        return within(path, film.clip, np.arange(film.frames), film.frame, alike=True)
 
 
 class _Film:
@@ -78,30 +69,21 @@ class _Film:
         with open_file(path) as stream:
             length = stream.seek(0, 2)
             stream.seek(0)
-            head = stream.read(HEADER.size)
-            if len(head) < HEADER.size:
-                raise FastGSError("its header is cut short; copy the file again.")
-            _, version, _, size = HEADER.unpack(head)
+            _, version, _, size = HEADER.unpack(stream.read(HEADER.size))
             if version != 1:
                 raise FastGSError(f"it is of version {version}, and version 1 is read.")
-            if size > min(MAX_HEADER, length - HEADER.size):
-                raise FastGSError("its header is cut short; copy the file again.")
-            about = read_json(stream.read(size))
-            if not isinstance(about, dict):
-                raise FastGSError("its header is no table; the file is damaged.")
+            about = read_table(exactly(stream, size))
             self.count, self.frames = (whole_number(about.get(key), f"its {key!r}") for key in "nt")
             plausible_count(self.count, length)
             part = pixel_tables.part(about, "static_section")
             begin, size = (whole_number(part.get(key), f"the {key} of its static part") for key in ("offset", "len"))
-            if begin + size > length:
-                raise FastGSError("the file is cut short; copy or export it again.")
-            self.steps = _steps(pixel_tables.part(about, "steps"))
-            self.spans = _spans(about.get("gops"), self.frames, length)
+            steps = pixel_tables.part(about, "steps")
+            names = (*STEPS.values(), "base_pos", "base_scale_log")
+            self.steps = {name: float(pixel_tables.numbers([steps.get(name)], 1)[0]) for name in names}
+            self.spans = _spans(about["gops"], self.frames)
             stream.seek(begin)
-            self._changing, self._base = _static(stream.read(size), self.count)
-        fps = about.get("fps", 30)
-        good = type(fps) in (int, float) and 0 < fps < 1e6
-        self.clip = Clip(self.frames, float(fps) if good else 30.0)
+            self._changing, self._base = _static(exactly(stream, size), self.count)
+        self.clip = Clip(self.frames, frame_rate(about.get("fps"), 30.0))
         self._group, self._streams = -1, {}
         self._at, self._now = -1, {}
 
@@ -115,11 +97,11 @@ class _Film:
                 self._streams = self._read(span)
                 self._group, self._at = number, -1
             if not 0 <= self._at <= i - span.first:
-                self._at, self._now = 0, {a: _signed(key) for (a, kind), key in self._streams.items() if kind == KEY}
+                self._at, self._now = 0, {a: packing.signed(key) for (a, kind), key in self._streams.items() if kind == KEY}
             while self._at < i - span.first:
                 for a, values in self._now.items():
                     changes = self._streams[a, CHANGE].reshape(-1, *values.shape)[self._at]
-                    self._now[a] = values + _signed(changes)
+                    self._now[a] = values + packing.signed(changes)
                 self._at += 1
             return self._model()
 
@@ -127,11 +109,9 @@ class _Film:
         """The streams of a group, by attribute and kind, unsigned: [M, C] and [(frames - 1) M, C] of the M Gaussians that change."""
         with open_file(self.path) as stream:
             stream.seek(span.begin)
-            data = stream.read(span.length)
+            data = exactly(stream, span.length)
         listed, found = int.from_bytes(data[:2], "little"), {}
         at = 2 + listed * STREAM.size
-        if at > len(data):
-            raise FastGSError("a group of frames is cut short; copy or export the file again.")
         for attribute, kind, width, count, size in STREAM.iter_unpack(data[2:at]):
             if attribute >= len(CHANNELS) or kind not in (KEY, CHANGE) or (attribute, kind) in found:
                 raise FastGSError("a group of frames has something unknown in it; the file is damaged.")
@@ -159,24 +139,16 @@ class _Film:
                              features=values[COLOUR] / 255, appearance=RGB())
 
 
-def _steps(about: dict) -> dict[str, float]:
-    names = (*STEPS.values(), "base_pos", "base_scale_log")
-    return {name: float(pixel_tables.numbers([about.get(name)], 1)[0]) for name in names}
-
-
-def _spans(listed, frames: int, length: int) -> list[_Span]:
-    """The groups of frames; raises FastGSError unless they follow each other and lie within the file."""
-    if not isinstance(listed, list) or not listed or not 1 <= frames <= MOST_FRAMES:
-        raise FastGSError("its header does not say where its frames are; copy or export the file again.")
+def _spans(listed: list[dict], frames: int) -> list[_Span]:
+    """The groups of frames; raises FastGSError unless they follow each other."""
     spans, following = [], 0
     for entry in listed:
-        values = [whole_number(entry.get(key) if isinstance(entry, dict) else None, f"the {key} of a group of frames")
-                  for key in ("offset", "len", "f0", "f1")]
-        spans.append(_Span(*values))
-        if spans[-1].first != following or spans[-1].last < following or values[0] + values[1] > length:
-            raise FastGSError("its groups of frames do not follow each other, or the file is cut short; copy or export it again.")
-        following = spans[-1].last + 1
-    if following != frames:
+        span = _Span(*(whole_number(entry.get(key), f"the {key} of a group of frames") for key in ("offset", "len", "f0", "f1")))
+        if span.first != following or span.last < following:
+            raise FastGSError("its groups of frames do not follow each other; the file is damaged, so copy or export it again.")
+        following = span.last + 1
+        spans.append(span)
+    if following != frames or not 1 <= frames <= MOST_FRAMES:
         raise FastGSError(f"its groups hold {following} frames, and its header says {frames}; copy or export it again.")
     return spans
 
@@ -187,14 +159,12 @@ def _static(data: bytes, n: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
     def following(count: int) -> np.ndarray:
         nonlocal at
-        if at + STREAM.size > len(data):
-            raise FastGSError("its static part is cut short; copy or export the file again.")
         _, _, width, numbers, size = STREAM.unpack_from(data, at)
         at += STREAM.size + size
         return _numbers(data[at - size:at], width, numbers, count)
 
     masks = [np.unpackbits(following(-(-n // 8)).astype(np.uint8), count=n) for _ in CHANNELS]
-    place, size = (np.cumsum(_signed(following(3 * n).reshape(n, 3)), 0) for _ in range(2))
+    place, size = (np.cumsum(packing.signed(following(3 * n).reshape(n, 3)), 0) for _ in range(2))
     colour, opacity, rotation = (following(c * n).reshape(n, c).astype(np.int64) for c in (3, 1, 4))
     return [np.flatnonzero(mask == 0) for mask in masks], [place, rotation - 128, colour, opacity, size]
 
@@ -203,11 +173,4 @@ def _numbers(packed: bytes, width: int, count: int, wanted: int) -> np.ndarray:
     """The `wanted` unsigned numbers of a stream."""
     if width not in (1, 2, 4) or count != wanted:
         raise FastGSError(f"a stream in it has {count} numbers of {width} bytes instead of {wanted}; copy or export the file again.")
-    planes = np.frombuffer(zstd.unpacked(packed, count * width, "a stream in it"), np.uint8).reshape(width, count)
-    return np.ascontiguousarray(planes.T).view(f"<u{width}").reshape(-1)
-
-
-def _signed(code: np.ndarray) -> np.ndarray:
-    """Whole numbers of zigzag codes (0, -1, 1, -2, ...)."""
-    code = code.astype(np.int64)
-    return (code >> 1) ^ -(code & 1)
+    return packing.joined(packing.unzstd(packed, count * width, "a stream in it"), width)

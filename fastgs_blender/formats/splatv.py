@@ -20,13 +20,12 @@ from ..model.gaussians import Clip, GaussianModel
 from ..model.slicing import sigmoid
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
-from ..util.reading import open_file
+from ..util.reading import exactly, open_file
 from .base import Format
 from .description import describe, read_json, restored, understand, whole_number
 from .fitting import bell_opacity, linear_rotation, plain_colour, polynomial_motion
 
 MAGIC = struct.pack("<I", 0x674B)
-MAX_JSON = 16 << 20
 ROW = 1024
 """Gaussians in a row of the texture, which is 4096 texels wide."""
 RECORD = 64
@@ -51,9 +50,7 @@ class Splatv(Format):
         with open_file(path) as stream:
             length = os.fstat(stream.fileno()).st_size
             size = int.from_bytes(stream.read(8)[4:], "little")
-            if not 2 <= size <= min(MAX_JSON, length - 8):
-                raise FastGSError("its header is cut short or damaged; copy or export the file again.")
-            chunk, begin, last = _splat_chunk(read_json(stream.read(size)))
+            chunk, begin, last = _splat_chunk(read_json(exactly(stream, size)))
             begin, count = begin + 8 + size, whole_number(chunk.get("size"), "the size of its Gaussians")
             if last and "fastgs" not in chunk and 0 < begin + count - length < ROW * RECORD:
                 count = length - begin  # splaTV's own converter states the size of the whole texture and leaves its last row unfilled
@@ -97,8 +94,6 @@ class Splatv(Format):
 
 def _splat_chunk(chunks: Any) -> tuple[dict, int, bool]:
     """The chunk of Gaussians, the bytes before it, and whether it is the last."""
-    if not isinstance(chunks, list) or not all(isinstance(c, dict) for c in chunks):
-        raise FastGSError("its header is no list of chunks; the file is damaged.")
     begin = 0
     for chunk in chunks:
         if chunk.get("type") == "splat":

@@ -21,7 +21,7 @@ import numpy as np
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel, Raster
 from ..util.errors import FastGSError
-from . import zstd
+from . import packing
 from .static import SQRT_HALF, StaticFormat, largest_and_rest, logits, opacity_bytes, plausible_count, read_whole, to_byte, with_largest
 from .turning import into_rdf, turned
 
@@ -38,8 +38,6 @@ AXES = ("", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF", "LFD", "RFD"
 """By the number that Adobe's extension has."""
 MAX_EXTENSIONS = 1 << 16
 """Bytes."""
-PIECE = 1 << 20
-"""Bytes that are unpacked at a time: no more memory is taken than there is content for."""
 VERSION = 3
 MAX_FRACTION = 16
 SH_STEPS = (8, 16)
@@ -56,14 +54,7 @@ class Spz(StaticFormat):
     antialiased = True
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        if head.startswith(MAGIC):
-            return True
-        if not head.startswith(GZIP):
-            return False
-        try:
-            return zlib.decompressobj(31).decompress(read_whole(path, 1 << 16), 4) == MAGIC
-        except zlib.error:
-            return False
+        return (zlib.decompressobj(31).decompress(read_whole(path, 1 << 16), 4) if head.startswith(GZIP) else head[:4]) == MAGIC
 
     def load(self, path: Path) -> GaussianModel:
         return decoded(read_whole(path))
@@ -115,8 +106,6 @@ def _sizes(version: int, count: int, degree: int) -> list[int]:
 
 def _header(data: bytes, length: int) -> tuple:
     """The checked header; `length` is that of the whole file."""
-    if len(data) < HEADER.size:
-        raise FastGSError("the file is cut short in its header; copy or export it again.")
     header = HEADER.unpack_from(data)
     magic, version, count, degree, fraction, _, _ = header
     if magic != MAGIC or not version:
@@ -132,14 +121,11 @@ def _header(data: bytes, length: int) -> tuple:
 
 def _gunzip(data: bytes) -> tuple[tuple, list[bytes], bytes]:
     """Header, arrays and extensions of versions 1 to 3."""
-    try:
-        header = _header(zlib.decompressobj(31).decompress(data[:1 << 16], HEADER.size), len(data))
-        if header[1] == 4:
-            raise FastGSError("it says that it is of version 4, which is not packed with gzip; the file is damaged.")
-        sizes = _sizes(*header[1:4])
-        content = b"".join(_unzipped(data, HEADER.size + sum(sizes) + MAX_EXTENSIONS))[HEADER.size:]
-    except zlib.error as error:
-        raise FastGSError(f"it cannot be unpacked ({error}); the file is damaged, so copy it again.") from error
+    header = _header(zlib.decompressobj(31).decompress(data[:1 << 16], HEADER.size), len(data))
+    if header[1] == 4:
+        raise FastGSError("it says that it is of version 4, which is not packed with gzip; the file is damaged.")
+    sizes = _sizes(*header[1:4])
+    content = zlib.decompressobj(31).decompress(data, HEADER.size + sum(sizes) + MAX_EXTENSIONS)[HEADER.size:]
     return header, *_arrays(content, header, sizes)
 
 
@@ -151,37 +137,23 @@ def _arrays(content: bytes, header: tuple, sizes: list[int]) -> tuple[list[bytes
     return [content[end - size:end] for size, end in zip(sizes, ends, strict=True)], content[ends[-1]:]
 
 
-def _unzipped(data: bytes, size: int):
-    """Pieces of what gzip packed, up to `size` bytes."""
-    unpack, at, tail = zlib.decompressobj(31), 0, b""
-    while size > 0 and not unpack.eof and (tail or at < len(data)):
-        if not tail:
-            tail, at = data[at:at + PIECE], at + PIECE
-        piece = unpack.decompress(tail, min(size, PIECE))
-        tail = unpack.unconsumed_tail
-        size -= len(piece)
-        yield piece
-
-
 def _plain(data: bytes) -> tuple[tuple, list[bytes], bytes]:
     """Header, arrays and extensions of version 4, and of older ones from which gzip has been taken off."""
     header = _header(data, len(data))
     if header[1] < 4:
         return header, *_arrays(data[HEADER.size:], header, _sizes(*header[1:4]))
-    if len(data) < HEADER_4:
-        raise FastGSError("its header is damaged or cut short; copy or export the file again.")
     streams, table = header[6], int.from_bytes(data[16:20], "little")
     sizes = _sizes(*header[1:4])
     begin = table + 16 * streams
     if not HEADER_4 <= table <= len(data) or begin > len(data) or streams != sum(size > 0 for size in sizes):
         raise FastGSError("its table of contents is damaged or cut short; copy or export the file again.")
-    entries = iter(struct.iter_unpack("<QQ", data[table:begin]))
+    entries = struct.iter_unpack("<QQ", data[table:begin])
     arrays = []
     for size in sizes:
         packed, unpacked = next(entries) if size else (0, 0)
         if unpacked != size or packed > len(data) - begin:
             raise FastGSError("the file is cut short, or its table of contents is damaged; copy or export it again.")
-        arrays.append(zstd.unpacked(data[begin:begin + packed], size) if size else b"")
+        arrays.append(packing.unzstd(data[begin:begin + packed], size) if size else b"")
         begin += packed
     return header, arrays, data[HEADER_4:table]
 

@@ -21,11 +21,10 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from . import pixel_tables as tables
-from .description import is_json_table, read_json, whole_number
+from .description import read_table, whole_number
 from .scenes import together
 from .sog import decoded
 from .static import StaticFormat, read_whole
-from .zipped import MAGIC
 
 META = "lod-meta.json"
 LEVEL = re.compile(r"(lod-meta)\[(\d{1,4})\](\.json)", re.IGNORECASE)
@@ -42,21 +41,15 @@ class StreamedSog(StaticFormat):
     def sniff(self, head: bytes, path: Path) -> bool:
         if parted(path)[1] is not None:
             return True
-        if not head.startswith(MAGIC):
-            return is_json_table(head) and path.stat().st_size <= MAX_META and _is_meta(read_whole(path))
-        try:
-            with tables.Archive(path, META) as files:
-                return files.has(META) and _is_meta(files.read(META, MAX_META))
-        except FastGSError:
-            return False
+        meta = tables.meta_of(head, path, META, MAX_META)
+        return "lodLevels" in meta and isinstance(meta.get("filenames"), list) and isinstance(meta.get("tree"), dict)
 
     def load(self, path: Path) -> GaussianModel:
         place, level = parted(path)
         level = level or 0
-        zipped = read_whole(place, len(MAGIC)) == MAGIC
-        with (tables.Archive(place, META) if zipped else tables.Folder(place.parent)) as files:
-            meta = read_json(files.read(META, MAX_META) if zipped else read_whole(place, MAX_META))
-            if not isinstance(meta, dict) or meta.get("version", 1) != 1:
+        with tables.opened(place, META) as files:
+            meta = files.meta(MAX_META)
+            if meta.get("version", 1) != 1:
                 raise FastGSError("it is of a version of streamed SOG that is not known; export it again.")
             levels = whole_number(meta.get("lodLevels"), "the number of levels")
             if level >= levels:
@@ -84,21 +77,10 @@ def with_level(path: Path, level: int) -> Path:
 
 def chunk_folders(path: Path) -> list[Path]:
     """The folders of the chunks that a lod-meta.json names, those that are there.  Raises FastGSError."""
-    meta = read_json(read_whole(parted(path)[0], MAX_META))
-    names = [*meta["filenames"], *filter(None, [meta.get("environment")])] if _is_table(meta) else []
+    meta = read_table(read_whole(parted(path)[0], MAX_META))
+    names = [*meta.get("filenames", ()), *filter(None, [meta.get("environment")])]
     folders = {path.parent.joinpath(*tables.below(name)[:-1]) for name in names}
     return sorted(folder for folder in folders - {path.parent} if folder.is_dir())
-
-
-def _is_meta(text: bytes) -> bool:
-    try:
-        return _is_table(read_json(text))
-    except FastGSError:
-        return False
-
-
-def _is_table(meta: Any) -> bool:
-    return isinstance(meta, dict) and "lodLevels" in meta and isinstance(meta.get("filenames"), list) and isinstance(meta.get("tree"), dict)
 
 
 def _chunk(files: Any, name: tuple[str, ...]) -> GaussianModel:
@@ -106,12 +88,11 @@ def _chunk(files: Any, name: tuple[str, ...]) -> GaussianModel:
     for folder in name[:-1]:
         files = files.within(folder)
     if not name[-1].lower().endswith(".sog"):
-        meta = read_json(files.read(name[-1], tables.MAX_META))
-        return decoded(meta if isinstance(meta, dict) else {}, files)
-    if not isinstance(files, tables.Folder):
+        return decoded(read_table(files.read(name[-1], tables.MAX_META)), files)
+    if isinstance(files, tables.Archive):
         raise FastGSError("its chunks are zip files in a zip file; unpack it, and open its lod-meta.json.")
     files.size(name[-1])
-    with tables.Archive(files.folder / name[-1]) as inner:
+    with tables.opened(files.folder / name[-1]) as inner:
         return decoded(inner.meta(), inner)
 
 
@@ -127,17 +108,13 @@ def _part(chunk: GaussianModel, ranges: list[tuple[int, int]]) -> GaussianModel:
 
 def _ranges(meta: dict, level: int) -> dict[tuple[str, ...], list[tuple[int, int]]]:
     """{a chunk's name: ranges of first and last + 1 of its Gaussians} of a level, in the order of the chunks.  Raises FastGSError."""
-    names: Any = meta.get("filenames")
+    names = meta["filenames"]
     found: dict[int, list[tuple[int, int]]] = {}
     for lods in _leaves(meta.get("tree")):
         place = lods.get(str(level))
         if place is None:
             continue
-        if not isinstance(place, dict) or not isinstance(names, list):
-            raise FastGSError("its tree of chunks is damaged; export it again.")
         number, first, count = (whole_number(place.get(key, 0), f"the {key} of a chunk") for key in ("file", "offset", "count"))
-        if number >= len(names):
-            raise FastGSError("its tree names a chunk that is not in its list; export it again.")
         if count:
             found.setdefault(number, []).append((first, first + count))
     chunks: dict[tuple[str, ...], list[tuple[int, int]]] = {}
@@ -151,10 +128,7 @@ def _leaves(tree: Any) -> Iterator[dict]:
     stack = [tree]
     while stack:
         node = stack.pop()
-        children = node.get("children", []) if isinstance(node, dict) else None
-        if not isinstance(children, list):
-            raise FastGSError("its tree of chunks is damaged; export it again.")
         if isinstance(node.get("lods"), dict):
             yield node["lods"]
         else:
-            stack += reversed(children)
+            stack += reversed(node.get("children", []))

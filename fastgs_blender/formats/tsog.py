@@ -36,7 +36,7 @@ class Tsog(Format):
         return meta.get("version") == VERSION and "means" in meta
 
     def load(self, path):
-        with tables.Archive(path) as files:
+        with tables.opened(path) as files:
             meta = files.meta()
             profile = meta.get("profile", {})
             if not isinstance(profile, dict) or (profile and (profile.get("id"), profile.get("version")) != (PROFILE, 1)):

@@ -18,18 +18,17 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
-from ..model.sequence import Sequence, Source
+from ..model.sequence import Source
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError
-from ..util.identity import status_of
 from ..util.outputs import replacing
-from ..util.reading import reading
-from .base import OPAQUE, Loader, generator, usable
+from ..util.zip_files import members
+from .base import OPAQUE, Loader, generator
 from .scenes import placed, together
+from .sequences import within
 from .static import StaticFormat
 from .turning import with_axes
-from .zipped import members
 
 KIND = "ParticleField3DGaussianSplat"
 DEGREE, COEFFICIENTS = "radiance:sphericalHarmonicsDegree", "radiance:sphericalHarmonicsCoefficients"
@@ -67,13 +66,7 @@ class Usd(StaticFormat):
         if not at[-1] <= MOST_FRAMES:
             raise FastGSError("the times of its samples are next to equal; export them frame by frame.")
         clip = Clip(int(at[-1]) + 1, rate if 0 < rate < 1e6 else 24.0)
-
-        def read(i):
-            with reading(path):  # what is damaged in USD's own files may show only where a frame is read
-                again, found = _opened(path)
-                return usable(_model(again, found, float(times[i])), path)
-
-        return Sequence(clip, at, read, lambda i: status_of(str(path)), str(path))
+        return within(path, clip, at, lambda i: _model(*_opened(path), float(times[i])))
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         write_frames(targets[-1], self.extensions[0], [(None, model)])

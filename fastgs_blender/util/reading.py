@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import stat
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, BinaryIO
@@ -48,9 +49,15 @@ def reading(path: str | os.PathLike, advice: str = DAMAGED) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    text = " ".join(str(getattr(error, "strerror", None) or error).split())  # FFmpeg's errors have a strerror
-    name = type(error).__name__
-    return name if not text else f"{name}: {text[:200]}" if isinstance(error, LookupError) else text[:200]
+    """What Python's own errors say of data that end early, or are of another kind than their reader takes them for."""
+    text = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]  # FFmpeg's errors have a strerror
+    if isinstance(error, (struct.error, EOFError)) or text.startswith(("buffer is smaller", "offset must be")):
+        return "it is cut short"
+    if isinstance(error, KeyError):
+        return f"its {text} is missing"
+    if isinstance(error, (IndexError, TypeError, AttributeError)):
+        return f"something in it is not what it should be: {text}"
+    return text or type(error).__name__
 
 
 def open_file(path: str | os.PathLike) -> BinaryIO:
@@ -80,6 +87,13 @@ def regular_file(path: str | os.PathLike, flags: int) -> int:
         os.close(handle)
         raise
     return handle
+
+
+def exactly(stream: BinaryIO, size: int) -> bytes:
+    """The next `size` bytes of a file; raises EOFError, before memory is taken, where there are not so many."""
+    if size > os.fstat(stream.fileno()).st_size - stream.tell():
+        raise EOFError
+    return stream.read(size)
 
 
 def read_bytes(path: str | os.PathLike, limit: int) -> bytes:

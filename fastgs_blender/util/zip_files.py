@@ -16,6 +16,7 @@ END, END_64, LOCATOR = b"PK\5\6", b"PK\6\6", b"PK\6\7"
 PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """LZMA's dictionary, which a damaged file can make 4 GB large, is made before a byte is unpacked; of bzip2, Python unpacks at once all that
 a piece of the file gives, which can be a million times as much."""
+MAGIC = b"PK\3\4"
 SMALL = 1 << 18
 SHARE = 8
 """A table of contents of more than SMALL bytes may be at most one part in so many of the file: Python makes 600 bytes of each 46."""
@@ -35,6 +36,14 @@ def opened_zip(path: str | os.PathLike) -> Iterator[zipfile.ZipFile]:
                 if member.compress_size > length:  # Python makes a buffer of that size
                     raise FastGSError(f"{path}: a part of it would be longer than the file; it is cut short or damaged, so copy it again.")
             yield archive
+
+
+def members(head: bytes, path: str | os.PathLike) -> frozenset[str]:
+    """The names in a zip file, empty for any other file; head: the file's first bytes.  Raises as opened_zip() does."""
+    if not head.startswith(MAGIC):
+        return frozenset()
+    with opened_zip(path) as archive:
+        return frozenset(archive.namelist())
 
 
 def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:

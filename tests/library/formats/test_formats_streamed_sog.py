@@ -143,7 +143,7 @@ def test_broken_files(rng, scene):
     refused("version", lambda meta, place: meta.update(version=2))
     refused("levels", lambda meta, place: meta.update(lodLevels="3"))
     refused("more Gaussians than a chunk has", lambda meta, place: place.update(count=8))
-    refused("not in its list", lambda meta, place: place.update(file=3))
+    refused("lod-meta.json.*copy or export it again", lambda meta, place: place.update(file=3))
     refused("the offset of a chunk", lambda meta, place: place.update(offset=-1))
     refused("damaged", lambda meta, place: meta["tree"].update(children=[7]))
     refused("0_7/meta.json is missing", lambda meta, place: meta["filenames"].__setitem__(1, "0_7/meta.json"))

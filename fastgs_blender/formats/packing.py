@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unpacks zstd frames whose length is known, with the package zstandard, which Blender brings along."""
+"""Unpacks bytes whose length is known (zstd by the package zstandard, which Blender brings along; zlib), and the whole numbers in them."""
 from __future__ import annotations
+
+import zlib
+
+import numpy as np
 
 from ..util.errors import FastGSError
 
@@ -8,7 +12,7 @@ PIECE = 1 << 20
 """Bytes that are unpacked at a time: no more memory is taken than there is content for."""
 
 
-def unpacked(data: bytes | memoryview, size: int, what: str = "it") -> bytes:
+def unzstd(data: bytes | memoryview, size: int, what: str = "it") -> bytes:
     """Exactly the `size` bytes that a frame holds; raises FastGSError where it holds another number of them.
 
     what  is packed, for error messages
@@ -31,3 +35,26 @@ def unpacked(data: bytes | memoryview, size: int, what: str = "it") -> bytes:
     if left != 1:
         raise FastGSError(f"{what} does not unpack to the {size} bytes that the file says; it is damaged, so copy it again.")
     return b"".join(pieces)
+
+
+def inflated(data: bytes | memoryview, size: int, what: str = "a stream in it") -> bytes:
+    """Exactly the `size` bytes of a zlib stream: memory is taken as they come, not as the file says.  Raises FastGSError."""
+    try:
+        machine = zlib.decompressobj()
+        out = machine.decompress(data, size + 1)
+    except (zlib.error, OverflowError) as error:
+        raise FastGSError(f"{what} is damaged ({error}); copy or export the file again.") from error
+    if len(out) != size or not machine.eof:
+        raise FastGSError(f"{what} does not have the {size} bytes that the file says; copy or export it again.")
+    return out
+
+
+def joined(planes: bytes, width: int) -> np.ndarray:
+    """Unsigned numbers [N] of `width` bytes whose lowest bytes come first, then all second ones, and so on."""
+    return np.ascontiguousarray(np.frombuffer(planes, np.uint8).reshape(width, -1).T).view(f"<u{width}").reshape(-1)
+
+
+def signed(code: np.ndarray) -> np.ndarray:
+    """Whole numbers int64 of zigzag codes (0, -1, 1, -2, ...)."""
+    code = code.astype(np.int64)
+    return (code >> 1) ^ -(code & 1)
