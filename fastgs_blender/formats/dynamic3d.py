@@ -19,6 +19,7 @@ from ..util.errors import FastGSError
 from ..util.numpy_files import PackedArray, packed_arrays
 from ..util.zip_files import members
 from .base import Format
+from .trained import numbers_of
 
 NEEDED = {"means3D": (3,), "rgb_colors": (3,), "unnorm_rotations": (4,), "logit_opacities": (1,), "log_scales": (3,)}
 FPS = 30.0
@@ -60,16 +61,11 @@ class Dynamic3DGaussians(Format):
             return GaussianModel(
                 position=place[0], motion=(place - place[0]).transpose(1, 0, 2), basis=basis,
                 rotation=turn[0], rotation_motion=(turn - turn[0]).transpose(1, 0, 2), rotation_basis=basis,
-                scale=np.broadcast_to(_floats(arrays["log_scales"]), (n, 3)), opacity=_floats(arrays["logit_opacities"])[:, 0],
+                scale=np.broadcast_to(numbers_of(arrays["log_scales"]), (n, 3)), opacity=numbers_of(arrays["logit_opacities"])[:, 0],
                 features=features, appearance=Changing(RGB(), basis) if changes else RGB(), clip=Clip(frames, FPS))
 
 
 def _table(array: PackedArray, frames: int) -> np.ndarray:
     """Values [T, N, D] of an array that may have one for all frames."""
-    values = _floats(array)
+    values = numbers_of(array)
     return values if values.ndim == 3 else np.broadcast_to(values, (frames, *values.shape))
-
-
-def _floats(array: PackedArray) -> np.ndarray:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return array.read().astype(np.float32)

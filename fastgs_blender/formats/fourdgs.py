@@ -21,13 +21,14 @@ from ..util.reading import read_bytes
 from . import fourdgs_streams as wire
 from . import fourdgs_tracks as tracks
 from .base import Format
-from .fourdgs_scene import Scene, band_of, chunk, complete
-from .fourdgs_states import States
+from .fourdgs_states import Births, Scene, States
 from .fourdgs_writing import file
 from .ftgs import straight_model
+from .static import with_largest
 from .straight import Timeline, logit, straight
 
 HEADER, FOOTER, GRIDS, WINDOWS, CHUNK, BAND, DELTA_CHUNK, FRAME, TRACK = 1, 2, 3, 4, 5, 7, 16, 0x20, 0x25
+MODELS = {"gaussian-birth": Births, "keyframe-delta": States}
 STEPS = ("pos", "scale_log", "rot", "rgb", "alpha", "motion", "time", "sigma_log")
 FPS = 30.0
 """Frames per second of a scene that is a continuum."""
@@ -48,49 +49,37 @@ class FourDGS(Format):
 
     def load(self, path: Path) -> GaussianModel:
         data = read_bytes(path, LARGEST)
-        scene, seen, room = None, set(), 1000 + len(data)
-        states = None
+        scene, seen = None, set()
         for opcode, place, content in wire.records(memoryview(data)):
-            if (scene is None) != (opcode == HEADER):
-                raise FastGSError("it does not begin with one header; the file is damaged, so copy or export it again.")
-            if opcode in (GRIDS, WINDOWS) and opcode in seen:
-                raise FastGSError(f"it has two records {opcode:#04x} of which there may be one; the file is damaged.")
+            if (scene is None) != (opcode == HEADER) or (opcode in (GRIDS, WINDOWS) and opcode in seen):
+                raise FastGSError("it does not begin with one header, or has its grids or windows twice; copy or export it again.")
             seen.add(opcode)
             if opcode == HEADER:
-                scene = _header(content)
-                states = States(scene) if scene.temporal_model == "keyframe-delta" else None
+                scene = _header(content, 1000 + len(data))
+                population = MODELS[scene.temporal_model](scene)
             elif opcode == GRIDS:
                 _grids(scene, content)
             elif opcode == WINDOWS:
-                _windows(scene, content)
+                windows = np.frombuffer(content.take(16 * content.number("I")), "<f8").reshape(-1, 2)
+                scene.windows = windows if len(windows) else scene.windows
             elif opcode == CHUNK:
-                begin, end, count, cursor = chunk(content, room)
-                if states:
-                    states.keyframe(place, begin, end, wire.streams(cursor, count, "a keyframe"), count)
-                else:
-                    scene.tables.append(complete(wire.streams(cursor, count, "a chunk"), count, "a chunk"))
-                    scene.bands.append({})
-                    room -= count
+                begin, end, _, count = content.unpack("ddII")
+                wire.check_room(count, scene.room)
+                codec, size = content.text(), content.number("Q")
+                streams = wire.streams(wire.unpacked(content.block(), codec, size), count, "a chunk")
+                population.whole(place, begin, end, streams, count)
             elif opcode == DELTA_CHUNK:
-                if not states:
-                    raise FastGSError("it has a delta chunk, which its temporal model does not know; the file is damaged.")
-                states.delta(place, content, room)
+                population.delta(place, content)
             elif opcode == BAND:
-                number = content.number("B")
-                if states:
-                    states.band(number, content)
-                else:
-                    _band(scene, number, content)
+                population.band(content.number("B"), content)
             elif opcode == TRACK:
                 _track(scene, content)
             elif opcode == FRAME:
                 _frame(scene, content, path)
-        if scene is None or GRIDS not in seen:
+        if GRIDS not in seen:
             raise FastGSError("its header or its grids are missing; the file is damaged, so copy or export it again.")
-        if states:
-            states.finish()
+        population.finish()
         return _model(scene)
-
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if len(model) and not all(np.isfinite(array).all() for array in model.arrays.values()):
@@ -106,17 +95,17 @@ class FourDGS(Format):
         targets[-1].write_bytes(file(model))
 
 
-def _header(content: wire.Cursor) -> Scene:
+def _header(content: wire.Cursor, room: int) -> Scene:
     content.text(), content.text()
     duration, _, cutoff = content.unpack("dQd")
     temporal_model = content.text()
     content.unpack("6d")
     degree, _ = content.unpack("BB")
-    if temporal_model not in ("gaussian-birth", "keyframe-delta"):
-        raise FastGSError(f"its temporal model is {temporal_model[:40]!r}, and those known are gaussian-birth and keyframe-delta.")
+    if temporal_model not in MODELS:
+        raise FastGSError(f"its temporal model is {temporal_model[:40]!r}, and those known are {' and '.join(MODELS)}.")
     if not (0 <= duration <= 1e6 and 0 < cutoff < 1 and degree <= 3):
         raise FastGSError(f"its header says {duration:g} seconds, a cutoff of {cutoff:g} and degree {degree}; the file is damaged.")
-    return Scene(duration, cutoff, temporal_model, degree)
+    return Scene(duration, cutoff, temporal_model, degree, room)
 
 
 def _grids(scene: Scene, content: wire.Cursor) -> None:
@@ -127,13 +116,6 @@ def _grids(scene: Scene, content: wire.Cursor) -> None:
     if not np.isfinite([*scene.origin, *steps]).all():
         raise FastGSError("a step of its grids is no finite number; the file is damaged.")
     scene.steps = dict(zip(STEPS, steps))
-
-
-def _windows(scene: Scene, content: wire.Cursor) -> None:
-    count = content.number("I")
-    windows = np.frombuffer(content.take(16 * count), "<f8").reshape(count, 2)
-    if count:
-        scene.windows = windows
 
 
 def _track(scene: Scene, content: wire.Cursor) -> None:
@@ -151,15 +133,6 @@ def _frame(scene: Scene, content: wire.Cursor, path: Path) -> None:
     if hand == 2:
         warnings.warn(LossWarning(f"{path}: it is of a left-handed space, so it is seen mirrored."), stacklevel=4)
     scene.axes = UP.get(up, "RDF")
-
-
-def _band(scene: Scene, number: int, content: wire.Cursor) -> None:
-    """A band of spherical harmonics belongs to the chunk before it."""
-    if not scene.tables:
-        raise FastGSError("it has spherical harmonics before any Gaussians; the file is damaged.")
-    if number in scene.bands[-1]:
-        raise FastGSError(f"a chunk in it has band {number} of spherical harmonics twice; the file is damaged.")
-    scene.bands[-1][number] = band_of(scene.degree, number, content, len(scene.tables[-1][wire.FLAGS]))
 
 
 def _model(scene: Scene) -> GaussianModel:
@@ -184,8 +157,7 @@ def _model(scene: Scene) -> GaussianModel:
         begin, end = window.T
         reach = np.where(always, np.inf, math.sqrt(-2 * math.log(scene.cutoff)) * np.exp(ln_sigma))
         begin, end = np.maximum(begin, mu - reach), np.minimum(end, mu + reach)
-        if scene.temporal_model == "keyframe-delta":
-            begin, end = np.maximum(begin, scene.spans[0]), np.minimum(end, scene.spans[1])
+        begin, end = np.maximum(begin, scene.spans[0]), np.minimum(end, scene.spans[1])
         lives = straight(joined[wire.POSITION] * step["pos"] + scene.origin, velocity, mu, np.where(always, np.inf, ln_sigma), timeline,
                          (begin, end))
         green, red, blue = joined[wire.COLOUR].T
@@ -193,7 +165,10 @@ def _model(scene: Scene) -> GaussianModel:
         features, look = rgb, RGB()
         if scene.degree:
             features, look = _harmonics(scene, rgb, n), SH(scene.degree)
-        rotation = _rotations(joined[wire.OMITTED][:, 0], joined[wire.ROTATION] * step["rot"])
+        omitted = joined[wire.OMITTED][:, 0]
+        if n and (omitted.min() < 0 or omitted.max() > 3):
+            raise FastGSError("a rotation in it leaves out a component that does not exist; the file is damaged.")
+        rotation = with_largest(omitted, np.clip(joined[wire.ROTATION] * step["rot"], -1, 1))[:, [3, 0, 1, 2]]
         moved = tracks.follow(lives, rotation, _objects(scene), scene.tracks, timeline)
         opacity = logit(joined[wire.OPACITY][:, 0] * step["alpha"])
         return GaussianModel(**moved, scale=joined[wire.SCALE] * step["scale_log"], opacity=opacity, features=features, appearance=look,
@@ -214,19 +189,6 @@ def _own_steps(scene: Scene, ln_sigma, always, lengths) -> tuple[np.ndarray, np.
     time = scene.steps["time"]
     fine = np.clip(np.floor(np.log2(np.where(always, time, np.minimum(time, 0.05 * sigma)) / time)), -10, 0)
     return scene.steps["motion"] * 2.0**-motion, time * 2.0**fine
-
-
-def _rotations(omitted: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Quaternions w x y z [N, 4] of three components of x y z w each, and the number of the one that is left out."""
-    if len(omitted) and (omitted.min() < 0 or omitted.max() > 3):
-        raise FastGSError("a rotation in it leaves out a component that does not exist; the file is damaged.")
-    kept = np.clip(kept, -1, 1)
-    q = np.empty((len(kept), 4))
-    for i in range(4):
-        rows = omitted == i
-        q[np.ix_(rows, [c for c in range(4) if c != i])] = kept[rows]
-        q[rows, i] = np.sqrt(np.maximum(0, 1 - (kept[rows] ** 2).sum(1)))
-    return q[:, [3, 0, 1, 2]]
 
 
 def _harmonics(scene: Scene, rgb: np.ndarray, n: int) -> np.ndarray:

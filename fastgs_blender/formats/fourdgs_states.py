@@ -1,22 +1,94 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The temporal model keyframe-delta of `.4dgs`: states of a population of Gaussians, each a change of an earlier one.
+"""The scene of a `.4dgs` file while it is read, its Gaussians still in integers, and its two temporal models.
 
-A state holds over its own interval; what holds unchanged over several becomes one Gaussian with a window.
+gaussian-birth has all Gaussians in chunks.  keyframe-delta has states of a population, each a change of an earlier one: a state holds over
+its own interval, and what holds unchanged over several becomes one Gaussian with a window.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ..util.errors import FastGSError
 from . import fourdgs_streams as wire
-from .fourdgs_scene import Scene, band_of, complete
+from .fourdgs_tracks import Track
 
 COLUMNS = {a: slice(sum(wire.CHANNELS[b] for b in range(a)), sum(wire.CHANNELS[b] for b in range(a + 1))) for a in wire.REQUIRED}
 WIDTH = sum(wire.CHANNELS[a] for a in wire.REQUIRED)
 FIXED = (wire.SIGMA, wire.FLAGS, wire.WINDOW)
 """What a change may not touch, for the grids of others follow from it."""
+
+
+@dataclass
+class Scene:
+    """The contents of a `.4dgs` file while it is read.
+
+    tables  one of the attributes [N, channels] int64 for each chunk, or for all Gaussians of keyframe-delta
+    bands   for each table, {band: coefficients [N, 3 (2 band + 1)] 0..255}
+    spans   of keyframe-delta: begin and end [N] in seconds of what holds
+    room    how many Gaussians there can be, so far as the file's length tells
+    """
+
+    duration: float
+    cutoff: float
+    temporal_model: str
+    degree: int
+    room: int
+    steps: dict[str, float] = field(default_factory=dict)
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    windows: np.ndarray = field(default_factory=lambda: np.zeros((1, 2)))
+    axes: str = "RDF"
+    tracks: list[Track] = field(default_factory=list)
+    tables: list[dict[int, np.ndarray]] = field(default_factory=list)
+    bands: list[dict[int, np.ndarray]] = field(default_factory=list)
+    spans: tuple[Any, Any] = (-np.inf, np.inf)
+
+
+def complete(table: dict[int, np.ndarray], count: int, what: str) -> dict[int, np.ndarray]:
+    """The table; raises FastGSError where an attribute that every Gaussian has is missing."""
+    missing = [wire.NAMES[a] for a in wire.REQUIRED if a not in table]
+    if missing and count:
+        raise FastGSError(f"{what} in it has no {', '.join(missing)}; the file is damaged, so copy or export it again.")
+    return table if count else {a: np.zeros((0, wire.CHANNELS[a]), np.int64) for a in wire.CHANNELS}
+
+
+def band_of(degree: int, number: int, content: wire.Cursor, count: int) -> np.ndarray:
+    """The coefficients [count, 3 (2 number + 1)] of a band; raises FastGSError."""
+    if not 1 <= number <= max(degree, 1):
+        raise FastGSError(f"it has band {number} of spherical harmonics, and its degree is {degree}; the file is damaged.")
+    values = wire.stream(content, count, band=True)[1]
+    if values is None or values.shape[1] != 3 * (2 * number + 1) or (values.size and (values.min() < 0 or values.max() > 255)):
+        raise FastGSError(f"band {number} of its spherical harmonics is damaged; copy or export the file again.")
+    return values
+
+
+class Births:
+    """The temporal model gaussian-birth: chunks of Gaussians that have windows of their own."""
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+
+    def whole(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
+        """A chunk."""
+        self.scene.tables.append(complete(table, count, "a chunk"))
+        self.scene.bands.append({})
+        self.scene.room -= count
+
+    def delta(self, place: int, content: wire.Cursor) -> None:
+        """A change, which there cannot be."""
+        raise FastGSError("it has a delta chunk, which its temporal model does not know; the file is damaged.")
+
+    def band(self, number: int, content: wire.Cursor) -> None:
+        """Spherical harmonics of the chunk before them."""
+        bands, count = self.scene.bands[-1], len(self.scene.tables[-1][wire.FLAGS])
+        if number in bands:
+            raise FastGSError(f"a chunk in it has band {number} of spherical harmonics twice; the file is damaged.")
+        bands[number] = band_of(self.scene.degree, number, content, count)
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
 
 
 @dataclass
@@ -29,11 +101,11 @@ class State:
 
 
 class States:
-    """Reads states in the order of the file and hands the Gaussians that they make to the scene."""
+    """The temporal model keyframe-delta: reads states in the order of the file, and hands the Gaussians that they make to the scene."""
 
     def __init__(self, scene: Scene):
         self.scene = scene
-        self.width = WIDTH + sum(3 * (2 * b + 1) for b in range(1, scene.degree + 1))
+        self.width = _band(scene.degree + 1).start
         self.first = self.last = None
         self.end = 0.0
         self.shown = State(-1, np.zeros(0, np.int64), np.zeros((0, self.width), np.int64))
@@ -42,18 +114,17 @@ class States:
         self.bands: set[int] = set()
         self.done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def keyframe(self, place: int, begin: float, end: float, table, count: int) -> None:
+    def whole(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
         """A whole state."""
         self._close()
         self.first = self._open(begin, end, State(place, *self._rows(table, count, "a keyframe")), _named(table, count))
 
-    def delta(self, place: int, content: wire.Cursor, room: int) -> None:
+    def delta(self, place: int, content: wire.Cursor) -> None:
         """A state that says what changed against another one: the last keyframe's or the last."""
         self._close()
         begin, end, _, mode, reference, _, _, *counts = content.unpack("ddIBQQHIII")
         codec, size = content.text(), content.number("Q")
-        if max(counts) > room:
-            raise FastGSError(f"a delta chunk claims {max(counts)} Gaussians, which the file is too small to hold; copy it again.")
+        wire.check_room(max(counts), self.scene.room)
         body = wire.unpacked(content.block(), codec, size)
         updates, births, deaths = (wire.streams(body.block(), count, "a delta chunk") for count in counts)
         base = {0: self.first, 1: self.last}.get(mode)
@@ -79,9 +150,8 @@ class States:
             raise FastGSError("it has spherical harmonics that belong to nothing; the file is damaged.")
         values = band_of(self.scene.degree, number, content, len(self.born))
         self.bands.add(number)
-        begin = WIDTH + sum(3 * (2 * b + 1) for b in range(1, number))
         if number <= self.scene.degree:
-            self.last.rows[_places(self.last.identity, self.born), begin:begin + values.shape[1]] = values
+            self.last.rows[_places(self.last.identity, self.born), _band(number)] = values
 
     def finish(self) -> None:
         """Hand over what was found."""
@@ -89,15 +159,11 @@ class States:
         if abs(self.end - self.scene.duration) > 1e-9 * max(1, self.end):
             raise FastGSError(f"its states end at {self.end:g} s, and the scene at {self.scene.duration:g} s; the file is damaged.")
         self._emit(np.ones(len(self.shown.rows), bool), self.end)
-        rows = np.concatenate([d[0] for d in self.done] or [np.zeros((0, self.width), np.int64)])
+        empty = np.zeros((0, self.width), np.int64), np.zeros(0), np.zeros(0)
+        rows, begin, end = (np.concatenate(part) for part in zip(empty, *self.done, strict=True))
         self.scene.tables = [{a: rows[:, columns] for a, columns in COLUMNS.items()}]
-        at, bands = WIDTH, {}
-        for b in range(1, self.scene.degree + 1):
-            bands[b] = rows[:, at:at + 3 * (2 * b + 1)]
-            at += 3 * (2 * b + 1)
-        self.scene.bands = [bands]
-        begin, end = (np.concatenate([d[i] for d in self.done] or [np.zeros(0)]) for i in (1, 2))
-        self.scene.spans = (begin, end)
+        self.scene.bands = [{b: rows[:, _band(b)] for b in range(1, self.scene.degree + 1)}]
+        self.scene.spans = begin, end
 
     def _rows(self, table, count: int, what: str) -> tuple[np.ndarray, np.ndarray]:
         """Identities, sorted, and rows of Gaussians that are given whole."""
@@ -152,6 +218,12 @@ class States:
     def _emit(self, which: np.ndarray, end: float) -> None:
         if which.any():
             self.done.append((self.shown.rows[which], self.since[which], np.full(which.sum(), end)))
+
+
+def _band(number: int) -> slice:
+    """The columns of a band of spherical harmonics in a state's rows."""
+    begin = WIDTH + 3 * (number**2 - 1)
+    return slice(begin, begin + 3 * (2 * number + 1))
 
 
 def _named(table, count: int) -> np.ndarray:

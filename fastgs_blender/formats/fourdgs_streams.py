@@ -32,9 +32,9 @@ class Cursor:
         return self.at < len(self.data)
 
     def take(self, count: int) -> memoryview:
-        """The next `count` bytes; raises FastGSError where there are not so many."""
+        """The next `count` bytes; raises EOFError where there are not so many."""
         if count > len(self.data) - self.at:
-            raise FastGSError("the file is cut short, or a length in it is wrong; copy or export it again.")
+            raise EOFError
         self.at += count
         return self.data[self.at - count:self.at]
 
@@ -48,10 +48,7 @@ class Cursor:
 
     def text(self) -> str:
         """A text with its length in front."""
-        try:
-            return str(self.take(self.number("I")), "utf-8")
-        except UnicodeDecodeError as error:
-            raise FastGSError("a text in it is no UTF-8; the file is damaged, so copy or export it again.") from error
+        return str(self.take(self.number("I")), "utf-8")
 
     def block(self) -> Cursor:
         """Bytes with their length in front, as a cursor of their own."""
@@ -68,6 +65,12 @@ def records(data: memoryview) -> Iterator[tuple[int, int, Cursor]]:
         place = cursor.at
         opcode = cursor.number("B")
         yield opcode, place, cursor.block()
+
+
+def check_room(count: int, room: int) -> None:
+    """Raises FastGSError where a chunk claims more Gaussians than there can be."""
+    if count > room:
+        raise FastGSError(f"a chunk in it claims {count} Gaussians, which the file is too small to hold; copy or export it again.")
 
 
 def unpacked(block: Cursor, codec: str, size: int) -> Cursor:

@@ -34,12 +34,12 @@ from .base import OPAQUE, Format, Loader, usable
 from .ftgs import FRAMES, GSPLAT, MIN_DURATION, clip_of
 from .mediastorm import LONGEST
 from .straight import Timeline, logit, straight
+from .trained import harmonics, numbers_of, rows
 
 NAMES = {"means": ("means",), "scales": ("scales",), "quats": ("quats",), "opacities": ("opacities",), "sh0": ("sh0", "sh_0"),
          "shN": ("shN", "sh_n"), "times": ("times",), "durations": ("durations",), "velocities": ("velocities", "velocity_model")}
 SHAPES = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "sh0": (3,), "times": (), "durations": (), "velocities": (3,)}
 """Of one Gaussian; the files differ in axes of length 1."""
-DEGREES = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
 FPS = 30.0
 """Frames per second of FreeTimeGS++'s films, which its file does not state."""
 EARLY = 1.0
@@ -112,18 +112,9 @@ class FreeTimeArrays(Format):
 def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
     """The model of arrays that are known by shape and have read(); frames: of the clip, or None."""
     found = {key: next((table[name] for name in names if name in table), None) for key, names in NAMES.items()}
-    missing = [key for key in (*SHAPES, "shN") if found[key] is None]
-    if missing:
-        raise FastGSError(f"its arrays {', '.join(missing)} are missing; save the checkpoint again.")
-    n = found["means"].shape[0] if found["means"].shape else 0
-    rest = found["shN"].shape
-    degree = DEGREES.get(rest[1] if len(rest) == 3 and rest[0] == n and rest[2] == 3 else -1)
-    wrong = [key for key, shape in SHAPES.items() if tuple(a for a in found[key].shape[1:] if a != 1) != shape
-             or found[key].shape[:1] != (n,)]
-    if wrong or degree is None:
-        raise FastGSError(f"its array {wrong[0] if wrong else 'shN'} has the shape {found[wrong[0] if wrong else 'shN'].shape}, which does "
-                          f"not fit its {n} Gaussians; save the checkpoint again.")
-    arrays = {key: _floats(found[key]).reshape(n, *shape) for key, shape in SHAPES.items()}
+    arrays = rows(found, SHAPES)
+    n = len(arrays["means"])
+    features, degree = harmonics(arrays["sh0"], found["shN"], n)
     gate, durations = _gates(table), arrays["durations"].astype(np.float64)
     if "sh_0" in table:  # FreeTimeGS++
         timeline, clip = _film(arrays["times"])
@@ -136,7 +127,6 @@ def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
             raise FastGSError("its array marginal_gates does not fit its Gaussians; save it again.")
         ln_sigma = np.where(gate > 1 - SHUT, np.inf, ln_sigma)
     lives = straight(arrays["means"], arrays["velocities"] if moves else None, arrays["times"], ln_sigma, timeline)
-    features = np.concatenate([arrays["sh0"], _floats(found["shN"]).reshape(n, -1)], 1)
     return GaussianModel(**lives, rotation=arrays["quats"], scale=arrays["scales"], opacity=arrays["opacities"], features=features,
                          appearance=SH(degree), raster=GSPLAT, clip=clip)
 
@@ -152,17 +142,12 @@ def _film(times: np.ndarray) -> tuple[Timeline, Clip]:
 
 def _gates(table: Mapping) -> np.ndarray | None:
     """How far the gates are open [N], 0 to 1, or None; those of a model that was trained without gates are 0 exactly."""
-    return sigmoid(20 * _floats(table["marginal_gates"]).reshape(-1)) if "marginal_gates" in table else None
+    return sigmoid(20 * numbers_of(table["marginal_gates"]).reshape(-1)) if "marginal_gates" in table else None
 
 
 def _partly(gate: np.ndarray | None) -> bool:
     """Whether some Gaussians fade only in part."""
     return gate is not None and bool(np.any((gate > SHUT) & (gate < 1 - SHUT)))
-
-
-def _floats(array) -> np.ndarray:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return array.read().astype(np.float32)
 
 
 def _splats(content) -> dict:

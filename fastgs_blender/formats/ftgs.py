@@ -52,15 +52,14 @@ class FreeTimePly(Format):
         said = _settings(header.comments)
         moves = said["use_velocity"] != 0
         degree, groups = static_columns(header, path)
-        _need(header, (*TIME, *(VELOCITY if moves else ())))
         columns = ply.read_vertices(path, header, groups | {"time": TIME, "velocity": VELOCITY if moves else ()})
-        time, velocity, opacity = columns.pop("time"), columns.pop("velocity"), columns.pop("opacity")[:, 0]
+        time, velocity = columns.pop("time"), columns.pop("velocity")
         if said["opacity_floor"] >= GSPLAT.alpha_cut:
             warnings.warn(LossWarning(f"{path}: the opacity that its Gaussians keep for ever ({said['opacity_floor']:g}) is left out."),
                           stacklevel=3)
         lives = straight(columns.pop("position"), velocity if moves else None, time[:, 0],
                          np.maximum(time[:, 1], math.log(said["min_duration"])))
-        return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
+        return GaussianModel(**columns, **lives, appearance=SH(degree), raster=GSPLAT, clip=clip_of(said["n_frames"]))
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         return straight_model(model, degree=4)
@@ -97,22 +96,14 @@ def straight_model(model: GaussianModel, degree: int) -> tuple[GaussianModel, li
 
 
 def static_columns(header: ply.Header, path) -> tuple[int, dict[str, Sequence[str]]]:
-    """The degree of spherical harmonics and the columns that every static Gaussian has, for read_vertices(); checked."""
+    """The degree of spherical harmonics and the columns that every static Gaussian has, for read_vertices()."""
     degree, colours = harmonics(header, path)
-    groups = {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": colours}
-    _need(header, [name for names in groups.values() for name in names])
-    return degree, groups
+    return degree, {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": "opacity", "features": colours}
 
 
 def clip_of(frames: int, fps: float = 30.0) -> Clip:
     """The clip of so many frames, of which the first lies at t = 0 and the last at t = 1."""
     return Clip(max(1, frames - 1), fps)
-
-
-def _need(header: ply.Header, names) -> None:
-    missing = [name for name in names if name not in header.names]
-    if missing:
-        raise FastGSError(f"its columns {', '.join(missing[:12])} are missing; export it again.")
 
 
 def _settings(comments: tuple[str, ...]) -> dict[str, float]:

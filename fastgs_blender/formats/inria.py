@@ -78,9 +78,8 @@ class Inria(Format):
         degree, colours = (0, PLAIN) if plain else harmonics(header, path)
         smoothed = {mip_filter.COLUMN: (mip_filter.COLUMN,)} if mip_filter.COLUMN in header.names else {}
         columns = ply.read_vertices(path, header, {
-            "position": POSITION, "rotation": ROTATION, "scale": SCALE[:1] * 3 if _is_round(header) else SCALE, "opacity": ("opacity",),
+            "position": POSITION, "rotation": ROTATION, "scale": SCALE[:1] * 3 if _is_round(header) else SCALE, "opacity": "opacity",
             "features": colours, **smoothed})
-        columns["opacity"] = columns["opacity"][:, 0]
         if plain:
             columns["features"] = _coefficients(header, columns["features"])
         raster = mip_filter.fused(columns, path) if smoothed else Raster(antialiased=says_antialiased(header))

@@ -44,7 +44,7 @@ class Katsumata(SequenceFormat):
         n = len(columns["opacity"])
         place, turn = (columns[name].reshape(n, -1, width).astype(np.float64) for name, width in (("place", 3), ("turn", 4)))
         turn /= np.maximum(np.linalg.norm(turn, axis=2, keepdims=True), 1e-12)  # zeros stay
-        still = GaussianModel(place[:, 0], turn[:, 0], columns["scale"], columns["opacity"][:, 0], columns["features"],
+        still = GaussianModel(place[:, 0], turn[:, 0], columns["scale"], columns["opacity"], columns["features"],
                               appearance=SH(degree), clip=CLIP)
         rates, sizes = np.pi * 2.0 ** np.arange(place.shape[1] // 2), np.exp(columns["scale"].astype(np.float64))
 
@@ -68,10 +68,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], int]:
     waves = int(cfg_args.number(cfg_args.beside(path), "approx_l", rows, 0, rows))
     groups = {"place": [f"{axis}{row:03}" for row in range(1 + 2 * min(waves, (rows - 1) // 2)) for axis in "xyz"],
               "turn": [f"rot_{row:03}_{component}" for component in range(4) for row in range(turns)],
-              "features": colour_columns(DEGREES[rest]), "opacity": ("opacity",), "scale": SCALE}
-    missing = [name for names in groups.values() for name in names if name not in header.names]
-    if missing:
-        raise FastGSError(f"its columns {', '.join(missing[:12])} are missing; export it again.")
+              "features": colour_columns(DEGREES[rest]), "opacity": "opacity", "scale": SCALE}
     columns = ply.read_vertices(path, header, groups)
     require_sound(columns, path)
     return columns, DEGREES[rest]

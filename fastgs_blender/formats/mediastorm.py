@@ -45,10 +45,10 @@ class MediastormPly(Format):
             raise FastGSError("its column t, the time at which each Gaussian is seen best, is missing; export it again.")
         degree, groups = static_columns(header, path)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "time": (centre, "t_scale")})
-        time, velocity, opacity = columns.pop("time"), columns.pop("velocity"), columns.pop("opacity")[:, 0]
+        time, velocity = columns.pop("time"), columns.pop("velocity")
         frames = last_frame(time[:, 0], FPS) + 1
         lives = straight(columns.pop("position"), velocity, *time.T, Timeline(length=frames / FPS))
-        return GaussianModel(**columns, **lives, opacity=opacity, appearance=SH(degree), clip=Clip(frames, FPS))
+        return GaussianModel(**columns, **lives, appearance=SH(degree), clip=Clip(frames, FPS))
 
 
 def last_frame(seconds: np.ndarray, fps: float) -> int:

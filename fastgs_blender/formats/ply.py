@@ -5,9 +5,11 @@ Nothing is allocated on the word of a header: counts are checked against the fil
 """
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import BinaryIO
@@ -23,6 +25,8 @@ MAX_HEADER = 1 << 20
 MAX_ELEMENTS = 1000
 MAX_WALKED = 10_000_000
 """Values and lists, in all elements together, that are walked one by one to find the vertices behind them."""
+LONGEST_LINE = 1 << 20
+"""Bytes."""
 BLOCK = 1 << 22
 """Bytes read at a time."""
 
@@ -166,32 +170,27 @@ def _named(properties: Iterable[Property]) -> tuple[Property, ...]:
     return tuple(found)
 
 
-def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-    """Columns of the vertices, in one pass over the file: for each group of names an array [N, len(names)] float32.
+def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str] | str]) -> dict[str, np.ndarray]:
+    """Columns of the vertices, in one pass over the file: for each group of names an array [N, len(names)] float32, for one name [N].
 
-    Raises FastGSError where the file is shorter or longer than its header says, or holds lists among the vertices.
+    Raises FastGSError where columns are missing, or the file is shorter or longer than its header says, or holds lists among the vertices.
     """
     vertex, place = header.vertex, {name: i for i, name in enumerate(header.vertex.names)}
-    columns = {key: np.array([place[name] for name in names], np.intp) for key, names in groups.items()}
+    named = {key: (names,) if isinstance(names, str) else names for key, names in groups.items()}
+    missing = [name for names in named.values() for name in names if name not in place]
+    if missing:
+        raise FastGSError(f"its columns {', '.join(missing[:12])} are missing; export it again.")
     if vertex.has_lists:
         raise FastGSError("its vertices have list properties, which Gaussians never have.")
+    columns = {key: np.array([place[name] for name in names], np.intp) for key, names in named.items()}
     with open_file(path) as stream:
         length = stream.seek(0, 2)
         stream.seek(header.size)
         if header.order:
             begin, row = _checked_binary(stream, header, length), vertex.row(header.order)
-        else:
-            blocks = _ascii_blocks(stream, header, length)
-            next(blocks)  # the checks, before anything is allocated
-        out = {key: np.empty((vertex.count, len(names)), np.float32) for key, names in groups.items()}
-        if not header.order:
-            at = 0
-            for block in blocks:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    for key, index in columns.items():
-                        out[key][at:at + len(block)] = block[:, index]
-                at += len(block)
-            return out
+        elif 2 * sum(e.count * len(e.properties) for e in header.elements) > length - header.size + 1:
+            raise _cut_short(header)  # every number is a digit and a space at least
+        out = {key: np.empty((vertex.count, len(names)), np.float32) for key, names in named.items()}
         plain, reader = {p.code for p in vertex.properties} == {"f4"}, Lock()
 
         def read(first: int, last: int) -> None:
@@ -207,12 +206,18 @@ def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]
                 return
             block = np.frombuffer(data, row)
             with np.errstate(over="ignore", invalid="ignore"):
-                for key, names in groups.items():
+                for key, names in named.items():
                     for i, name in enumerate(names):
                         out[key][first:last, i] = block[name]
 
-        run(read, ranges(vertex.count, max(1, BLOCK // row.itemsize)))
-    return out
+        if header.order:
+            run(read, ranges(vertex.count, max(1, BLOCK // row.itemsize)))
+        else:
+            for first, block in _text_blocks(stream, header):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    for key, index in columns.items():
+                        out[key][first:first + len(block)] = block[:, index]
+    return {key: out[key][:, 0] if isinstance(names, str) else out[key] for key, names in groups.items()}
 
 
 def _cut_short(header: Header) -> FastGSError:
@@ -229,7 +234,10 @@ def _split(header: Header) -> tuple[tuple[Element, ...], tuple[Element, ...]]:
 def _checked_binary(stream: BinaryIO, header: Header, length: int) -> int:
     """Where the vertices begin, when all is checked."""
     before, after = _split(header)
-    _check_work(element for element in before if element.has_lists)
+    values = sum(element.count * len(element.properties) for element in before if element.has_lists)
+    if values > MAX_WALKED:
+        raise FastGSError(f"{values} values of other elements stand before its vertices; at most {MAX_WALKED} are read, so write the "
+                          "vertices first.")
     for element in before:
         if element.has_lists:
             _walk_lists(stream, element, header, length)
@@ -258,14 +266,6 @@ def _check_rest(rest: bytes) -> None:
         raise FastGSError("there is more in the file than its header says; it is damaged or was not copied as binary, so copy it again.")
 
 
-def _check_work(elements: Iterable[Element]) -> None:
-    """Raises FastGSError where the rows before the vertices are more than are walked one by one."""
-    values = sum(element.count * len(element.properties) for element in elements)
-    if values > MAX_WALKED:
-        raise FastGSError(f"{values} values of other elements stand before its vertices; at most {MAX_WALKED} are read, so write the "
-                          "vertices first.")
-
-
 def _walk_lists(stream: BinaryIO, element: Element, header: Header, length: int) -> None:
     """Skip the rows of an element with lists."""
     order = "big" if header.order == ">" else "little"
@@ -283,67 +283,24 @@ def _walk_lists(stream: BinaryIO, element: Element, header: Header, length: int)
             raise _cut_short(header)
 
 
-class _Tokens:
-    """The words of a stream, a piece at a time."""
-
-    def __init__(self, stream: BinaryIO):
-        self.stream, self.words, self.at, self.tail = stream, [], 0, b""
-
-    def take(self, count: int) -> list[bytes]:
-        """The next `count` words, fewer at the end of the file."""
-        while len(self.words) - self.at < count:
-            piece = self.stream.read(BLOCK)
-            text = self.tail + piece
-            words = text.split()
-            self.tail = words.pop() if piece and words and not text[-1:].isspace() else b""
-            if len(self.tail) > 4096:
-                raise FastGSError("there is a number of more than 4096 characters in it; the file is damaged.")
-            self.words, self.at = self.words[self.at:] + words, 0
-            if not piece:
-                break
-        self.at += count
-        return self.words[self.at - count:self.at]
-
-
-def _ascii_blocks(stream: BinaryIO, header: Header, length: int) -> Iterator[np.ndarray | None]:
-    """First None, when all is checked; then arrays [rows, columns] float64."""
+def _text_blocks(stream: BinaryIO, header: Header) -> Iterator[tuple[int, np.ndarray]]:
+    """Pieces of the vertices of a file in text, a row a line: number of the first one, and an array [rows, columns] float64."""
     before, after = _split(header)
-    _check_work(before)
-    vertex, width = header.vertex, len(header.vertex.properties)
-    if 2 * sum(e.count * len(e.properties) for e in header.elements) > length - header.size + 1:
-        raise _cut_short(header)  # every number is a digit and a space at least
-    yield None
-    tokens = _Tokens(stream)
+    lines = (line for line in iter(lambda: stream.readline(LONGEST_LINE), b"") if line.strip())
     for element in before:
-        _skip_words(tokens, element, header)
+        deque(islice(lines, element.count if element.properties else 0), maxlen=0)
+    vertex, width = header.vertex, len(header.vertex.properties)
     step = max(1, BLOCK // 16 // max(1, width))
-    for start in range(0, vertex.count, step):
-        rows = min(step, vertex.count - start)
-        words = tokens.take(rows * width)
-        if len(words) != rows * width:
+    for first in range(0, vertex.count, step):
+        rows = list(islice(lines, min(step, vertex.count - first)))
+        if len(rows) < min(step, vertex.count - first):
             raise _cut_short(header)
         try:
-            yield np.array([float(w) for w in words]).reshape(rows, width)
+            yield first, np.loadtxt(rows, comments=None, ndmin=2).reshape(len(rows), width)
         except ValueError as error:
-            raise FastGSError("there is something among its vertices that is not a number; the file is damaged.") from error
+            raise FastGSError("a row of its vertices is not as its header says, or no numbers; copy the file again.") from error
     if not after:
-        _check_rest(b"".join(tokens.take(1)))
-
-
-def _skip_words(tokens: _Tokens, element: Element, header: Header) -> None:
-    for _ in range(element.count if element.properties else 0):
-        for prop in element.properties:
-            count = 1
-            if prop.count_code:
-                word = b"".join(tokens.take(1))
-                if not word.isdigit() or len(word) > 9:
-                    raise _cut_short(header)
-                count = int(word)
-            while count:  # a piece at a time, for the count may be a lie
-                taken = len(tokens.take(min(count, 100_000)))
-                if not taken:
-                    raise _cut_short(header)
-                count -= taken
+        _check_rest(stream.read(4097))
 
 
 def write(path: Path, comments: Sequence[str], columns: Sequence[tuple[Sequence[str], np.ndarray]]) -> None:

@@ -15,16 +15,15 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
-from ..util.errors import FastGSError
 from . import torch_zip
 from .base import Format
-from .realtime4dgs import FPS, capture_of, check_shapes, coefficients, conditional, numbers_of
+from .realtime4dgs import FPS, conditional
 from .straight import Timeline, straight
+from .trained import first_and_last, harmonics, rows
 
 PREFIX = "_model.gauss_params."
 NAMES = ("xyz", "t", "scales_xyz", "scales_t", "quats1", "quats2", "features_dc", "features_rest", "opacities")
 REACH = 16.0
-DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 
 
 class RotorGaussians(Format):
@@ -34,31 +33,23 @@ class RotorGaussians(Format):
     reads = (".ckpt",)
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        return _parameters(torch_zip.content_or_none(head, path)) is not None
+        return bool(_parameters(torch_zip.content_or_none(head, path)))
 
     def load(self, path: Path) -> GaussianModel:
         found = _parameters(torch_zip.TorchFile(path).content)
-        if found is None:
-            raise FastGSError("it is no checkpoint of 4D-Rotor Gaussians; save it again.")
-        arrays = {name: numbers_of(found[name]) for name in NAMES}
-        n = len(arrays["xyz"])
-        widths = {"xyz": 3, "t": 1, "scales_xyz": 3, "scales_t": 1, "quats1": 4, "quats2": 4, "opacities": 1}
-        check_shapes({name: (arrays[name], (n, width)) for name, width in widths.items()})
-        rest = arrays["features_rest"].shape[1] if arrays["features_rest"].ndim == 3 else -1
-        if rest not in DEGREES:
-            raise FastGSError(f"its spherical harmonics have the shape {arrays['features_rest'].shape}, which fits no degree.")
-        features = coefficients((arrays["features_dc"].reshape(-1, 1, 3), arrays["features_rest"]), n, rest + 1)
-        begin, end = capture_of({}, arrays["t"])
+        arrays = rows(found, {"xyz": (3,), "t": (), "scales_xyz": (3,), "scales_t": (), "quats1": (4,), "quats2": (4,), "opacities": ()})
+        features, degree = harmonics(found["features_dc"], found["features_rest"], len(arrays["xyz"]))
+        begin, end = first_and_last({}, arrays["t"])
         frames = max(1, round((end - begin) * FPS)) if end - begin > 1 else 300
         with np.errstate(all="ignore"):  # what is no number is found by usable()
             velocity, variance, scale, rotation = conditional(arrays["scales_xyz"], arrays["scales_t"], turns, arrays["quats1"],
                                                               arrays["quats2"])
-            time = arrays["t"][:, 0].astype(np.float64)
+            time = arrays["t"].astype(np.float64)
             reach = np.sqrt(2 * REACH * variance)
             lives = straight(arrays["xyz"], velocity, time, 0.5 * np.log(variance), Timeline(begin, end - begin),
                              (time - reach, time + reach))
-        return GaussianModel(**lives, rotation=rotation, scale=scale, opacity=arrays["opacities"][:, 0], features=features,
-                             appearance=SH(DEGREES[rest]), clip=Clip(frames, FPS))
+        return GaussianModel(**lives, rotation=rotation, scale=scale, opacity=arrays["opacities"], features=features,
+                             appearance=SH(degree), clip=Clip(frames, FPS))
 
 
 def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -79,7 +70,7 @@ def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.array(rows).transpose(2, 0, 1)
 
 
-def _parameters(content: Any) -> dict | None:
-    """The table of tensors of a checkpoint, or None."""
+def _parameters(content: Any) -> dict[str, torch_zip.Tensor]:
+    """The table of tensors of a checkpoint; an empty one for anything else."""
     found = torch_zip.of_pipeline(content, PREFIX)
-    return found if found.keys() >= set(NAMES) else None
+    return found if found.keys() >= set(NAMES) else {}

@@ -29,15 +29,14 @@ from ..util.reading import open_file
 from . import torch_zip
 from .base import Format
 from .ftgs import GSPLAT
-from .realtime4dgs import check_shapes, numbers_of
 from .scenes import together
+from .trained import harmonics, numbers_of, rows
 
-DEGREES = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
 RANK = re.compile(r"(.*_rank)\d+(\.pt)", re.IGNORECASE)
 PREFIXES = ("_model.gauss_params.", "_model.")
 HARMONICS, COLOURS = {"sh0", "shN"}, {"features", "colors"}
 """Of gsplat, with and without app_opt."""
-SHARED = {"means", "scales", "quats", "opacities"}
+SHARED: dict[str, tuple[int, ...]] = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": ()}
 DC_AND_REST = {"features_dc", "features_rest"}
 MAX_SETTINGS = 1 << 20
 """Bytes that are looked at."""
@@ -50,7 +49,7 @@ class GsplatCheckpoint(Format):
     reads = (".pt",)
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        return _splats(torch_zip.content_or_none(head, path)) is not None
+        return bool(_splats(torch_zip.content_or_none(head, path)))
 
     def load(self, path: Path) -> GaussianModel:
         parts = [path]
@@ -67,19 +66,16 @@ class NerfstudioCheckpoint(Format):
     reads = (".ckpt",)
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        return _parameters(torch_zip.content_or_none(head, path)) is not None
+        return bool(_parameters(torch_zip.content_or_none(head, path)))
 
     def load(self, path: Path) -> GaussianModel:
         found = _parameters(torch_zip.TorchFile(path).content)
-        if found is None:
-            raise FastGSError("it is no checkpoint of nerfstudio's splatfacto; save it again.")
-        _tell_of(set(found) - SHARED - DC_AND_REST, path)
-        base = numbers_of(found["features_dc"])
-        rest = numbers_of(found["features_rest"])
+        _tell_of(set(found) - set(SHARED) - DC_AND_REST, path)
+        base, rest = numbers_of(found["features_dc"]), numbers_of(found["features_rest"])
         if rest.ndim == 3 and not rest.shape[1]:  # trained with sh_degree 0
-            base = (sigmoid(base.astype(np.float64)) - 0.5) / SH_C0
+            base = _of_logits(base)
         raster = replace(GSPLAT, antialiased=_says(path.parent.parent / "config.yml", "rasterize_mode", "antialiased"))
-        return replace(_model(found, base[:, None], rest, raster), axes="RFU")
+        return replace(_model(found, base, rest, raster), axes="RFU")
 
 
 def _says(file: Path, key: str, value: str) -> bool:
@@ -91,38 +87,42 @@ def _says(file: Path, key: str, value: str) -> bool:
     return re.search(rf"^\s*{key}:\s*['\"]?{value}['\"]?\s*$", text, re.MULTILINE) is not None
 
 
-def _splats(content: Any) -> dict | None:
-    """gsplat's table of tensors; None for anything else."""
+def _splats(content: Any) -> dict[str, torch_zip.Tensor]:
+    """gsplat's table of tensors; an empty one for anything else."""
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict) or not all(isinstance(v, torch_zip.Tensor) for v in splats.values()):
-        return None
+        return {}
     table = {"means" if name == "means3d" else name: tensor for name, tensor in splats.items()}
-    return table if table.keys() >= SHARED and (table.keys() >= HARMONICS or table.keys() >= COLOURS) else None
+    return table if table.keys() >= set(SHARED) and (table.keys() >= HARMONICS or table.keys() >= COLOURS) else {}
 
 
 def _gsplat(path: Path) -> GaussianModel:
     splats = _splats(torch_zip.TorchFile(path).content)
-    if splats is None:
+    if not splats:
         raise FastGSError(f"{path.name} is no checkpoint of gsplat's simple_trainer; save it again.")
-    if splats.keys() >= HARMONICS:
-        _tell_of(set(splats) - SHARED - HARMONICS, path)
-        return _model(splats, numbers_of(splats["sh0"]), numbers_of(splats["shN"]), GSPLAT)
-    _tell_of(set(splats) - SHARED - COLOURS, path)
+    kind = HARMONICS if splats.keys() >= HARMONICS else COLOURS
+    _tell_of(set(splats) - set(SHARED) - kind, path)
+    if kind is HARMONICS:
+        return _model(splats, splats["sh0"], splats["shN"], GSPLAT)
     warnings.warn(LossWarning(f"{path}: its network of appearance (app_opt) is left out; colours are those before it."), stacklevel=4)
-    colours = numbers_of(splats["colors"])
-    base = (sigmoid(colours.astype(np.float64)) - 0.5) / SH_C0
-    return _model(splats, base[:, None], np.zeros((len(base), 0, 3)), GSPLAT)
+    base = _of_logits(numbers_of(splats["colors"]))
+    return _model(splats, base, np.zeros((len(base), 0, 3)), GSPLAT)
 
 
-def _parameters(content: Any) -> dict[str, torch_zip.Tensor] | None:
-    """splatfacto's tensors by their plain names; None for anything else."""
+def _of_logits(colours: np.ndarray) -> np.ndarray:
+    """Coefficients of degree 0 of colours that are logits."""
+    return (sigmoid(colours.astype(np.float64)) - 0.5) / SH_C0
+
+
+def _parameters(content: Any) -> dict[str, torch_zip.Tensor]:
+    """splatfacto's tensors by their plain names; an empty table for anything else."""
     for prefix in PREFIXES:
         found = torch_zip.of_pipeline(content, prefix)
         if prefix == PREFIXES[1]:  # the model's other parts are beside them there
-            found = {name: value for name, value in found.items() if name in SHARED | DC_AND_REST}
-        if found.keys() >= SHARED | DC_AND_REST:
+            found = {name: value for name, value in found.items() if name in DC_AND_REST.union(SHARED)}
+        if found.keys() >= DC_AND_REST.union(SHARED):
             return found
-    return None
+    return {}
 
 
 def _tell_of(others: set[str], path: Path) -> None:
@@ -132,16 +132,9 @@ def _tell_of(others: set[str], path: Path) -> None:
                       stacklevel=4)
 
 
-def _model(table: Mapping[str, torch_zip.Tensor], base: np.ndarray, rest: np.ndarray, raster: Raster) -> GaussianModel:
-    """The model of tensors by the names in SHARED, and of coefficients [N, 1, 3] and [N, K, 3]."""
-    arrays = {name: numbers_of(table[name]) for name in SHARED}
-    n = arrays["means"].shape[0] if arrays["means"].ndim else 0
-    if arrays["opacities"].shape == (n, 1):
-        arrays["opacities"] = arrays["opacities"][:, 0]
-    shapes = {"means": (n, 3), "scales": (n, 3), "quats": (n, 4), "opacities": (n,)}
-    check_shapes({name: (arrays[name], shape) for name, shape in shapes.items()} | {"colour": (base, (n, 1, 3))})
-    if rest.ndim != 3 or rest.shape != (n, rest.shape[1], 3) or rest.shape[1] not in DEGREES:
-        raise FastGSError(f"its spherical harmonics have the shape {rest.shape}, which fits no degree; save the checkpoint again.")
-    features = np.concatenate([base, rest], 1).reshape(n, -1)
-    return GaussianModel(arrays["means"], arrays["quats"], arrays["scales"], arrays["opacities"], features,
-                         appearance=SH(DEGREES[rest.shape[1]]), raster=raster)
+def _model(table: Mapping[str, torch_zip.Tensor], base: Any, rest: Any, raster: Raster) -> GaussianModel:
+    """The model of tensors by the names in SHARED, and of coefficients of degree 0 and above it."""
+    arrays = rows(table, SHARED)
+    features, degree = harmonics(base, rest, len(arrays["means"]))
+    return GaussianModel(arrays["means"], arrays["quats"], arrays["scales"], arrays["opacities"], features, appearance=SH(degree),
+                         raster=raster)

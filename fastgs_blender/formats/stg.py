@@ -33,7 +33,6 @@ KEYS = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "
 OMEGA = ("omega_0", "omega_1", "omega_2", "omega_3")
 FULL = (*(f"f_dc_{i}" for i in range(6)), "f_t_0", "f_t_1", "f_t_2")
 LITE = ("f_dc_0", "f_dc_1", "f_dc_2")
-NEEDED = (*POSITION, "trbf_center", "trbf_scale", *LITE, "opacity", *SCALE, *ROTATION, *OMEGA)
 DECODER = {"w1": ("mlp1.weight", (6, 12, 1, 1)), "w2": ("mlp2.weight", (3, 6, 1, 1))}
 ACTIVATIONS = {"sandwich": "sigmoid", "sandwichnoact": "clamp", "sandwichnoactss": "none"}
 """STG's `rgbfunction`."""
@@ -54,9 +53,6 @@ class SpacetimeGaussians(Format):
 
     def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
-        missing = [name for name in NEEDED if name not in header.names]
-        if missing:
-            raise FastGSError(f"its columns {', '.join(missing)} are missing; export it from Spacetime Gaussians again.")
         kinds = from_comments(header.comments, KEYS)
         recorded = kinds.pop("appearance", None)
         settings = {} if "clip" in kinds else _settings(path)
@@ -70,8 +66,8 @@ class SpacetimeGaussians(Format):
             look = (recorded.activation, recorded.decode) if ours else (_activation(path, settings), "premultiplied")
             appearance = _read_decoder(path.with_suffix(".pt"), *look)
         arrays = ply.read_vertices(path, header, {
-            "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": ("opacity",), "features": FULL if full else LITE,
-            "motion": powers, "constant": constant, "rotation_motion": OMEGA, "mu_tau": ("trbf_center",), "temporal": ("trbf_scale",)})
+            "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": "opacity", "features": FULL if full else LITE,
+            "motion": powers, "constant": constant, "rotation_motion": OMEGA, "mu_tau": "trbf_center", "temporal": ("trbf_scale",)})
         shift = arrays.pop("constant")
         with np.errstate(over="ignore", invalid="ignore"):
             if shift.size:
@@ -79,7 +75,6 @@ class SpacetimeGaussians(Format):
             arrays["temporal"] *= -2
         arrays["motion"] = arrays["motion"].reshape(len(shift), len(powers) // 3, 3)
         arrays["rotation_motion"] = arrays["rotation_motion"][:, None]
-        arrays["opacity"], arrays["mu_tau"] = arrays["opacity"][:, 0], arrays["mu_tau"][:, 0]
         kinds = {"clip": Clip(settings.get("frames", FRAMES)), "basis": basis, "appearance": appearance} | kinds
         return GaussianModel(**restored(arrays, kinds))
 

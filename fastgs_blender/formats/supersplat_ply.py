@@ -37,9 +37,9 @@ class SuperSplatPly(Format):
         header = ply.read_header(path)
         degree, groups = static_columns(header, path)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "bell": BELL})
-        (centre, ln_width), velocity, opacity = columns.pop("bell").T, columns.pop("velocity"), columns.pop("opacity")[:, 0]
+        (centre, ln_width), velocity = columns.pop("bell").T, columns.pop("velocity")
         clip = _clip_of(header, path) or {"duration": last_frame(centre, FPS) / FPS}
-        still = GaussianModel(**columns, opacity=opacity, appearance=SH(degree))
+        still = GaussianModel(**columns, appearance=SH(degree))
         width = np.maximum(np.exp(ln_width.astype(np.float64)), sog4d.NARROWEST)
         return sog4d.together([sog4d.Part(still, velocity, centre.astype(np.float64), width)], {"fps": FPS} | clip)
 

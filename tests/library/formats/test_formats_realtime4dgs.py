@@ -159,7 +159,7 @@ def test_lower_degrees(tmp_path, rng, degree):
     compare(fg.load(tmp_path / "a.pth"), 3.3, expected(a | {"rest": a["rest"][:, :width - 1]}, 3.3, degree_t=0))
 
 
-@pytest.mark.parametrize(("key", "shape"), [("rotation_r", (N, 3)), ("t", (N,)), ("rest", (N, 30, 3)), ("opacity", (N,))])
+@pytest.mark.parametrize(("key", "shape"), [("rotation_r", (N, 3)), ("t", (N, 2)), ("rest", (N, 30, 3)), ("opacity", (N - 1, 1))])
 def test_wrong_shapes(tmp_path, rng, key, shape):
     saved(tmp_path / "a.pth", raw(rng) | {key: np.zeros(shape, np.float32)})
     with pytest.raises(fg.FastGSError, match=r"shape"):

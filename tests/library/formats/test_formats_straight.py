@@ -188,7 +188,7 @@ def test_checkpoint_with_extensions(tmp_path, rng, more):
 @pytest.mark.parametrize(("key", "shape"), [("quats", (N, 3)), ("times", (N - 1, 1)), ("shN", (N, 4, 3)), ("shN", (N, 45))])
 def test_checkpoint_of_wrong_shapes(tmp_path, rng, key, shape):
     np.savez(tmp_path / "a.npz", **raw(rng) | {key: np.zeros(shape, np.float32)})
-    with pytest.raises(fg.FastGSError, match=f"array {key} has the shape"):
+    with pytest.raises(fg.FastGSError, match=f"{key} has the shape|harmonics have the shape"):
         fg.load(tmp_path / "a.npz")
 
 
