@@ -24,6 +24,7 @@ from .compressed_ply import CompressedPly
 from .deformed import DeformableGaussians, HexPlaneGaussians
 from .dynamic3d import Dynamic3DGaussians
 from .ex4dgs import Ex4DGS
+from .foreign import explain
 from .fourdgs import FourDGS
 from .freetime import FreeTimeArrays, FreeTimeCheckpoint
 from .ftgs import FreeTimePly
@@ -51,7 +52,6 @@ from .stg import SpacetimeGaussians
 from .streamed_sog import StreamedSog
 from .supersplat_ply import SuperSplatPly
 from .tsog import Tsog
-from .unsupported import explain
 from .usd import Usd
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),

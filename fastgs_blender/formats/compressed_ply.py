@@ -16,6 +16,7 @@ from ..model.gaussians import GaussianModel, Raster
 from ..util.errors import FastGSError
 from . import ply
 from .base import generator
+from .foreign import is_2dgs
 from .inria import says_antialiased
 from .static import (
     SQRT_HALF,
@@ -29,7 +30,6 @@ from .static import (
     read_whole,
     with_largest,
 )
-from .unsupported import is_2dgs
 
 CHUNK = 256
 POSITION = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
@@ -44,8 +44,6 @@ SCALES = 20.0
 
 
 class CompressedPly(StaticFormat):
-    """The format "compressed PLY", as the head of this module describes it."""
-
     name = "compressed PLY"
     extensions = (".compressed.ply",)
     reads = (".ply",)

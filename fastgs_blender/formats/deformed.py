@@ -22,9 +22,9 @@ from ..util.identity import status_of
 from ..util.reading import reading
 from . import cfg_args, ellipsoids, ply, torch_zip
 from .base import Loader, require_sound, usable
+from .foreign import GAUSSIAN
 from .inria import Inria
 from .sequences import SequenceFormat
-from .unsupported import GAUSSIAN
 
 CLIP = Clip(300, 30.0)
 PLANES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))

@@ -27,8 +27,6 @@ FPS = 30.0
 
 
 class Dynamic3DGaussians(Format):
-    """The format "Dynamic 3D Gaussians", as the head of this module describes it."""
-
     name = "Dynamic 3D Gaussians"
     reads = (".npz",)
 

@@ -47,8 +47,6 @@ class Keyed:
 
 
 class Ex4DGS(SequenceFormat):
-    """The format "Ex4DGS", as the head of this module describes it."""
-
     name = "Ex4DGS"
     reads = (".ply",)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""look() says what a file that is no model looks like: most foreign files are recognisable."""
+"""explain() says why a file cannot be read, and what to do about it: most foreign files are recognisable."""
 from __future__ import annotations
 
 import re
@@ -11,9 +11,12 @@ from ..util.errors import FastGSError, printable
 from ..util.reading import reading
 from ..util.zip_files import MAGIC as ZIP
 from ..util.zip_files import opened_zip
+from . import ply
 from .description import read_json
 from .static import read_whole
 
+GAUSSIAN = ("x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4)))
+"""The columns without which there is no Gaussian."""
 PICTURE = "it is a picture, not a model; models are trained from several (fastgs train)"
 VIDEO = "it is a video, not a model; models are trained from several (fastgs train)"
 SOUND = "it is a sound, not a model"
@@ -57,6 +60,34 @@ MAX_JSON = 1 << 22
 """Bytes of JSON that is looked into."""
 
 
+def explain(head: bytes, path: Path) -> str:
+    """One clause on why the file cannot be read, and what to do.  head: its first bytes.  Raises FastGSError for a broken PLY header."""
+    if head.startswith(b"ply"):
+        return _explain_ply(ply.read_header(path))
+    return look(head, path) or f"{_guess(head)}, and none of the known formats, which docs/formats.md and Blender's import dialog list"
+
+
+def _explain_ply(header: ply.Header) -> str:
+    names = header.names
+    if any(element.name == "codebook_centers" for element in header.elements):
+        return "it is a reduced 3DGS PLY with codebooks, which is not read; export it as an ordinary .ply"
+    if is_2dgs(header):
+        return "it holds flat 2DGS surfels, not 3D Gaussians; train it with a 3D method"
+    if any(name.startswith("motion_") for name in names) or {"t", "t_scale"} & names:
+        return ("it is a 4D model of a kind that is not supported (of 4D PLY files, those of Spacetime Gaussians, FreeTimeGS and "
+                "Mediastorm are); export it as Spacetime Gaussians .ply")
+    missing = [name for name in GAUSSIAN if name not in names]
+    kind = "a mesh" if any(e.name == "face" and e.count for e in header.elements) else "a plain point cloud"
+    what = f"it is {kind}, not a Gaussian model" if {"opacity", "f_dc_0", "rot_0"}.isdisjoint(names) else "it is incomplete"
+    return f"{what}: its vertices have no {', '.join(missing)}"
+
+
+def is_2dgs(header: ply.Header) -> bool:
+    """Whether a PLY file holds surfels of 2D Gaussian splatting."""
+    scales = {"scale_0", "scale_1"} <= header.names and "scale_2" not in header.names
+    return scales or any(c.lower().replace(" ", "") == "splatrendermode:2dgs" for c in header.comments)
+
+
 def look(head: bytes, path: Path) -> str | None:
     """What the file is and what to do with it, as a clause; None where nothing tells.  head: the file's first bytes."""
     if head.startswith(ZIP):
@@ -73,7 +104,7 @@ def look(head: bytes, path: Path) -> str | None:
     return _json(path) if begin.startswith((b"{", b"[")) else _text(begin)
 
 
-def guess(head: bytes) -> str:
+def _guess(head: bytes) -> str:
     """A guess, as a clause, at the kind of a file of which look() knows nothing."""
     if not head.strip(b"\0"):
         return "it begins with zeros, as files do whose download was broken off"

@@ -38,8 +38,6 @@ UP = {1: "RUB", 2: "RFU", 4: "RDF"}
 
 
 class FourDGS(Format):
-    """The format "4dgs", as the head of this module describes it."""
-
     name = "4dgs"
     says_axes = True
     extensions = reads = (".4dgs",)

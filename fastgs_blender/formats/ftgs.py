@@ -38,8 +38,6 @@ GSPLAT = Raster(alpha_max=0.999, near=0.01)
 
 
 class FreeTimePly(Format):
-    """The format "FreeTimeGS PLY", as the head of this module describes it."""
-
     name = "FreeTimeGS PLY"
     extensions = (".ftgs.ply",)
     reads = (".ply",)

@@ -49,8 +49,6 @@ OVER = 4
 
 
 class Gltf(StaticFormat):
-    """The format "glTF KHR_gaussian_splatting", as the head of this module describes it."""
-
     name = "glTF KHR_gaussian_splatting"
     says_axes = True
     extensions = (".glb",)
@@ -104,67 +102,41 @@ def _parts(path: Path) -> tuple[dict, bytes]:
     return read_table(chunks.get(JSON, b"")), chunks.get(BINARY, b"")
 
 
-def _list(tree: dict, key: str) -> list:
-    """The tables of a JSON list; an empty list for any other value."""
-    values = tree.get(key)
-    return values if isinstance(values, list) and all(isinstance(v, dict) for v in values) else []
-
-
-def _at(tree: dict, key: str, index) -> dict:
-    values = _list(tree, key)
-    if type(index) is not int or not 0 <= index < len(values):
-        raise FastGSError(f"it names one of its {key} that is not there; the file is damaged.")
-    return values[index]
-
-
-def _table(value) -> dict:
-    return value if isinstance(value, dict) else {}
-
-
-def _is_splat(primitive) -> bool:
-    return not {EXTENSION, *DRAFTS}.isdisjoint(_table(_table(primitive).get("extensions")))
+def _splats(mesh: dict) -> list[dict]:
+    """The primitives of a mesh that are Gaussians."""
+    return [p for p in mesh.get("primitives", []) if not {EXTENSION, *DRAFTS}.isdisjoint(p.get("extensions", {}))]
 
 
 def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
     """Primitives of Gaussians with the matrix [4, 4] of their node; without a scene, all of them as they are."""
-    nodes, meshes, scenes = _list(tree, "nodes"), _list(tree, "meshes"), _list(tree, "scenes")
-    if not any(_is_splat(p) for mesh in meshes for p in _list(mesh, "primitives")):
+    nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
+    if not any(map(_splats, meshes)):
         return []
-    start = tree.get("scene", 0)
-    roots = scenes[start].get("nodes") if type(start) is int and 0 <= start < len(scenes) else None
-    if not isinstance(roots, list):
-        return [(np.eye(4), p) for mesh in meshes for p in _list(mesh, "primitives") if _is_splat(p)]
-    found, seen, stack = [], set(), [(index, np.eye(4)) for index in reversed(roots)]
+    scene = tree.get("scenes", [])[tree.get("scene", 0):][:1]
+    if not scene or "nodes" not in scene[0]:
+        return [(np.eye(4), p) for mesh in meshes for p in _splats(mesh)]
+    found, seen, stack = [], set(), [(index, np.eye(4)) for index in reversed(scene[0]["nodes"])]
     while stack:
         index, above = stack.pop()
-        if type(index) is not int or not 0 <= index < len(nodes) or index in seen or len(seen) > MAX_NODES:
+        if index in seen or len(seen) > MAX_NODES:
             raise FastGSError("its tree of nodes is damaged; export it again.")
         seen.add(index)
         place = above @ _matrix(nodes[index])
         if "mesh" in nodes[index]:
-            primitives = _list(_at(tree, "meshes", nodes[index]["mesh"]), "primitives")
-            found += [(place, p) for p in primitives if _is_splat(p)]
-        children = nodes[index].get("children", [])
-        stack += [(child, place) for child in reversed(children if isinstance(children, list) else [None])]
+            found += [(place, p) for p in _splats(meshes[nodes[index]["mesh"]])]
+        stack += [(child, place) for child in reversed(nodes[index].get("children", []))]
     return found
 
 
-def _vector(values, count: int, default) -> np.ndarray:
-    if values is None:
-        return np.array(default, np.float64)
-    good = isinstance(values, list) and len(values) == count and all(type(v) in (int, float) and abs(v) < 1e15 for v in values)
-    if not good:
-        raise FastGSError("a node's place makes no sense; the file is damaged.")
-    return np.array(values, np.float64)
-
-
 def _matrix(node: dict) -> np.ndarray:
+    def vector(key: str, *default: float) -> np.ndarray:
+        return np.array(node.get(key, default), np.float64).reshape(len(default))
+
     if "matrix" in node:
-        return _vector(node["matrix"], 16, ()).reshape(4, 4).T
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
     out = np.eye(4)
-    turn = rotations.to_matrices(rotations.unit(_vector(node.get("rotation"), 4, (0, 0, 0, 1))[[3, 0, 1, 2]]))
-    out[:3, :3] = turn * _vector(node.get("scale"), 3, (1, 1, 1))
-    out[:3, 3] = _vector(node.get("translation"), 3, (0, 0, 0))
+    turn = rotations.to_matrices(rotations.unit(vector("rotation", 0, 0, 0, 1)[[3, 0, 1, 2]]))
+    out[:3, :3], out[:3, 3] = turn * vector("scale", 1, 1, 1), vector("translation", 0, 0, 0)
     return out
 
 
@@ -181,11 +153,10 @@ class _Buffers:
             raise FastGSError("its nodes show the same Gaussians many times over; export them joined into one mesh.")
 
     def view(self, index) -> bytes:
-        view = _at(self.tree, "bufferViews", index)
-        number = view.get("buffer")
-        buffer = _at(self.tree, "buffers", number)
+        view = self.tree["bufferViews"][index]
+        number = view["buffer"]
         if number not in self.known:
-            self.known[number] = self._buffer(buffer, number)
+            self.known[number] = self._buffer(self.tree["buffers"][number], number)
         begin, size = whole_number(view.get("byteOffset", 0), "a view's offset"), whole_number(view.get("byteLength"), "a view's length")
         if begin + size > len(self.known[number]):
             raise FastGSError("the file is cut short, or a view lies outside its buffer; copy or export it again.")
@@ -207,16 +178,16 @@ class _Buffers:
 
 def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
     """Numbers [N, width] of an accessor, normalised ones as their shares."""
-    accessor = _at(tree, "accessors", index)
-    kind = COMPONENTS.get(accessor.get("componentType")) if type(accessor.get("componentType")) is int else None
-    if kind is None or not isinstance(accessor.get("type"), str) or WIDTHS.get(accessor["type"]) != width:
+    accessor = tree["accessors"][index]
+    kind = COMPONENTS.get(accessor["componentType"])
+    if kind is None or WIDTHS.get(accessor["type"]) != width:
         raise FastGSError("an attribute of its Gaussians has another type than it should; export it again.")
     if "sparse" in accessor or "bufferView" not in accessor:
         raise FastGSError("an attribute of its Gaussians is sparse, or packed in a way that is not known; export it without compression.")
     count = whole_number(accessor.get("count"), "the number of Gaussians")
     data = buffers.view(accessor["bufferView"])
     begin, item = whole_number(accessor.get("byteOffset", 0), "an attribute's offset"), np.dtype(kind).itemsize * width
-    step = whole_number(_at(tree, "bufferViews", accessor["bufferView"]).get("byteStride", item), "an attribute's stride")
+    step = whole_number(tree["bufferViews"][accessor["bufferView"]].get("byteStride", item), "an attribute's stride")
     if step < item or (count and begin + step * (count - 1) + item > len(data)):
         raise FastGSError("the file is cut short: an attribute is longer than its buffer; copy or export it again.")
     buffers.spend(count * item)
@@ -229,17 +200,17 @@ def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
 
 def _primitive(tree: dict, primitive: dict, buffers: _Buffers, assumed: dict[str, None]) -> GaussianModel:
     """The model of one primitive, in glTF's axes; `assumed` gets a clause for what the file does not say plainly."""
-    extensions, attributes = primitive["extensions"], _table(primitive.get("attributes"))
-    about = _table(extensions.get(EXTENSION))
-    packed = next((extensions[name] for name in DRAFTS if name in extensions), _table(about.get("extensions")).get(PACKED))
+    extensions, attributes = primitive["extensions"], primitive.get("attributes", {})
+    about = extensions.get(EXTENSION, {})
+    packed = next((extensions[name] for name in DRAFTS if name in extensions), about.get("extensions", {}).get(PACKED))
     colours, kernel = about.get("colorSpace", "srgb_rec709_display"), about.get("kernel", "ellipse")
-    if not isinstance(colours, str) or colours not in COLOURS:
+    if colours not in COLOURS:
         raise FastGSError("its Gaussians have a colour space that is not known; export it in sRGB.")
     if kernel != "ellipse":
         assumed[f"its kernel {printable(repr(kernel)[:40])} is not known and is drawn as an ellipse, so pictures may differ"] = None
     if packed is not None:
         draft = "kernel" not in about and "colorSpace" not in about
-        data = buffers.view(_table(packed).get("bufferView"))
+        data = buffers.view(packed["bufferView"])
         buffers.spend(len(data))
         model = decoded(data, raw=draft)  # drafts hold glTF's own axes, as Cesium reads them
         return replace(model if draft else turned(model, into_rdf(AXES).T), colour_space=COLOURS[colours])

@@ -22,7 +22,7 @@ from ..model.gaussians import Clip, GaussianModel
 from ..util.errors import FastGSError
 from ..util.reading import exactly, open_file
 from .description import frame_rate, read_table, whole_number
-from .lz4 import unpack
+from .packing import unlz4
 from .sequences import SequenceFormat, within
 from .straight import logit
 
@@ -44,8 +44,6 @@ class _Frame:
 
 
 class Gsd(SequenceFormat):
-    """The format "GSD sequence", as the head of this module describes it."""
-
     name = "GSD sequence"
     reads = (".gsd",)
 
@@ -88,7 +86,7 @@ def _layout(path: Path) -> tuple[dict, list[_Frame]]:
 def _model(path: Path, frame: _Frame, types: list[np.dtype], degree: int) -> GaussianModel:
     with open_file(path) as stream:
         stream.seek(frame.begin)
-        data = unpack(exactly(stream, frame.length), sum(4 * kind.itemsize * frame.pixels for kind in types))
+        data = unlz4(exactly(stream, frame.length), sum(4 * kind.itemsize * frame.pixels for kind in types))
     at, textures = 0, []
     for kind in types:
         size = 4 * kind.itemsize * frame.pixels

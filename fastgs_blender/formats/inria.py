@@ -24,8 +24,8 @@ from ..util.errors import LossWarning
 from . import mip_filter, ply
 from .base import Format, generator
 from .description import comments, from_comments
+from .foreign import GAUSSIAN, is_2dgs
 from .static import plain_harmonics
-from .unsupported import GAUSSIAN, is_2dgs
 
 KEYS = ("raster", "clip", "axes", "colour_space", "provenance", "surroundings")
 """What our comments add."""

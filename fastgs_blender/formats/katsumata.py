@@ -31,8 +31,6 @@ MOST_ROWS = 33
 
 
 class Katsumata(SequenceFormat):
-    """The format "compact dynamic Gaussians PLY (Katsumata)", as the head of this module describes it."""
-
     name = "compact dynamic Gaussians PLY (Katsumata)"
     reads = (".ply",)
 

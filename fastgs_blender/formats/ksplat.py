@@ -31,8 +31,6 @@ BOUND = 1.5
 
 
 class Ksplat(StaticFormat):
-    """The format ".ksplat", as the head of this module describes it."""
-
     name = ".ksplat"
     reads = (".ksplat",)
 

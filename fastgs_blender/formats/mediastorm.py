@@ -30,8 +30,6 @@ LONGEST = 100_000.0
 
 
 class MediastormPly(Format):
-    """The format "Mediastorm 4D PLY", as the head of this module describes it."""
-
     name = "Mediastorm 4D PLY"
     reads = (".ply",)
 

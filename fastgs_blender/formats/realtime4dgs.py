@@ -39,8 +39,6 @@ CHUNK = 1 << 16
 
 
 class Realtime4DGS(Format):
-    """The format "4DGS checkpoint", as the head of this module describes it."""
-
     name = "4DGS checkpoint"
     reads = (".pth",)
 

@@ -27,8 +27,6 @@ REACH = 16.0
 
 
 class RotorGaussians(Format):
-    """The format "4D-Rotor Gaussians checkpoint", as the head of this module describes it."""
-
     name = "4D-Rotor Gaussians checkpoint"
     reads = (".ckpt",)
 

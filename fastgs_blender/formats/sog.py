@@ -43,8 +43,6 @@ LARGEST = 16383
 
 
 class Sog(StaticFormat):
-    """The format "SOG", as the head of this module describes it."""
-
     name = "SOG"
     extensions = (".sog",)
     reads = (".sog", tables.META)

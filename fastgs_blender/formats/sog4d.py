@@ -40,8 +40,6 @@ class Part:
 
 
 class Sog4d(Format):
-    """The format "SOG4D (SuperSplat 4D)", as the head of this module describes it."""
-
     name = "SOG4D (SuperSplat 4D)"
     reads = (".sog4d",)
 

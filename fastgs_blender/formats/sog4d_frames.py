@@ -49,8 +49,6 @@ class _Layout:
 
 
 class Sog4dFrames(SequenceFormat):
-    """The format "SOG4D (gsplat-unity)", as the head of this module describes it."""
-
     name = "SOG4D (gsplat-unity)"
     reads = (".sog4d",)
 

@@ -28,8 +28,6 @@ FARTHEST = 1e7
 
 
 class Splat(StaticFormat):
-    """The format ".splat", as the head of this module describes it."""
-
     name = ".splat"
     extensions = reads = (".splat",)
     degree = 0

@@ -43,8 +43,6 @@ LARGEST = 64 << 30
 
 
 class Splat4d(Format):
-    """The format "splat4d", as the head of this module describes it."""
-
     name = "splat4d"
     reads = (".splat4d",)
 

@@ -48,8 +48,6 @@ class _Span:
 
 
 class Splats4D(SequenceFormat):
-    """The format "splats4D", as the head of this module describes it."""
-
     name = "splats4D"
     reads = (".splat4d",)
 

@@ -45,8 +45,6 @@ SH_STEPS = (8, 16)
 
 
 class Spz(StaticFormat):
-    """The format "SPZ", as the head of this module describes it."""
-
     name = "SPZ"
     says_axes = True
     extensions = reads = (".spz",)

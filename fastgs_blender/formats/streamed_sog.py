@@ -33,8 +33,6 @@ MAX_META = 1 << 26
 
 
 class StreamedSog(StaticFormat):
-    """The format "streamed SOG", as the head of this module describes it."""
-
     name = "streamed SOG"
     reads = (META,)
 

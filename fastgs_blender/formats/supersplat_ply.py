@@ -25,8 +25,6 @@ FPS = 30.0
 
 
 class SuperSplatPly(Format):
-    """The format "SuperSplat 4D PLY", as the head of this module describes it."""
-
     name = "SuperSplat 4D PLY"
     reads = (".ply",)
 

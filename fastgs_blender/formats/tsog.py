@@ -26,8 +26,6 @@ FPS, FRAMES = 30.0, 300
 
 
 class Tsog(Format):
-    """The format "TSOG", as the head of this module describes it."""
-
     name = "TSOG"
     reads = (".tsog",)
 

@@ -37,8 +37,6 @@ AXES = {"Y": "RUB", "Z": "RFU"}
 
 
 class Usd(StaticFormat):
-    """The format "OpenUSD ParticleField", as the head of this module describes it."""
-
     name = "OpenUSD ParticleField"
     says_axes = True
     reads = (".usdc", ".usda", ".usd", ".usdz")

@@ -14,7 +14,7 @@ import pytest
 from test_formats_sequences import COUNT, all_frames, frame
 
 import fastgs_blender as fg
-from fastgs_blender.formats.lz4 import unpack
+from fastgs_blender.formats.packing import unlz4
 
 
 def lz4(data: bytes) -> bytes:
@@ -79,16 +79,16 @@ def test_gsd(tmp_path):
 def test_lz4_blocks():
     for data in (b"", b"abc", bytes(range(256)) * 5, b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail"):
         block = lz4(data) if len(data) > 20 else bytes([len(data) << 4]) + data
-        assert unpack(block, len(data)).tobytes() == data
+        assert unlz4(block, len(data)).tobytes() == data
     packed = lz4(b"0123456789abcdefwxyz" + b"wxyz" * 300 + b"tail")
     assert len(packed) < 50
     for wrong, size in ((packed, 1223), (packed[:-1], 1224), (packed, 10**12), (b"\x10a\0\0", 100), (b"\x10a\5\0", 100), (b"\xf0", 20)):
         with pytest.raises(fg.FastGSError, match="damaged"):
-            unpack(wrong, size)
+            unlz4(wrong, size)
 
 
 def test_mutated_gsd(tmp_path):
-    unpack(b"\0", 0)  # compiled before the limits of the campaign
+    unlz4(b"\0", 0)  # compiled before the limits of the campaign
     models = [frame(i).take(np.arange(5)) for i in range(2)]
     told = mutations.campaign("gsd", lambda folder: all_frames(folder / "m.gsd"), {"two frames": {"m.gsd": gsd(models)}}, tmp_path)
     assert min(told.values(), default=1) > 0
