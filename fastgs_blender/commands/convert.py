@@ -101,7 +101,7 @@ def _sampled(model: GaussianModel, source: str, target: Path) -> GaussianModel:
     import numpy as np
 
     from .. import formats
-    from ..formats.sampled import sampled
+    from ..formats.scenes import sampled
     from ..rendering.instances import Instance
 
     captured = Instance(model, np.eye(4), 0.0).captured

@@ -14,6 +14,7 @@ from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.surroundings import Backdrop, Surroundings, Viewpoint
 from ..model.temporal import Always, Radial, temporal_by_name
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 
 MAX_PROVENANCE = 1 << 16
@@ -94,13 +95,8 @@ def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
 
 def _one_of(value, known, what: str):
     if value not in known:
-        raise FastGSError(f"its {what} must be one of {', '.join(known)}, not {_short(value)}.")
+        raise FastGSError(f"its {what} must be one of {', '.join(known)}, not {shown(value)}.")
     return value
-
-
-def _short(value) -> str:
-    text = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else type(value).__name__
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _typed(value, example, what: str):
@@ -119,7 +115,7 @@ def _typed(value, example, what: str):
         good = isinstance(value, list) and len(value) <= 100_000
         value = tuple(_typed(v, 0.0, what) for v in value) if good else value
     if not good:
-        raise FastGSError(f"{what} cannot be {_short(value)}.")
+        raise FastGSError(f"{what} cannot be {shown(value)}.")
     return value
 
 
@@ -134,7 +130,7 @@ def _from_fields(cls, values, what: str):
 def _basis(values) -> Basis:
     name = values.get("name") if isinstance(values, dict) else None
     if not isinstance(name, str) or name not in BASES:
-        raise FastGSError(f"the basis of time {_short(name)} is unknown; this version knows {', '.join(BASES)}.")
+        raise FastGSError(f"the basis of time {shown(name)} is unknown; this version knows {', '.join(BASES)}.")
     examples = {f.name: f.default for f in fields(BASES[name])}
     return basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
 
@@ -148,7 +144,7 @@ def _described(look: Appearance) -> dict:
 def _appearance(values) -> Appearance:
     name = values.get("name") if isinstance(values, dict) else None
     if not isinstance(name, str) or name not in APPEARANCES:
-        raise FastGSError(f"the appearance {_short(name)} is unknown; this version knows {', '.join(APPEARANCES)}.")
+        raise FastGSError(f"the appearance {shown(name)} is unknown; this version knows {', '.join(APPEARANCES)}.")
     kind = APPEARANCES[name]
     if kind is Changing:
         look = values.get("look")
@@ -185,7 +181,7 @@ def _provenance(values) -> dict[str, str]:
 def whole_number(value, what: str) -> int:
     """A JSON number that must be a count; raises FastGSError."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= 2**53 or math.floor(value) != value:
-        raise FastGSError(f"{what} cannot be {_short(value)}.")
+        raise FastGSError(f"{what} cannot be {shown(value)}.")
     return int(value)
 
 

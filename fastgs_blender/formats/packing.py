@@ -91,7 +91,7 @@ def _unpack(block: np.ndarray, out: np.ndarray) -> int:
         at += 1
         back = 0  # first bytes of the block, then bytes that are there already, `back` before
         for nibble in (np.int64(token >> 4), np.int64(token & 15)):
-            count, more = nibble, 255 if nibble == 15 else 0
+            count, more = int(nibble), 255 if nibble == 15 else 0
             while more == 255:
                 if at >= end:
                     return -1

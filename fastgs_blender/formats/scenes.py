@@ -6,22 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model.appearance import SH_C0, Features
+from ..model.appearance import SH_C0, Features, sh_basis
 from ..model.gaussians import GaussianModel
 from ..model.joining import concatenate
 from ..model.slicing import freeze, sigmoid
+from ..rendering.colour import linear_to_srgb, srgb_to_linear
 from ..rendering.crops import crop_share
+from ..rendering.distance import Sampling
 from ..rendering.instances import Instance
 from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
 from ..util.errors import FastGSError
-from .colour_spaces import in_colour_space
-from .sampled import sampled
 from .static import plain_harmonics
 from .turning import turned
 
 STEP = 1e-4
 """Of colours, to find how a look changes small differences."""
+DIRECTIONS, CHUNK = 200, 1 << 11
+"""In which colours are converted to another colour space, and Gaussians at a time."""
 
 
 def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[GaussianModel, list[str]]:
@@ -110,9 +112,48 @@ def placed(model: GaussianModel, place: np.ndarray) -> GaussianModel:
 def together(models: list[GaussianModel]) -> GaussianModel:
     """One static model of several with spherical harmonics; those of a lower degree get zeros.
 
-    Of several colour spaces it has sRGB, see colour_spaces.py.
+    Of several colour spaces it has sRGB, see in_colour_space().
     """
     if len({m.colour_space for m in models}) > 1:
         models = [in_colour_space(m, "srgb") for m in models]
     first = models[0]
     return concatenate([replace(m, axes=first.axes, raster=first.raster) for m in models])
+
+
+def sampled(model: GaussianModel, captured: Sampling) -> GaussianModel:
+    """A static model with the capture's sampling limit (rendering/distance.py) in its Gaussians; as it is where it is antialiased already.
+
+    For files that hold no cameras.  The blur b that a pixel of the size F adds to a splat is added to the Gaussian itself, b F^2 to each of
+    its squared standard deviations, and the file says that it is antialiased.  Viewers that follow it (Mip-Splatting's mode: PlayCanvas,
+    SuperSplat, Brush and others) then draw views in finer pixels as smooth as the capture was, and views in coarser ones as faint.  At the
+    size of the training the picture is a little softer, because their own blur comes on top.
+    """
+    if model.raster.antialiased:
+        return model
+    variance = np.exp(2 * model.scale.astype(np.float64))
+    finest = captured.finest(model.position.astype(np.float64), np.sqrt(variance.max(1, initial=0)))
+    return replace(model, scale=0.5 * np.log(variance + model.raster.blur * finest[:, None] ** 2),
+                   raster=replace(model.raster, antialiased=True), surroundings=replace(model.surroundings, cameras=()))
+
+
+def in_colour_space(model: GaussianModel, colour_space: str) -> GaussianModel:
+    """The static model with the colours it shows in "srgb" or "linear".
+
+    Colours that are the same from everywhere are exact.  Others are converted in DIRECTIONS directions, and the harmonics of the same
+    degree that fit these best take their place.
+    """
+    if model.colour_space == colour_space:
+        return model
+    convert = linear_to_srgb if colour_space == "srgb" else srgb_to_linear
+    height = np.linspace(-1, 1, DIRECTIONS + 2)[1:-1]
+    angle = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5))  # a spiral over the sphere
+    flat = np.sqrt(1 - height**2)
+    basis = sh_basis(np.stack([flat * np.cos(angle), flat * np.sin(angle), height], 1), model.appearance.degree)
+    fit = np.linalg.pinv(basis)
+    features = np.empty_like(model.features)
+    for start in range(0, len(model), CHUNK):
+        rows = slice(start, start + CHUNK)
+        coefficients = model.features[rows].reshape(len(model.features[rows]), -1, 3).astype(np.float64)
+        shown = convert(np.maximum(0.5 + np.einsum("db,nbc->ndc", basis, coefficients), 0))
+        features[rows] = np.einsum("bd,ndc->nbc", fit, shown - 0.5).reshape(len(coefficients), -1)
+    return replace(model, features=features, colour_space=colour_space)
