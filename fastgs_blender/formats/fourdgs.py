@@ -17,7 +17,7 @@ import numpy as np
 from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import Clip, GaussianModel
 from ..util.errors import FastGSError, LossWarning
-from ..util.reading import read_bytes
+from ..util.reading import damaged_if, read_bytes
 from . import fourdgs_streams as wire
 from . import fourdgs_tracks as tracks
 from .base import Format
@@ -74,8 +74,7 @@ class FourDGS(Format):
                 _track(scene, content)
             elif opcode == FRAME:
                 _frame(scene, content, path)
-        if GRIDS not in seen:
-            raise FastGSError("its header or its grids are missing; the file is damaged, so copy or export it again.")
+        damaged_if(GRIDS not in seen, "its header or its grids are missing")
         population.finish()
         return _model(scene)
 
@@ -111,16 +110,14 @@ def _grids(scene: Scene, content: wire.Cursor) -> None:
     if scheme != "uniform-v1":
         raise FastGSError(f"its numbers are quantised by {scheme[:40]!r}, and the scheme that is known is 'uniform-v1'.")
     scene.origin, steps = np.array(content.unpack("3d")), content.unpack("8d")
-    if not np.isfinite([*scene.origin, *steps]).all():
-        raise FastGSError("a step of its grids is no finite number; the file is damaged.")
+    damaged_if(not np.isfinite([*scene.origin, *steps]).all(), "a step of its grids is no finite number")
     scene.steps = dict(zip(STEPS, steps))
 
 
 def _track(scene: Scene, content: wire.Cursor) -> None:
-    track = tracks.read(content)
-    if track and any(other.name == track.name for other in scene.tracks):
-        raise FastGSError(f"its object {track.name} has two tracks; the file is damaged.")
-    scene.tracks += [track] if track else []
+    if track := tracks.read(content):
+        damaged_if(any(other.name == track.name for other in scene.tracks), f"its object {track.name} has two tracks")
+        scene.tracks.append(track)
 
 
 def _frame(scene: Scene, content: wire.Cursor, path: Path) -> None:
@@ -144,8 +141,7 @@ def _model(scene: Scene) -> GaussianModel:
     joined = {a: np.concatenate([t[a] for t in scene.tables] or [np.zeros((0, wire.CHANNELS[a]), np.int64)]) for a in wire.REQUIRED}
     n, step = len(joined[wire.FLAGS]), scene.steps
     always, index = joined[wire.FLAGS][:, 0] & 1 != 0, joined[wire.WINDOW][:, 0]
-    if n and (index.min() < 0 or index.max() >= len(scene.windows)):
-        raise FastGSError(f"a Gaussian has window {index.max()} of {len(scene.windows)}; the file is damaged.")
+    damaged_if(n and (index.min() < 0 or index.max() >= len(scene.windows)), f"a Gaussian has windows beyond its {len(scene.windows)}")
     with np.errstate(all="ignore"):  # what is no number is found by usable()
         window = scene.windows[index]
         ln_sigma = joined[wire.SIGMA][:, 0] * step["sigma_log"]
@@ -164,8 +160,7 @@ def _model(scene: Scene) -> GaussianModel:
         if scene.degree:
             features, look = _harmonics(scene, rgb, n), SH(scene.degree)
         omitted = joined[wire.OMITTED][:, 0]
-        if n and (omitted.min() < 0 or omitted.max() > 3):
-            raise FastGSError("a rotation in it leaves out a component that does not exist; the file is damaged.")
+        damaged_if(n and (omitted.min() < 0 or omitted.max() > 3), "a rotation in it leaves out a component that does not exist")
         rotation = with_largest(omitted, np.clip(joined[wire.ROTATION] * step["rot"], -1, 1))[:, [3, 0, 1, 2]]
         moved = tracks.follow(lives, rotation, _objects(scene), scene.tracks, timeline)
         opacity = logit(joined[wire.OPACITY][:, 0] * step["alpha"])

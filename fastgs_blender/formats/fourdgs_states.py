@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import fourdgs_streams as wire
 from .fourdgs_tracks import Track
 
@@ -49,15 +50,13 @@ class Scene:
 def complete(table: dict[int, np.ndarray], count: int, what: str) -> dict[int, np.ndarray]:
     """The table; raises FastGSError where an attribute that every Gaussian has is missing."""
     missing = [wire.NAMES[a] for a in wire.REQUIRED if a not in table]
-    if missing and count:
-        raise FastGSError(f"{what} in it has no {', '.join(missing)}; the file is damaged, so copy or export it again.")
+    damaged_if(missing and count, f"{what} in it has no {', '.join(missing)}")
     return table if count else {a: np.zeros((0, wire.CHANNELS[a]), np.int64) for a in wire.CHANNELS}
 
 
 def band_of(degree: int, number: int, content: wire.Cursor, count: int) -> np.ndarray:
     """The coefficients [count, 3 (2 number + 1)] of a band; raises FastGSError."""
-    if not 1 <= number <= max(degree, 1):
-        raise FastGSError(f"it has band {number} of spherical harmonics, and its degree is {degree}; the file is damaged.")
+    damaged_if(not 1 <= number <= max(degree, 1), f"it has band {number} of spherical harmonics, and its degree is {degree}")
     values = wire.stream(content, count, band=True)[1]
     if values is None or values.shape[1] != 3 * (2 * number + 1) or (values.size and (values.min() < 0 or values.max() > 255)):
         raise FastGSError(f"band {number} of its spherical harmonics is damaged; copy or export the file again.")
@@ -83,8 +82,7 @@ class Births:
     def band(self, number: int, content: wire.Cursor) -> None:
         """Spherical harmonics of the chunk before them."""
         bands, count = self.scene.bands[-1], len(self.scene.tables[-1][wire.FLAGS])
-        if number in bands:
-            raise FastGSError(f"a chunk in it has band {number} of spherical harmonics twice; the file is damaged.")
+        damaged_if(number in bands, f"a chunk in it has band {number} of spherical harmonics twice")
         bands[number] = band_of(self.scene.degree, number, content, count)
 
     def finish(self) -> None:
@@ -132,16 +130,14 @@ class States:
             raise FastGSError("a delta chunk refers to a state that is not there; the file is damaged, so copy or export it again.")
         touched = _named(updates, counts[0])
         gone, new = _named(deaths, counts[2]), self._rows(births, counts[1], "a delta chunk")
-        if len(np.unique(np.concatenate([touched, gone, new[0]]))) != sum(counts):
-            raise FastGSError("a delta chunk names a Gaussian twice; the file is damaged.")
+        damaged_if(len(np.unique(np.concatenate([touched, gone, new[0]]))) != sum(counts), "a delta chunk names a Gaussian twice")
         rows = base.rows.copy()
         self._update(rows, _places(base.identity, touched), updates)
         keep = np.ones(len(rows), bool)
         keep[_places(base.identity, gone)] = False
         identity = np.concatenate([base.identity[keep], new[0]])
         order = np.argsort(identity, kind="stable")
-        if np.any(np.diff(identity[order]) == 0):
-            raise FastGSError("a delta chunk brings a Gaussian to life that lives; the file is damaged.")
+        damaged_if(np.any(np.diff(identity[order]) == 0), "a delta chunk brings a Gaussian to life that lives")
         self._open(begin, end, State(place, identity[order], np.concatenate([rows[keep], new[1]])[order]), _named(births, counts[1]))
 
     def band(self, number: int, content: wire.Cursor) -> None:
@@ -169,8 +165,7 @@ class States:
         """Identities, sorted, and rows of Gaussians that are given whole."""
         identity = _named(table, count)
         order = np.argsort(identity, kind="stable")
-        if np.any(np.diff(identity[order]) == 0):
-            raise FastGSError(f"{what} in it names a Gaussian twice; the file is damaged.")
+        damaged_if(np.any(np.diff(identity[order]) == 0), f"{what} in it names a Gaussian twice")
         table = complete(table, count, what)
         rows = np.zeros((count, self.width), np.int64)
         for a, columns in COLUMNS.items():
@@ -180,14 +175,12 @@ class States:
     def _update(self, rows: np.ndarray, places: np.ndarray, updates) -> None:
         """Add differences to rows; rotations are said anew."""
         for a, values in updates.items():
-            if a in FIXED:
-                raise FastGSError(f"a delta chunk changes {wire.NAMES[a]}, which may not change; the file is damaged.")
+            damaged_if(a in FIXED, f"a delta chunk changes attribute {a}, which may not change")
             if a in (wire.OMITTED, wire.ROTATION):
                 rows[places, COLUMNS[a]] = values
             elif a in COLUMNS:
                 rows[places, COLUMNS[a]] += values
-        if rows.size and np.abs(rows).max() >= 2**31:
-            raise FastGSError("a number in it leaves 32 bits after its changes; the file is damaged.")
+        damaged_if(rows.size and np.abs(rows).max() >= 2**31, "a number in it leaves 32 bits after its changes")
 
     def _open(self, begin: float, end: float, state: State, born: np.ndarray) -> State:
         """Begin a state; the bands of spherical harmonics of `born`, in the file's order, may still come."""
@@ -201,8 +194,7 @@ class States:
         """Compare the last state with what was shown before it: what differs ends, and the rest goes on."""
         if self.born is None:
             return
-        if len(self.born) and self.bands != set(range(1, self.scene.degree + 1)):
-            raise FastGSError("bands of spherical harmonics are missing; the file is damaged, so copy or export it again.")
+        damaged_if(len(self.born) and self.bands != set(range(1, self.scene.degree + 1)), "bands of spherical harmonics are missing")
         old, new = self.shown, self.last
         place = np.searchsorted(old.identity, new.identity).clip(0, max(0, len(old.identity) - 1))
         same = np.zeros(len(new.identity), bool)
@@ -229,8 +221,7 @@ def _band(number: int) -> slice:
 def _named(table, count: int) -> np.ndarray:
     """The identities of a group; raises FastGSError where there are none."""
     if wire.IDENTITY not in table:
-        if count:
-            raise FastGSError("its Gaussians have no identities, which keyframe-delta needs; the file is damaged.")
+        damaged_if(count, "its Gaussians have no identities, which keyframe-delta needs")
         return np.zeros(0, np.int64)
     return wire.identities(table[wire.IDENTITY])
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import packing
 
 MAGIC = b"\x894DGS1\r\n"
@@ -69,8 +70,7 @@ def records(data: memoryview) -> Iterator[tuple[int, int, Cursor]]:
 
 def check_room(count: int, room: int) -> None:
     """Raises FastGSError where a chunk claims more Gaussians than there can be."""
-    if count > room:
-        raise FastGSError(f"a chunk in it claims {count} Gaussians, which the file is too small to hold; copy or export it again.")
+    damaged_if(count > room, f"a chunk in it claims {count} Gaussians, which the file is too small to hold")
 
 
 def unpacked(block: Cursor, codec: str, size: int) -> Cursor:
@@ -87,8 +87,7 @@ def streams(cursor: Cursor, count: int, what: str) -> dict[int, np.ndarray]:
     found, seen = {}, set()
     while cursor:
         attribute, values = stream(cursor, count)
-        if attribute in seen:
-            raise FastGSError(f"{what} has attribute {attribute} twice; the file is damaged.")
+        damaged_if(attribute in seen, f"{what} has attribute {attribute} twice")
         seen.add(attribute)
         if values is not None:
             if values.shape[1] != CHANNELS[attribute]:
@@ -121,8 +120,7 @@ def stream(cursor: Cursor, count: int, band: bool = False) -> tuple[int, np.ndar
 
 def identities(values: np.ndarray) -> np.ndarray:
     """Unsigned 32-bit names [N] of signed numbers with the same bits."""
-    if values.size and (values.min() < -(2**31) or values.max() >= 2**31):
-        raise FastGSError("an identity in it does not fit 32 bits; the file is damaged.")
+    damaged_if(values.size and (values.min() < -(2**31) or values.max() >= 2**31), "an identity in it does not fit 32 bits")
     return values.reshape(-1) % 2**32
 
 

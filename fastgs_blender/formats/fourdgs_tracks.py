@@ -14,6 +14,7 @@ import numpy as np
 from ..model.motion import Keyframes
 from ..util import rotations
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from .base import LIMIT
 from .fourdgs_streams import Cursor
 from .straight import Timeline
@@ -58,8 +59,7 @@ def read(content: Cursor) -> Track | None:
         norm = np.linalg.norm(samples["rotation"], axis=1, keepdims=True)
         good = np.all(np.abs(samples["time"]) < 1e6) and np.all(np.diff(samples["time"]) > 0)
         good = good and np.all(np.abs(samples["translation"]) < LIMIT) and np.isfinite(norm).all() and (norm > 0).all()
-    if not (good and name and interpolation in (0, 1)):
-        raise FastGSError(f"the track of its object {name} is damaged; copy or export the file again.")
+    damaged_if(not (good and name and interpolation in (0, 1)), f"the track of its object {name} is damaged")
     return Track(name, interpolation == 1, samples["time"], (samples["rotation"] / norm)[:, [3, 0, 1, 2]], samples["translation"]) \
         if count else None
 

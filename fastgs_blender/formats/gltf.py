@@ -25,6 +25,7 @@ from ..model.gaussians import GaussianModel, Raster
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError, LossWarning, printable
+from ..util.reading import damaged_if
 from ..util.stated_paths import below
 from .base import OPAQUE, generator
 from .description import is_json_table, read_table, whole_number
@@ -95,8 +96,7 @@ def _parts(path: Path) -> tuple[dict, bytes]:
         raise FastGSError("it is a damaged .glb file, or of another version than 2; export it again.")
     while at + 8 <= len(data):
         size, kind = struct.unpack_from("<II", data, at)
-        if size > len(data) - at - 8:
-            raise FastGSError("the file is cut short; copy or export it again.")
+        damaged_if(size > len(data) - at - 8, "the file is cut short")
         chunks.setdefault(kind, data[at + 8:at + 8 + size])
         at += 8 + size + -size % 4
     return read_table(chunks.get(JSON, b"")), chunks.get(BINARY, b"")
@@ -158,8 +158,7 @@ class _Buffers:
         if number not in self.known:
             self.known[number] = self._buffer(self.tree["buffers"][number], number)
         begin, size = whole_number(view.get("byteOffset", 0), "a view's offset"), whole_number(view.get("byteLength"), "a view's length")
-        if begin + size > len(self.known[number]):
-            raise FastGSError("the file is cut short, or a view lies outside its buffer; copy or export it again.")
+        damaged_if(begin + size > len(self.known[number]), "the file is cut short, or a view lies outside its buffer")
         return self.known[number][begin:begin + size]
 
     def _buffer(self, buffer: dict, number: int) -> bytes:
@@ -231,8 +230,7 @@ def _primitive(tree: dict, primitive: dict, buffers: _Buffers, assumed: dict[str
     arrays = {"position": read("POSITION", 3), "rotation": read("ROTATION", 4)[:, [3, 0, 1, 2]],
               "scale": scale if (scale < 0).any() else np.log(scale),
               "opacity": logit, "features": np.concatenate(features, 1)}
-    if len({len(array) for array in arrays.values()}) > 1:
-        raise FastGSError("its attributes differ in length; the file is damaged.")
+    damaged_if(len({len(array) for array in arrays.values()}) > 1, "its attributes differ in length")
     return GaussianModel(**arrays, appearance=SH(degree), raster=Raster(), colour_space=COLOURS[colours])
 
 

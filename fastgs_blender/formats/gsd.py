@@ -20,7 +20,7 @@ import numpy as np
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
 from ..util.errors import FastGSError
-from ..util.reading import exactly, open_file
+from ..util.reading import damaged_if, exactly, open_file
 from .description import frame_rate, read_table, whole_number
 from .packing import unlz4
 from .sequences import SequenceFormat, within
@@ -74,12 +74,10 @@ def _layout(path: Path) -> tuple[dict, list[_Frame]]:
             block = int.from_bytes(stream.read(4), "little")
             count, width, height = (whole_number(entry.get(key), f"the {key} of its frame {number}")
                                     for key in ("gaussianCount", "textureWidth", "textureHeight"))
-            if at + 4 + block > length or count > width * height:
-                raise FastGSError(f"its frame {number} is cut short; copy the file again.")
+            damaged_if(at + 4 + block > length or count > width * height, f"its frame {number} is cut short")
             frames.append(_Frame(at + 4, block, count, width * height))
             at += 4 + block
-    if not frames:
-        raise FastGSError("its header does not say which frames it has; copy or export the file again.")
+    damaged_if(not frames, "its header does not say which frames it has")
     return header, frames
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from ..model.appearance import SH, SH_C0
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from .static import StaticFormat, logits, read_whole
 
 HEADER, SECTION = 4096, 1024
@@ -80,10 +81,8 @@ def _sections(data: bytes, size: int) -> tuple[tuple, list[_Section]]:
     major, minor, most, level = main[0], main[1], main[2], main[6]
     if major or not minor:
         raise FastGSError(f"it is of .ksplat version {major}.{minor}; version 0.1 is read.")
-    if level > 2:
-        raise FastGSError(f"its compression level {level} is unknown (0, 1 and 2 are read); the file is damaged.")
-    if HEADER + most * SECTION > size:
-        raise FastGSError(f"the file is cut short: its header promises {most} sections; copy or export it again.")
+    damaged_if(level > 2, f"its compression level {level} is unknown (0, 1 and 2 are read)")
+    damaged_if(HEADER + most * SECTION > size, f"the file is cut short: its header promises {most} sections")
     at, sections = HEADER + most * SECTION, []
     for place in range(HEADER, min(at, len(data) - SECTION + 1), SECTION):
         _, held, bucket, buckets, edge, width, reach, _, full, partial, degree = PART.unpack_from(data, place)
@@ -93,8 +92,7 @@ def _sections(data: bytes, size: int) -> tuple[tuple, list[_Section]]:
         records = at + 4 * partial + width * buckets
         sections.append(_Section(held, bucket, full, partial, buckets, edge / 2 / reach, reach, degree, at, at + 4 * partial, records))
         at = records + held * _record(level, degree).itemsize
-        if at > size:
-            raise FastGSError(f"the file is cut short: a section promises {held} Gaussians; copy or export it again.")
+        damaged_if(at > size, f"the file is cut short: a section promises {held} Gaussians")
     return main, sections
 
 
@@ -126,7 +124,6 @@ def _bucket(data: bytes, section: _Section) -> np.ndarray:
     filled = section.full * section.bucket
     lengths = np.frombuffer(data, "<u4", section.partial, section.begin).astype(np.int64)
     ends = filled + np.cumsum(lengths)
-    if section.count > (ends[-1] if len(ends) else filled):
-        raise FastGSError("its buckets hold fewer Gaussians than it has; the file is damaged, so copy or export it again.")
+    damaged_if(section.count > (ends[-1] if len(ends) else filled), "its buckets hold fewer Gaussians than it has")
     late = section.full + np.searchsorted(ends, row, side="right")
     return np.where(row < filled, row // max(section.bucket, 1), late)

@@ -12,6 +12,7 @@ import numpy as np
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
 from . import compressed
 from .base import LIMIT, Format, generator
@@ -109,8 +110,7 @@ def _kinds(text: str) -> tuple[dict, int, dict]:
         raise FastGSError(f"its format version {version} was never released; make the file again from the model's source.")
     values = about.get("model")
     missing = [key for key in REQUIRED if not isinstance(values, dict) or key not in values]
-    if missing:
-        raise FastGSError(f"its header says nothing about {', '.join(missing)}; the file is damaged.")
+    damaged_if(missing, f"its header says nothing about {', '.join(missing)}")
     return understand(values), version, about.get("compressed", {})
 
 

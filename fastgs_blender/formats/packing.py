@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 
 PIECE = 1 << 20
 """Bytes that are unpacked at a time: no more memory is taken than there is content for."""
@@ -37,8 +38,7 @@ def unzstd(data: bytes | memoryview, size: int, what: str = "it") -> bytes:
             left -= len(piece)
     except zstandard.ZstdError as error:
         raise FastGSError(f"{what} cannot be unpacked ({error}); the file is damaged, so copy it again.") from error
-    if left != 1:
-        raise FastGSError(f"{what} does not unpack to the {size} bytes that the file says; it is damaged, so copy it again.")
+    damaged_if(left != 1, f"{what} does not unpack to the {size} bytes that the file says")
     return b"".join(pieces)
 
 
@@ -49,8 +49,7 @@ def inflated(data: bytes | memoryview, size: int, what: str = "a stream in it") 
         out = machine.decompress(data, size + 1)
     except (zlib.error, OverflowError) as error:
         raise FastGSError(f"{what} is damaged ({error}); copy or export the file again.") from error
-    if len(out) != size or not machine.eof:
-        raise FastGSError(f"{what} does not have the {size} bytes that the file says; copy or export it again.")
+    damaged_if(len(out) != size or not machine.eof, f"{what} does not have the {size} bytes that the file says")
     return out
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from ..util.stated_paths import local
 from ..util.zip_files import MAGIC, opened_zip, read_member
 from .description import is_json_table, read_table
@@ -53,8 +54,7 @@ class Folder:
 
     def read(self, name: str, limit: int = LARGEST) -> bytes:
         """A file, of at most `limit` bytes."""
-        if self.size(name) > limit:
-            raise FastGSError(f"{name} is larger than it can be; the file is damaged.")
+        damaged_if(self.size(name) > limit, f"{name} is larger than it can be")
         return read_whole(self.folder / plain(name))
 
     def meta(self, limit: int = MAX_META) -> dict:
@@ -84,8 +84,7 @@ class Archive(Folder):
         return self.members[self.base + name].file_size
 
     def read(self, name: str, limit: int = LARGEST) -> bytes:
-        if self.size(name) > min(limit, max(SMALL, GROWTH * self.length)):
-            raise FastGSError(f"{name} is larger than it can be; the file is damaged.")
+        damaged_if(self.size(name) > min(limit, max(SMALL, GROWTH * self.length)), f"{name} is larger than it can be")
         return read_member(self.zip, self.members[self.base + name])
 
 
@@ -138,8 +137,7 @@ def names(meta: dict, key: str, count: int) -> list[str]:
 def numbers(values, count: int) -> np.ndarray:
     """A list of numbers, `count` of them at least."""
     good = isinstance(values, list) and len(values) >= count and all(type(v) in (int, float) and abs(v) < 1e30 for v in values)
-    if not good:
-        raise FastGSError("meta.json has something else where numbers should be; the file is damaged.")
+    damaged_if(not good, "meta.json has something else where numbers should be")
     return np.array(values, np.float64)
 
 
@@ -173,8 +171,7 @@ def picture(files, name: str, most: int) -> np.ndarray:
 
     data = files.read(name)
     width, height = _size(data)
-    if width * height > most:
-        raise FastGSError(f"its picture {name} has more pixels than there are Gaussians for; the file is damaged.")
+    damaged_if(width * height > most, f"its picture {name} has more pixels than there are Gaussians for")
     try:
         with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
             if image.mode not in ("RGB", "RGBA"):

@@ -17,7 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..util.errors import FastGSError
-from ..util.reading import open_file
+from ..util.reading import damaged_if, open_file
 from ..util.threads import ranges, run
 
 MAX_HEADER = 1 << 20
@@ -105,8 +105,7 @@ def read_header(path: Path) -> Header:
         if line == "end_header":
             return _parse(lines, size)
         lines.append(line)
-    if len(head) == MAX_HEADER:
-        raise FastGSError("its PLY header does not end within 1 MB; the file is damaged.")
+    damaged_if(len(head) == MAX_HEADER, "its PLY header does not end within 1 MB")
     raise FastGSError("its PLY header is cut short; copy or export the file again.")
 
 
@@ -127,8 +126,7 @@ def _parse(lines: list[str], size: int) -> Header:
                 _expect(count.isascii() and count.isdigit() and len(count) < 19 and name not in elements)
                 columns = {}
                 elements[name] = (int(count), columns)
-                if len(elements) > MAX_ELEMENTS:
-                    raise FastGSError(f"its PLY header names more than {MAX_ELEMENTS} elements; the file is damaged.")
+                damaged_if(len(elements) > MAX_ELEMENTS, f"its PLY header names more than {MAX_ELEMENTS} elements")
             elif key == "property":
                 prop = _property(words)
                 _expect(columns is not None and prop.name not in columns)

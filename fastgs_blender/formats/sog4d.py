@@ -17,6 +17,7 @@ from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
 from ..model.slicing import sigmoid
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import pixel_tables as tables
 from . import sog
 from .base import Format
@@ -59,8 +60,7 @@ class Sog4d(Format):
                     inner = files.within(_folder(tables.part(meta, "dynamic"), "dynamic"))
                     timed = inner.meta()
                     parts.append(_moving(timed, inner))
-        if not parts:
-            raise FastGSError("it names no Gaussians; the file is damaged, so copy or export it again.")
+        damaged_if(not parts, "it names no Gaussians")
         return together(parts, timed)
 
 

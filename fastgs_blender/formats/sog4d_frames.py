@@ -19,6 +19,7 @@ from ..model.appearance import SH
 from ..model.gaussians import GaussianModel
 from ..model.sequence import FreeClip
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import pixel_tables as tables
 from .description import whole_number
 from .frame_names import MOST_FRAMES
@@ -149,8 +150,7 @@ def _frame(layout: _Layout, i: int, files) -> GaussianModel:
 
 def _labels(pixels: np.ndarray, entries: int, what: str) -> np.ndarray:
     label = pixels[:, 0] + 256 * pixels[:, 1]
-    if label.max(initial=0) >= entries:
-        raise FastGSError(f"a Gaussian has number {label.max()} of the {entries} entries of its {what} table; the file is damaged.")
+    damaged_if(label.max(initial=0) >= entries, f"a Gaussian has a number beyond the {entries} entries of its {what} table")
     return label
 
 

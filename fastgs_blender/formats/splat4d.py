@@ -22,7 +22,7 @@ import numpy as np
 from ..model.appearance import RGB, SH, SH_C0
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError, LossWarning
-from ..util.reading import read_bytes
+from ..util.reading import damaged_if, read_bytes
 from .base import Format
 from .ftgs import FRAMES, clip_of
 from .static import read_whole
@@ -53,8 +53,7 @@ class Splat4d(Format):
         data = read_bytes(path, LARGEST)
         if data.startswith(MAGIC):
             return _with_sections(data, path)
-        if len(data) % RECORD.itemsize:
-            raise FastGSError("the file is cut short within a record; copy or export it again.")
+        damaged_if(len(data) % RECORD.itemsize, "the file is cut short within a record")
         records = np.frombuffer(data, RECORD)
         odd = [np.mean((records[key] < 0) | (records[key] > 1)) > 0.01 for key in ("time", "duration")]
         return _model(records, BELL if any(odd) else WINDOW, CUTOFF, None, FRAMES)
@@ -84,8 +83,7 @@ def _with_sections(data: bytes, path: Path) -> GaussianModel:
         raise FastGSError(f"its header says {bands} bands of spherical harmonics and time model {time_model}; the file is damaged.")
     sections = _sections(data, table, count)
     records = np.frombuffer(_one(data, sections, b"RECS"), RECORD) if n else np.zeros(0, RECORD)
-    if len(records) != n:
-        raise FastGSError(f"its header says {n} Gaussians, and there are {len(records)}; copy or export the file again.")
+    damaged_if(len(records) != n, f"its header says {n} Gaussians, and there are {len(records)}")
     _, cutoff, _, _, *palettes = META.unpack_from(_one(data, sections, b"META"))
     if not 0 < cutoff < 1:
         cutoff = CUTOFF
@@ -122,8 +120,7 @@ def _model(records, time_model: int, cutoff: float, higher, frames: int) -> Gaus
 def _sections(data: bytes, table: int, count: int) -> np.ndarray:
     """The table of sections, every one of them within the file."""
     magic, version, own_count, _ = struct.unpack_from("<4s3I", data, table)
-    if magic != b"SECT" or version != 1 or own_count != count:
-        raise FastGSError("its table of sections is damaged; copy or export the file again.")
+    damaged_if(magic != b"SECT" or version != 1 or own_count != count, "its table of sections is damaged")
     sections = np.frombuffer(data, SECTION, count, table + 16)
     size = np.uint64(len(data))
     if np.any((sections["offset"] > size) | (sections["length"] > size - np.minimum(sections["offset"], size))):
@@ -134,8 +131,7 @@ def _sections(data: bytes, table: int, count: int) -> np.ndarray:
 def _one(data: bytes, sections: np.ndarray, kind: bytes, band: int = 0) -> memoryview:
     """The bytes of the first section of a kind and band."""
     found = sections[(sections["kind"] == kind) & (sections["band"] == band)]
-    if not len(found):
-        raise FastGSError(f"its section {kind.decode()} is missing; copy or export the file again.")
+    damaged_if(not len(found), f"its section {kind.decode()} is missing")
     first = found[np.argmin(found["start"])]
     return memoryview(data)[int(first["offset"]):int(first["offset"]) + int(first["length"])]
 
@@ -148,8 +144,7 @@ def _band(data: bytes, sections: np.ndarray, band: int, palette, n: int) -> np.n
     if code is None or not entries or len(colours) != entries * terms * 3 * np.dtype(code).itemsize or len(labels) != 2 * n:
         raise FastGSError(f"the spherical harmonics of band {band} have not the size that the header says; export the file again.")
     label = np.frombuffer(labels, "<u2")
-    if label.max(initial=0) >= entries:
-        raise FastGSError(f"a Gaussian has entry {label.max()} of the {entries} spherical harmonics of band {band}; the file is damaged.")
+    damaged_if(label.max(initial=0) >= entries, f"a Gaussian has an entry beyond the {entries} spherical harmonics of band {band}")
     return np.frombuffer(colours, code).astype(np.float32).reshape(entries, terms, 3)[label]
 
 
@@ -168,6 +163,5 @@ def _changing(data: bytes, sections: np.ndarray) -> bool:
 def _spans(data: bytes, sections: np.ndarray) -> list[tuple[int, int]]:
     """Where sections begin and end, each span once."""
     spans = sorted({(int(s["offset"]), int(s["offset"]) + int(s["length"])) for s in sections})
-    if sum(b - a for a, b in spans) > len(data):
-        raise FastGSError("sections in it lie in one another; the file is damaged, so copy or export it again.")
+    damaged_if(sum(b - a for a, b in spans) > len(data), "sections in it lie in one another")
     return spans

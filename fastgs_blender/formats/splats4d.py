@@ -22,7 +22,7 @@ import numpy as np
 from ..model.appearance import RGB
 from ..model.gaussians import Clip, GaussianModel
 from ..util.errors import FastGSError
-from ..util.reading import exactly, open_file
+from ..util.reading import damaged_if, exactly, open_file
 from . import packing, pixel_tables
 from .description import frame_rate, read_table, whole_number
 from .frame_names import MOST_FRAMES
@@ -142,12 +142,10 @@ def _spans(listed: list[dict], frames: int) -> list[_Span]:
     spans, following = [], 0
     for entry in listed:
         span = _Span(*(whole_number(entry.get(key), f"the {key} of a group of frames") for key in ("offset", "len", "f0", "f1")))
-        if span.first != following or span.last < following:
-            raise FastGSError("its groups of frames do not follow each other; the file is damaged, so copy or export it again.")
+        damaged_if(span.first != following or span.last < following, "its groups of frames do not follow each other")
         following = span.last + 1
         spans.append(span)
-    if following != frames or not 1 <= frames <= MOST_FRAMES:
-        raise FastGSError(f"its groups hold {following} frames, and its header says {frames}; copy or export it again.")
+    damaged_if(following != frames or not 1 <= frames <= MOST_FRAMES, f"its groups hold {following} frames, and its header says {frames}")
     return spans
 
 
@@ -169,6 +167,5 @@ def _static(data: bytes, n: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 def _numbers(packed: bytes, width: int, count: int, wanted: int) -> np.ndarray:
     """The `wanted` unsigned numbers of a stream."""
-    if width not in (1, 2, 4) or count != wanted:
-        raise FastGSError(f"a stream in it has {count} numbers of {width} bytes instead of {wanted}; copy or export the file again.")
+    damaged_if(width not in (1, 2, 4) or count != wanted, f"a stream in it has {count} numbers of {width} bytes instead of {wanted}")
     return packing.joined(packing.unzstd(packed, count * width, "a stream in it"), width)

@@ -20,7 +20,7 @@ from ..model.gaussians import Clip, GaussianModel
 from ..model.slicing import sigmoid
 from ..model.temporal import Radial
 from ..util.errors import FastGSError
-from ..util.reading import exactly, open_file
+from ..util.reading import damaged_if, exactly, open_file
 from .base import Format
 from .description import describe, read_json, restored, understand, whole_number
 from .fitting import bell_opacity, linear_rotation, plain_colour, polynomial_motion
@@ -54,13 +54,11 @@ class Splatv(Format):
             begin, count = begin + 8 + size, whole_number(chunk.get("size"), "the size of its Gaussians")
             if last and "fastgs" not in chunk and 0 < begin + count - length < ROW * RECORD:
                 count = length - begin  # splaTV's own converter states the size of the whole texture and leaves its last row unfilled
-            if count % RECORD or begin + count > length:
-                raise FastGSError(f"the file is cut short: {count} bytes of Gaussians are promised; copy or export it again.")
+            damaged_if(count % RECORD or begin + count > length, f"the file is cut short: {count} bytes of Gaussians are promised")
             stream.seek(begin)
             texels = np.frombuffer(stream.read(count), "<u4").reshape(-1, 16)
             more = length - begin - count if last else 0  # zeros that fill the texture's last row hold nothing
-            if more >= ROW * RECORD or any(stream.read(more)):
-                raise FastGSError("there is more in the file than its header says; it is damaged, so copy it again.")
+            damaged_if(more >= ROW * RECORD or any(stream.read(more)), "there is more in the file than its header says")
         recorded = understand(chunk.get("fastgs", {}))
         recorded.pop("appearance", None)
         return GaussianModel(**restored(_decode(texels[texels.any(1)]), {"clip": Clip(FRAMES)} | recorded))

@@ -21,6 +21,7 @@ import numpy as np
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel, Raster
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import packing
 from .static import SQRT_HALF, StaticFormat, largest_and_rest, logits, opacity_bytes, plausible_count, read_whole, to_byte, with_largest
 from .turning import into_rdf, turned
@@ -106,8 +107,7 @@ def _header(data: bytes, length: int) -> tuple:
     """The checked header; `length` is that of the whole file."""
     header = HEADER.unpack_from(data)
     magic, version, count, degree, fraction, _, _ = header
-    if magic != MAGIC or not version:
-        raise FastGSError("its header is damaged; copy or export the file again.")
+    damaged_if(magic != MAGIC or not version, "its header is damaged")
     if version > 4:
         raise FastGSError(f"it is of SPZ version {version}; versions 1 to 4 are read, so export it as one of these.")
     if degree > 4 or fraction > 30:
@@ -120,8 +120,7 @@ def _header(data: bytes, length: int) -> tuple:
 def _gunzip(data: bytes) -> tuple[tuple, list[bytes], bytes]:
     """Header, arrays and extensions of versions 1 to 3."""
     header = _header(zlib.decompressobj(31).decompress(data[:1 << 16], HEADER.size), len(data))
-    if header[1] == 4:
-        raise FastGSError("it says that it is of version 4, which is not packed with gzip; the file is damaged.")
+    damaged_if(header[1] == 4, "it says that it is of version 4, which is not packed with gzip")
     sizes = _sizes(*header[1:4])
     content = zlib.decompressobj(31).decompress(data, HEADER.size + sum(sizes) + MAX_EXTENSIONS)[HEADER.size:]
     return header, *_arrays(content, header, sizes)
@@ -129,8 +128,7 @@ def _gunzip(data: bytes) -> tuple[tuple, list[bytes], bytes]:
 
 def _arrays(content: bytes, header: tuple, sizes: list[int]) -> tuple[list[bytes], bytes]:
     """The arrays, one after the other, and what follows them."""
-    if len(content) < sum(sizes):
-        raise FastGSError(f"the file is cut short: its header promises {header[2]} Gaussians; copy or export it again.")
+    damaged_if(len(content) < sum(sizes), f"the file is cut short: its header promises {header[2]} Gaussians")
     ends = np.cumsum(sizes).tolist()
     return [content[end - size:end] for size, end in zip(sizes, ends, strict=True)], content[ends[-1]:]
 
@@ -149,8 +147,7 @@ def _plain(data: bytes) -> tuple[tuple, list[bytes], bytes]:
     arrays = []
     for size in sizes:
         packed, unpacked = next(entries) if size else (0, 0)
-        if unpacked != size or packed > len(data) - begin:
-            raise FastGSError("the file is cut short, or its table of contents is damaged; copy or export it again.")
+        damaged_if(unpacked != size or packed > len(data) - begin, "the file is cut short, or its table of contents is damaged")
         arrays.append(packing.unzstd(data[begin:begin + packed], size) if size else b"")
         begin += packed
     return header, arrays, data[HEADER_4:table]

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from ..util.zip_files import opened_zip, read_member
 
 MAX_PICKLE = 1 << 20
@@ -86,8 +87,7 @@ class TorchFile:
             self.root = names[0].removesuffix("data.pkl")
             self.sizes = {i.filename: i.file_size for i in archive.infolist()}
             order = self._member(archive, "byteorder", 16) if self.root + "byteorder" in self.sizes else b"little"
-            if order not in (b"little", b"big"):
-                raise FastGSError("its byte order is unknown; the file is damaged.")
+            damaged_if(order not in (b"little", b"big"), "its byte order is unknown")
             self.order = "<" if order == b"little" else ">"
             program = self._member(archive, "data.pkl", MAX_PICKLE)
         self.content = _Machine(self).run(program)
@@ -96,8 +96,7 @@ class TorchFile:
         info = archive.getinfo(self.root + name)
         if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
             raise FastGSError("its parts are compressed or encrypted, which PyTorch never does.")
-        if info.file_size > min(limit, self.length):
-            raise FastGSError(f"its part {name!r} is too large; the file is damaged.")
+        damaged_if(info.file_size > min(limit, self.length), f"its part {name!r} is too large")
         return read_member(archive, info)
 
     def storage(self, storage: _Storage) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from ..model.gaussians import Clip
 from ..util.arguments import shown
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import pixel_tables as tables
 from . import sog
 from .base import Format
@@ -65,8 +66,7 @@ def _timed(model, meta: dict, files):
     if kind != 1:
         raise FastGSError(f"its timeline is of type {shown(kind)}, and 0 and 1 are known.")
     begin, end = tables.bounds(timeline, 2)
-    if begin[1] <= 0:
-        raise FastGSError("its temporal deviations are not positive; the file is damaged.")
+    damaged_if(begin[1] <= 0, "its temporal deviations are not positive")
     centre, sigma = (begin + (end - begin) * code[:, :2] / 65535).T
     lives = straight(model.position, _velocity(temporal, files, n) if temporal else None, centre, np.log(sigma))
     frames = max(1, round(seconds * fps)) if seconds else FRAMES - 1
@@ -78,8 +78,7 @@ def _velocity(temporal: dict, files, n: int) -> np.ndarray:
     part = tables.part(temporal, "means")
     pictures = part.get("files")
     count = len(pictures) if isinstance(pictures, list) else 0
-    if count not in (1, 2):
-        raise FastGSError("its velocities have neither 8 nor 16 bits; the file is damaged.")
+    damaged_if(count not in (1, 2), "its velocities have neither 8 nor 16 bits")
     planes = [tables.pixels(files, name, n)[:, :3] for name in tables.names(temporal, "means", count)]
     share = planes[0] / 255 if count == 1 else (planes[0] + 256 * planes[1]) / 65535
     rows = [part.get(key) for key in ("mins", "maxs")]

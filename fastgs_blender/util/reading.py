@@ -89,6 +89,12 @@ def regular_file(path: str | os.PathLike, flags: int) -> int:
     return handle
 
 
+def damaged_if(wrong: object, what: str) -> None:
+    """Raises FastGSError that says what is wrong in a file, with the remedy of damaged ones."""
+    if wrong:
+        raise FastGSError(f"{what}; copy or export the file again.")
+
+
 def exactly(stream: BinaryIO, size: int) -> bytes:
     """The next `size` bytes of a file; raises EOFError, before memory is taken, where there are not so many."""
     if size > os.fstat(stream.fileno()).st_size - stream.tell():
