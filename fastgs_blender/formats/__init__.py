@@ -3,8 +3,6 @@
 
 A new format is one module with a Format, listed in FORMATS.
 """
-from __future__ import annotations
-
 import hashlib
 import os
 import warnings

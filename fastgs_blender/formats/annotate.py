@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes the surroundings (the capture's cameras, the backdrop, a good view) into a model's file without changing its Gaussians."""
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

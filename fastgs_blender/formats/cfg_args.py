@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`cfg_args`, the file in which trainers of the INRIA family leave their settings: one printed Namespace(...)."""
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

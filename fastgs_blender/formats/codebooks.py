@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tables of few values that stand for many: 256 numbers (Lloyd's method on sorted values) and palettes of vectors (splits in two)."""
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

@@ -5,8 +5,6 @@ Element chunk, a row for 256 Gaussians: least and greatest position, ln of scale
 packed_position and packed_scale (11, 10, 11 bits between those bounds), packed_rotation (2 bits: which component is largest, and
 3 x 10 bits for the others), packed_color (4 x 8 bits; the last is the opacity).  Element sh, if any: f_rest_* as bytes over -4..4.
 """
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -2,8 +2,6 @@
 """Orders points along Hilbert's curve through space: neighbours on the curve are neighbours in space.
 
 On Morton's curve every second step is a jump."""
-from __future__ import annotations
-
 import numpy as np
 
 BITS = 21

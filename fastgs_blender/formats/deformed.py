@@ -5,8 +5,6 @@ Both keep the static Gaussians as an INRIA PLY, point_cloud/iteration_<n>/point_
 deform/iteration_<n>/deform.pth, and deformation.pth beside the PLY.  The PLY is opened; the weights are read by torch_zip.py.  t is
 their own normalised time, 0 to 1; how many frames the capture has they do not say.
 """
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace

@@ -3,8 +3,6 @@
 
 The native file holds it whole, PLY files in comments and .splatv in its JSON, so that these read back exactly too.
 """
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import MISSING, asdict, fields

@@ -5,8 +5,6 @@ Arrays: means3D [T, N, 3], rgb_colors [T, N, 3] (or [N, 3]), unnorm_rotations [T
 or [N, 1]; seg_colors, cam_m and cam_c are ignored.  Between frames their code has no rule: here all is linear, rotations on the nearer
 side and normalised.  Frame f of T lies at t = f / T.
 """
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

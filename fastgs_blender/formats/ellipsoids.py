@@ -4,8 +4,6 @@
 INRIA's rasteriser and its forks do not normalise quaternions (forward.cu, computeCov3D: "q = rot;// / glm::length(rot)").  What a trainer
 hands over as it is has the shape R S, where R is no rotation; 4D Gaussians, cut at one time, are like it.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ..util import rotations

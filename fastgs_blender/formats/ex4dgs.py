@@ -8,8 +8,6 @@ An opacity is whole between two centres c (in intervals) and falls off beyond li
 before both centres the distance is that to the later one, as their program computes it.  What is not in the files, the cfg_args above
 them say; `near` is the distance at which their rasteriser begins.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 
 All fits are least squares over each Gaussian's own lifetime, for what it does while nobody can see it does not matter.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 from math import comb, pi, sqrt
 

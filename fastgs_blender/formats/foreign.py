@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """explain() says why a file cannot be read, and what to do about it: most foreign files are recognisable."""
-from __future__ import annotations
-
 import re
 import zipfile
 from collections import Counter
 from pathlib import Path, PurePosixPath
 
+from ..util.documentation import page
 from ..util.errors import FastGSError, printable
 from ..util.reading import reading
 from ..util.zip_files import MAGIC as ZIP
@@ -64,7 +63,7 @@ def explain(head: bytes, path: Path) -> str:
     """One clause on why the file cannot be read, and what to do.  head: its first bytes.  Raises FastGSError for a broken PLY header."""
     if head.startswith(b"ply"):
         return _explain_ply(ply.read_header(path))
-    return look(head, path) or f"{_guess(head)}, and none of the known formats, which docs/formats.md and Blender's import dialog list"
+    return look(head, path) or f"{_guess(head)}, and none of the known formats, which {page('formats')} and Blender's import dialog list"
 
 
 def _explain_ply(header: ply.Header) -> str:

@@ -6,8 +6,6 @@ attributes, bands of spherical harmonics, object tracks and the frame of referen
 Both temporal models are read: gaussian-birth, and keyframe-delta, whose states become Gaussians with windows (fourdgs_states.py).
 A Gaussian is seen at win_lo <= T < win_hi while exp(-((T - mu) / sigma)^2 / 2) >= cutoff; T in seconds, colours as displayed.
 """
-from __future__ import annotations
-
 import math
 import warnings
 from pathlib import Path

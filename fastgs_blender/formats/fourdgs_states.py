@@ -4,8 +4,6 @@
 gaussian-birth has all Gaussians in chunks.  keyframe-delta has states of a population, each a change of an earlier one: a state holds over
 its own interval, and what holds unchanged over several becomes one Gaussian with a window.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -4,8 +4,6 @@
 A pose in between two samples lies on the shortest arc.  The model holds a table of positions and rotations at times that are close
 enough for straight lines between them to stay within ERROR.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes `.4dgs` files of the temporal model gaussian-birth: one chunk, deflate, grids as fine as the model asks for."""
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which names of files are models, which are frames of one sequence, and which of them a training saved last."""
-from __future__ import annotations
-
 import os
 import re
 from collections import defaultdict

@@ -10,8 +10,6 @@ give a max_duration of 1, the standard deviation is sigmoid(durations) / 6.  Its
 A gate that is shut (g near 0) is the plain bell, an open one (g near 1) does not fade.  No model holds what lies between: a file with
 such gates is computed for each time.
 """
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

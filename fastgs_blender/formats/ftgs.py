@@ -6,8 +6,6 @@ Time is normalised: the first frame is 0, the last one 1, so a clip of n frames 
 Comments: ftgs_version, time_units, sh_degree, use_velocity, min_duration, opacity_floor, n_frames.  The floor (1e-4) lies far under
 what a rasteriser draws; where it does not, that is said.
 """
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ What is assumed, with a LossWarning: another kernel is drawn as an ellipse, as t
 negative scale, all its scales are natural logarithms, as splat-transform wrote them until June 2026 (version 2.6); of primitives in several
 colour spaces, linear ones become sRGB.
 """
-from __future__ import annotations
-
 import base64
 import json
 import struct

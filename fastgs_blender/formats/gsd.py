@@ -10,8 +10,6 @@ has four channels a pixel, float32 (precision 0) or float16 (1), and at least on
     scale         z, x, y, and opacity, both activated
     colour        the coefficients r g b, r g b, ... of the spherical harmonics, four a texture
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

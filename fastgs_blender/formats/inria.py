@@ -9,8 +9,6 @@ A column filter_3D is fused into scales and opacities (mip_filter.py).
 What some trainers write instead: red, green, blue for f_dc_* (nerfstudio's `--ply-color-mode rgb`), and scale_0 alone for round
 Gaussians.
 """
-from __future__ import annotations
-
 import math
 import warnings
 from pathlib import Path

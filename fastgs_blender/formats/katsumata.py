@@ -7,8 +7,6 @@ opacity, scale_0..2, and rot_<row>_<component>.  Their program writes the table 
 component: the columns, ordered by component and then by row, are read as that table.  A Gaussian's quaternion is unit(row 0) + t
 unit(row 1), which is drawn as long as it is: the Gaussians are sheared, which no basis of time holds, so each moment is computed.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -6,8 +6,6 @@ their buckets (3 x f32), and a record a Gaussian: position, standard deviations,
 harmonics of degree 1 and 2, within each channel by channel.  Level 0 has f32; levels 1 and 2 half floats, positions as u16 around
 the centre of their bucket, and level 2 harmonics as bytes between two bounds.
 """
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path

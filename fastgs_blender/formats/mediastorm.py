@@ -6,8 +6,6 @@ and t or ttt (the centre, in seconds; Blender's own PLY importer keeps a column 
 The law is that of their viewer's nodes: position + motion (T - t), opacity exp(-(T - t)^2 / (2 exp(t_scale)^2)), T = frame / 60.
 The file does not say how long it is: the clip here ends with the frame of the last centre.
 """
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -5,8 +5,6 @@ filter_3D is the standard deviation f of a Gaussian that smooths each splat in s
 sqrt(s^2 + f^2) and opacities o sqrt(det before / det after); what is in the columns scale_* and opacity is s and o.
 Their rasteriser adds kernel_size to the 2D covariance and compensates opacity for it, which is our `antialiased`.
 """
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

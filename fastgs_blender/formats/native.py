@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """FAST-GS's own format: a safetensors file with the model's arrays, and its kinds and constants as JSON.  docs/file-format.md."""
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 
 zstd by the package zstandard, which Blender brings along; zlib; LZ4's blocks here, because no library for them comes with Blender.
 """
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from functools import cache

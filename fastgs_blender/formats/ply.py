@@ -3,8 +3,6 @@
 
 Nothing is allocated on the word of a header: counts are checked against the file's length first.
 """
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

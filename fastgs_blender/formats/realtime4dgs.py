@@ -11,8 +11,6 @@ of (T - t) over the length of the capture.  The cfg_args beside the file say thi
 times say), frame_ratio, by which time is divided, prefilter_var, which is added to var alone, and the hybrid's opa_threshold, which is
 the 0.05 of models without rot_4d.
 """
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence

@@ -10,8 +10,6 @@ the pictures by about the same amount, so one learning rate of Adam suits all.
 What is minimised is the error plus the price of the bits (rounding.py): where pictures hardly change with a parameter, its whole number
 becomes a smaller one.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

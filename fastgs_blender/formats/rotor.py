@@ -6,8 +6,6 @@ quats2 (b_xw, b_yw, b_zw, p), features_dc, features_rest, opacities (logit).  Th
 are: its renderer never calls rotornorm(), so they need be no proper rotor and the matrix no rotation.  The Gaussian at one time is cut
 out as in 4DGS, and left out where (T - t)^2 / (2 variance) is 16 or more.
 """
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ TAIL log2(1 + |c|) bits.  One more bit for a parameter whose step is the one tha
 
     (x - c)^2 + pull ln(1 + |c|),   pull = ease^2 TAIL / 6
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from math import floor, log1p, sqrt

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Static models as they are seen in a scene: at one moment, cropped, with their looks, where their objects stand, together as one."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -12,8 +12,6 @@ A folder that SOG was written into, meta.json and pictures, stands for that one 
 finest of its levels; a trainer's folder, for the last model that was saved in it.  A zip file without a sequence in it is its model, of
 any of ALONE, else a checkpoint; a remark tells of others.
 """
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -6,8 +6,6 @@ bounds of sign(x) ln(|x| + 1).  quats: the three smaller components and, as 252 
 bounds, version 2 by a table of 256 values.  sh0: the coefficients of degree 0 likewise, and the opacity.  shN: a number of 16 bits
 for a row of shN_centroids, which holds the other coefficients, 64 rows beside each other.
 """
-from __future__ import annotations
-
 import json
 import warnings
 import zipfile

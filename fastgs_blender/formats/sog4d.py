@@ -7,8 +7,6 @@ position + motion (T - c); its opacity is multiplied by exp(-((T - c) / s)^2), a
 A file of several ("sog4d_multi") has one of these in a folder, and static ones, each a SOG, in others.  Segments (lists of what can be
 seen in a part of the clip) and pictures of surroundings are ignored.  The other `.sog4d`, of gsplat-unity, is in sog4d_frames.py.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ one for each band (version 2); a picture a frame, or the first frame of a run wi
 Frames lie at equal steps of normalised time, or at times of their own; what lies between two is as gsplat-unity interpolates it, which is
 how sequences do it.
 """
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

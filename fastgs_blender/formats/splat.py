@@ -4,8 +4,6 @@
 A record, little-endian: position 3 x f32, standard deviations 3 x f32, red green blue opacity u8 (255 is 1),
 quaternion w x y z u8 ((b - 128) / 128).  The largest and most opaque Gaussians come first.
 """
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -11,8 +11,6 @@ exp(-((t - time) / duration)^2 / 2) as long as that is not under a cutoff.
   records, META the cutoff and the palettes of spherical harmonics, SHCT a palette, SHLB the Gaussians' entries in it, SHDL how these
   change from frame to frame (only the first frame's are read).
 """
-from __future__ import annotations
-
 import struct
 import warnings
 from pathlib import Path

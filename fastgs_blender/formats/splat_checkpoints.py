@@ -10,8 +10,6 @@ features_dc [N, 3], features_rest [N, K, 3], opacities [N, 1].  Without features
 
 Both draw with gsplat.  Whether antialiased, the training's settings tell: cfg.yml and config.yml in the folder above the checkpoint's.
 """
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping

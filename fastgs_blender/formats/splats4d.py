@@ -10,8 +10,6 @@
 
 The other `.splat4d`, of gsplat-unity, is in splat4d.py.
 """
-from __future__ import annotations
-
 import struct
 import threading
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ u32 magic, u32 length of the JSON, the JSON (a list of chunks), the chunks.  The
 26-29 omega, 30 temporal centre, 31 temporal width s in exp(-((t - centre) / s)^2).  Records of zeros are padding.
 The rasteriser's constants are Raster's defaults unless the JSON, in a key of ours that others pass over, has them.
 """
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -9,8 +9,6 @@ Version 3 is written: all maintained readers know it.
 Where y points up in the file and down in the PLY, Niantic's coordinateConverter() (splat-types.h, flipSh[23]) also changes the sign of the
 last coefficient of degree 4, whose function of the direction is even in y.  Its files hold that sign, so we read and write it.
 """
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Functions that the formats of static Gaussians share: fitting a model to them, and codes of 8 to 11 bits."""
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -8,8 +8,6 @@ Columns: x y z, trbf_center, trbf_scale (ln of the width), nx ny nz, motion_*, f
 * lite: f_dc_0..2 is RGB.  full: f_dc_0..5 and f_t_0..2 are features, and the decoder lies beside the file, as .pt.
   STG gives it the sum of features as blending leaves it; our comments tell where a model's is given their mean.
 """
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

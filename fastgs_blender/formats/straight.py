@@ -5,8 +5,6 @@
 
 with T in the file's own unit of time, and no opacity at all outside a window [begin, end], where there is one.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -8,8 +8,6 @@ All lie in a folder, or in a zip file.
 
 A path names the level: scene/lod-meta.json is the finest one, scene/lod-meta[2].json is level 2 of the same file.
 """
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ The law is that of sog4d.py: motion is a velocity, trbf_scale ln of the width, a
 ("cfg_args: start=0 duration=5 fps=30"), or the cfg_args above the file; else it ends with the last centre.
 It differs from Spacetime Gaussians in having three columns of motion and none of omega, and spherical harmonics as colours.
 """
-from __future__ import annotations
-
 import re
 
 import numpy as np

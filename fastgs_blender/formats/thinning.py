@@ -7,8 +7,6 @@ to model.  So a round leaves out a small share only, every second of those whose
 which neighbours often stand in for each other.  The others are refitted, and it is measured how finely they must be kept then.  Rounds go
 on as long as they save bits.  Before the next one the sensitivities are measured again, because what lay hidden may show now.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

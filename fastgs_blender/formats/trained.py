@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Arrays of Gaussians as trainers save them, in files of PyTorch (torch_zip.py) or NumPy: checked by their shapes, then read."""
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

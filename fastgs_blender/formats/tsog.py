@@ -5,8 +5,6 @@ The pictures of SOG version 2, and for each Gaussian either a frame, in which al
 deviation in normalised time, of 16 bits each (type 1), and then also a velocity of 8 or 16 bits (temporal.means).
 exp(-((t - centre) / deviation)^2 / 2), t from 0 to 1.  Sound is ignored.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

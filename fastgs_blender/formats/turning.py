@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Turning static Gaussians into a world with other axes: positions, rotations and spherical harmonics."""
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -8,8 +8,6 @@ half precision, which ends in "h".  All such prims of the stage are read, where 
 Files are read and written by Pixar's own library, which Blender brings along (pxr); without it they are refused.  Only the file itself is
 opened: what it refers to in other files is left out.
 """
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
