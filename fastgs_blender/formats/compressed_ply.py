@@ -12,6 +12,7 @@ import numpy as np
 from ..model.appearance import SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
 from ..util.errors import FastGSError
+from ..util.reading import damaged_if
 from . import ply
 from .base import generator
 from .foreign import is_2dgs
@@ -45,7 +46,7 @@ class CompressedPly(StaticFormat):
     name = "compressed PLY"
     extensions = (".compressed.ply",)
     reads = (".ply",)
-    antialiased = True
+    antialiased = empty = True
 
     def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and "packed_position" in ply.read_header(path).names
@@ -124,12 +125,10 @@ def _tables(path, header: ply.Header) -> dict[str, np.ndarray]:
     count = elements["vertex"].count
     if elements["chunk"].count != -(-count // CHUNK) or ("sh" in elements and elements["sh"].count != count):
         raise FastGSError(f"its {count} Gaussians do not go with {elements['chunk'].count} chunks of {CHUNK}; export it again.")
-    rows = [(element, element.row(header.order)) for element in header.elements]
-    length = path.stat().st_size
-    if header.size + sum(element.count * row.itemsize for element, row in rows) > length:
-        raise FastGSError(f"the file is cut short: its header promises {count} Gaussians; copy or export it again.")
     data, at, tables = read_whole(path), header.size, {}
-    for element, row in rows:
+    for element in header.elements:
+        row = element.row(header.order)
+        damaged_if(at + element.count * row.itemsize > len(data), f"the file is cut short: its header promises {count} Gaussians")
         tables[element.name] = np.frombuffer(data, row, element.count, at)
         at += element.count * row.itemsize
     colours = set(COLOUR) & set(elements["chunk"].names)

@@ -74,11 +74,6 @@ class Gltf(StaticFormat):
             warnings.warn(LossWarning(f"{path}: {'; '.join(assumed)}."), stacklevel=3)
         return turned(together(models), into_rdf(AXES))
 
-    def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
-        if not len(model):
-            raise FastGSError("the model has no Gaussians, and glTF has no attributes of none.")
-        return super().fit(model)
-
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         targets[-1].write_bytes(_glb(model))
 

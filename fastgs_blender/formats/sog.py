@@ -58,8 +58,6 @@ class Sog(StaticFormat):
             return decoded(files.meta(), files)
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
-        if not len(model):
-            raise FastGSError("the model has no Gaussians, and SOG has no pictures of none.")
         model, lost = super().fit(model)
         if _size(len(model))[0] > LARGEST:
             raise FastGSError(f"{len(model)} Gaussians are more than the pictures of SOG hold; save it as .spz or .ply.")

@@ -52,7 +52,7 @@ class Sog4d(Format):
             if meta["type"] == "sog4d":
                 parts.append(_moving(meta, files))
             else:
-                folders = [_folder(part, name) for name, part in sorted(_listed(meta).items())]
+                folders = [_folder(part, name) for name, part in sorted((meta.get("static") or {}).items())]
                 parts += [_still(inner.meta(), inner) for inner in map(files.within, folders)]
                 if "dynamic" in meta:
                     inner = files.within(_folder(tables.part(meta, "dynamic"), "dynamic"))
@@ -60,11 +60,6 @@ class Sog4d(Format):
                     parts.append(_moving(timed, inner))
         damaged_if(not parts, "it names no Gaussians")
         return together(parts, timed)
-
-
-def _listed(meta: dict) -> dict:
-    """The static parts by name."""
-    return tables.part(meta, "static") if meta.get("static") else {}
 
 
 def _folder(part, name: str) -> str:

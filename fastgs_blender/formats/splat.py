@@ -55,8 +55,6 @@ class Splat(StaticFormat):
             opacity=logits()[records["colour"][:, 3]], features=records["colour"][:, :3] / np.float32(255), appearance=RGB())
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
-        if not len(model):
-            raise FastGSError("the model has no Gaussians, and a .splat file of none would be empty.")
         model, lost = super().fit(model)
         near = (np.abs(model.position) < FARTHEST).all(1) & (model.scale < np.log(FARTHEST)).all(1)
         if not near.any():

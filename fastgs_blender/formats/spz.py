@@ -58,8 +58,6 @@ class Spz(StaticFormat):
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         model, lost = super().fit(model)
-        if not len(model):
-            raise FastGSError("the model has no Gaussians, and readers of SPZ refuse a file of none.")
         bits = _fraction(model)
         if np.abs(model.position).max() > (2**23 - 1) / 2**bits:
             lost.append(f"positions beyond {(2**23 - 1) / 2**bits:.0f} are cut")

@@ -30,13 +30,17 @@ class StaticFormat(Format):
 
     degree  the highest degree of spherical harmonics that it holds
     linear  whether it can say that colours are linear
+    empty   whether there are files without Gaussians
     """
 
     degree = 3
     linear = False
+    empty = False
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         model, lost = static(model, self.name)
+        if not len(model) and not self.empty:
+            raise FastGSError(f"the model has no Gaussians, and {self.name} has no files of none.")
         model, clauses = plain_harmonics(model, self.degree)
         lost += clauses
         if model.raster.antialiased and not self.antialiased:

@@ -74,8 +74,7 @@ def _timed(model, meta: dict, files):
 def _velocity(temporal: dict, files, n: int) -> np.ndarray:
     """Velocities [N, 3] per unit of normalised time."""
     part = tables.part(temporal, "means")
-    pictures = part.get("files")
-    count = len(pictures) if isinstance(pictures, list) else 0
+    count = len(part["files"])
     damaged_if(count not in (1, 2), "its velocities have neither 8 nor 16 bits")
     planes = [tables.pixels(files, name, n)[:, :3] for name in tables.names(temporal, "means", count)]
     share = planes[0] / 255 if count == 1 else (planes[0] + 256 * planes[1]) / 65535
@@ -89,8 +88,6 @@ def _velocity(temporal: dict, files, n: int) -> np.ndarray:
 def _playback(meta: dict) -> tuple[float, float]:
     """Frames per second, and the length in seconds (0: not said)."""
     playback = meta.get("playback") or {}
-    if not isinstance(playback, dict):
-        raise FastGSError("its playback is no table; the file is damaged.")
     fps, seconds = playback.get("fps", meta.get("fps", FPS)), playback.get("duration", 0)
     if any(type(v) not in (int, float) or not 0 <= v <= 1e6 for v in (fps, seconds)) or not fps:
         raise FastGSError(f"its playback of {shown(fps)} frames per second and {shown(seconds)} seconds is damaged.")

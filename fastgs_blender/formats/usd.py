@@ -36,7 +36,7 @@ AXES = {"Y": "RUB", "Z": "RFU"}
 
 class Usd(StaticFormat):
     name = "OpenUSD ParticleField"
-    says_axes = True
+    says_axes = empty = True
     reads = (".usdc", ".usda", ".usd", ".usdz")
 
     def __init__(self, extension: str = ".usdc"):

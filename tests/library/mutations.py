@@ -25,9 +25,11 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from damage import mutated
 
+import fastgs_blender as fg
 from fastgs_blender.util.errors import FastGSError, LossWarning, printable
 
 COUNT = 300
@@ -80,6 +82,19 @@ def campaign(name: str, read: Callable[[Path], object], seeds: Mapping[str, Seed
     print(f"campaign of {name}: {told['accepted']} accepted, {told['refused']} refused, {len(failures)} failed")
     assert not failures, f"{len(failures)} failures of {name}:\n" + "\n".join(failures)
     return told
+
+
+def shown(path: Path) -> None:
+    """Open a model's file and show it at some times; all numbers of what comes of it must be finite."""
+    source = fg.open_source(path)
+    for t in (0.0, 0.4, 1.0):
+        s = fg.slice_model(*source.moment(t), cull=False)
+        assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
+
+
+def shows(name: str) -> Callable[[Path], None]:
+    """shown() of the file of that name, as campaign() takes it."""
+    return lambda folder: shown(folder / name)
 
 
 def attacks(name: str, read: Callable[[Path], object], seeds: Mapping[str, Seed], folder: Path, memory: int = MEMORY) -> dict[str, int]:

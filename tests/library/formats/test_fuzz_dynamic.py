@@ -26,15 +26,6 @@ N = 5
 pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
 
 
-def shown(path: Path) -> None:
-    """Open a file and show it at some times; whatever comes of it must be finite."""
-    source = fg.open_source(path)
-    for t in (0.0, 0.4, 1.0):
-        model, moment = source.moment(t)
-        s = fg.slice_model(model, moment, cull=False)
-        assert all(np.isfinite(v).all() for v in (s.position, s.rotation, s.scale, s.opacity, s.features))
-
-
 def static(rng, degree: int = 1) -> dict[str, np.ndarray]:
     """Columns of an INRIA PLY."""
     rest = 3 * ((degree + 1) ** 2 - 1)
@@ -80,13 +71,13 @@ def deformable(folder: Path, rng, six: bool) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(("name", "file", "made"), [("supersplat ply", "m.ply", supersplat), ("freetime++", "m.npz", freetime)])
 def test_files_of_one_part(tmp_path, rng, name, file, made):
-    told = mutations.campaign(name, lambda folder: shown(folder / file), made(rng), tmp_path)
+    told = mutations.campaign(name, mutations.shows(file), made(rng), tmp_path)
     assert min(told.values(), default=1) > 0
 
 
 def test_deformable(tmp_path, rng):
     seeds = {name: deformable(tmp_path, rng, six) for name, six in (("shift", False), ("screw", True))}
-    told = mutations.campaign("deformable", lambda folder: shown(folder / "point_cloud/iteration_9/point_cloud.ply"), seeds, tmp_path)
+    told = mutations.campaign("deformable", mutations.shows("point_cloud/iteration_9/point_cloud.ply"), seeds, tmp_path)
     assert min(told.values(), default=1) > 0
 
 
@@ -96,7 +87,7 @@ def test_numbered_files(tmp_path, rng):
     for i in (1, 2, 4):
         fg.save(random_model(rng, N), tmp_path / "m.splat")
         seed[f"frame_{i}.splat"] = (tmp_path / "m.splat").read_bytes()
-    told = mutations.campaign("numbered files", shown, {"splat": seed}, tmp_path / "seeds")
+    told = mutations.campaign("numbered files", mutations.shown, {"splat": seed}, tmp_path / "seeds")
     assert min(told.values(), default=1) > 0
 
 
@@ -106,7 +97,7 @@ def test_cfg_args(tmp_path, rng):
              "ex4dgs": test_formats_ex4dgs.files(rng)[0]}
 
     def read(folder):
-        shown(next(folder / name for name in ("m.ply", "dynamic_point_cloud.ply") if (folder / name).exists()))
+        mutations.shown(next(folder / name for name in ("m.ply", "dynamic_point_cloud.ply") if (folder / name).exists()))
 
     told = mutations.campaign("cfg_args", read, seeds, tmp_path, fixed=["m.ply", "point_cloud.ply", "dynamic_point_cloud.ply"])
     assert min(told.values(), default=1) > 0
