@@ -139,7 +139,7 @@ def _model(scene: Scene) -> GaussianModel:
     joined = {a: np.concatenate([t[a] for t in scene.tables] or [np.zeros((0, wire.CHANNELS[a]), np.int64)]) for a in wire.REQUIRED}
     n, step = len(joined[wire.FLAGS]), scene.steps
     always, index = joined[wire.FLAGS][:, 0] & 1 != 0, joined[wire.WINDOW][:, 0]
-    damaged_if(n and (index.min() < 0 or index.max() >= len(scene.windows)), f"a Gaussian has windows beyond its {len(scene.windows)}")
+    damaged_if(n and (index.min() < 0 or index.max() >= len(scene.windows)), "a Gaussian has windows that the file has not")
     with np.errstate(all="ignore"):  # what is no number is found by usable()
         window = scene.windows[index]
         ln_sigma = joined[wire.SIGMA][:, 0] * step["sigma_log"]
