@@ -27,7 +27,7 @@ from .util.version import VERSION
 if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .cameras.camera import Camera
     from .cameras.cameras_json import View, load_cameras, save_cameras
-    from .cameras.moving import dolly, orbit, through
+    from .cameras.flights import dolly, orbit, through
     from .cameras.poses import look_at
     from .captures import Capture, open_capture
     from .captures.clocks.files import Clocks, write_clocks
@@ -56,7 +56,7 @@ if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .training.run.launch import train
 
 PLACES = {
-    "cameras.camera": "Camera", "cameras.cameras_json": "View load_cameras save_cameras", "cameras.moving": "dolly orbit through",
+    "cameras.camera": "Camera", "cameras.cameras_json": "View load_cameras save_cameras", "cameras.flights": "dolly orbit through",
     "cameras.poses": "look_at", "captures": "Capture open_capture", "captures.clocks.files": "Clocks write_clocks",
     "captures.clocks.find": "find_offsets", "checks": "check", "checks.report": "CheckReport", "evaluation.evaluate": "evaluate",
     "evaluation.metrics": "psnr", "formats": "load open_source save", "model.appearance": "RGB SH Changing Features", "model.edits": "Edit",

@@ -7,7 +7,7 @@ import numpy as np
 from bpy.props import EnumProperty, FloatProperty
 from mathutils import Vector
 
-from ..fastgs_blender.cameras import alignment
+from ..fastgs_blender.cameras import upright
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import arrays
 from ..scene.camera import OPENCV
@@ -59,10 +59,10 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
         if self.source == 'POINTS':
             found, marks = points(context, 3)
             above = np.mean([eye[:3, 3] for eye in eyes], axis=0) if eyes else self._middle(worlds)
-            return alignment.ground_from_points(found, above), marks
+            return upright.ground_from_points(found, above), marks
         if not eyes:
             raise FastGSError("there are no cameras of a capture in this scene; import them first (File > Import > Capture Cameras).")
-        turned = alignment.ground_from_cameras(eyes)
+        turned = upright.ground_from_cameras(eyes)
         places = self._places(worlds)
         known = len(places) > 0
         heights = (places if known else np.array([eye[:3, 3] for eye in eyes])) @ turned[2, :3]

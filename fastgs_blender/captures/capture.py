@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..cameras.moving import focus
+from ..cameras.flights import focus
 from ..model.gaussians import Clip
 from ..model.points import Points
 from ..util.arguments import real, shown
@@ -187,6 +187,6 @@ class Capture:
 
     @property
     def focus(self) -> np.ndarray:
-        """The point [3] nearest to all training cameras' optical axes; see moving.focus()."""
+        """The point [3] nearest to all training cameras' optical axes; see flights.focus()."""
         cameras = (shot.camera for shot in self.training if shot.camera is not None)
         return focus(list({camera.world_to_camera.tobytes(): camera for camera in cameras}.values()))

@@ -79,20 +79,20 @@ def _moved(args: argparse.Namespace, seen: Sight, cameras: list[Camera]) -> list
     """The cameras of the move; a remark where they leave what the source's cameras cover."""
     import numpy as np
 
-    from ..cameras import moving, poses
+    from ..cameras import flights, poses
 
     frames = args.frames or seen.frames or 100
     if args.move == "path":
-        path = moving.through(cameras, frames, closed=args.closed, ease=args.ease)
+        path = flights.through(cameras, frames, closed=args.closed, ease=args.ease)
     elif args.move == "orbit":
-        path = moving.orbit(cameras, frames, centre=seen.centre, turns=args.turns, elevation=args.elevation, distance=args.distance,
+        path = flights.orbit(cameras, frames, centre=seen.centre, turns=args.turns, elevation=args.elevation, distance=args.distance,
                             rise=args.rise, ease=args.ease)
     else:
         away = float(np.linalg.norm(poses.inverse(cameras[0].world_to_camera)[:3, 3] - seen.centre))
         way = away / 3 if args.distance is None else args.distance
-        path = moving.dolly(cameras[0], frames, distance=way, subject=away if args.zoom else None, ease=args.ease)
+        path = flights.dolly(cameras[0], frames, distance=way, subject=away if args.zoom else None, ease=args.ease)
     if len(seen.views) > 1:
-        beyond = moving.outside(path, [view.camera for view in seen.views])
+        beyond = flights.outside(path, [view.camera for view in seen.views])
         if beyond.any():
             note(f"from frame {int(np.flatnonzero(beyond)[0])} on the cameras leave the region that the source's cameras cover, by up to "
                  f"{beyond.max():.3g}; expect holes there.")

@@ -86,7 +86,7 @@ def _sight_of_capture(path: Path) -> Sight:
 
 
 def _sight_of_file(path: Path) -> Sight:
-    from ..cameras.moving import focus
+    from ..cameras.flights import focus
     from ..cameras.paths import load_path
 
     path_of = load_path(path)

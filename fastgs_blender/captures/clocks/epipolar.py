@@ -22,7 +22,7 @@ from ...util.errors import FastGSError
 from ...util.threads import gathered
 from ..capture import Capture, Shot, by_view
 from ..pixels import decoding
-from .alignment import Pair, between
+from .lags import Pair, between
 
 Pictures = Callable[[list[Shot], Camera], Iterable[tuple[Shot, np.ndarray]]]
 """Gives the pictures [h, w, 3 or more] of shots, uint8, uint16 or float32 in 0..1, in any order; the camera is theirs, but small."""

@@ -10,9 +10,9 @@ from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
 from . import epipolar
-from .alignment import COMMON_SHARE, LEAST_COMMON, compared, settled
 from .curves import Curves, activity, curves, flashes, moving
 from .files import Clocks
+from .lags import COMMON_SHARE, LEAST_COMMON, compared, settled
 from .sound import heard, onsets
 
 WAYS = ("auto", "sound", "flash", "motion")

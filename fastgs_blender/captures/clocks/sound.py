@@ -6,8 +6,8 @@ import numpy as np
 
 from ...util.reading import reading
 from ..pixels import video
-from .alignment import Pair
 from .curves import smoothed
+from .lags import Pair
 
 RATE, PIECE = 8000, 8
 """Samples a second that are listened to, and samples in a piece of which one loudness is kept: a millisecond."""

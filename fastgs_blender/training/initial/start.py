@@ -19,7 +19,7 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     """
     clocks = expected_clocks(capture, store, settings, say)
     store, fades = _steady(capture, store, settings, say)
-    model = warm_start.known_model(capture, settings, say)
+    model = warm_start.starting_model(capture, settings, say)
     found, store = starting_points.initial_points(capture, store, settings, say, progress) if model is None else \
         (warm_start.points_of(model, capture), store)
     behind = backdrop.with_backdrop(capture, store, settings, found)

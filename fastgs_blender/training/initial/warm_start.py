@@ -44,7 +44,7 @@ FOLLOWED, AIMED = 0.5, 3.0
 """Pixels, and degrees, by which 95 % of all moments of the Gaussians that move may be off."""
 
 
-def known_model(capture, settings, say) -> GaussianModel | None:
+def starting_model(capture, settings, say) -> GaussianModel | None:
     """The model to begin with, in the capture's axes: the settings' one, else the one that the capture brings; None without either.
 
     Raises FastGSError where the settings' one cannot be read; without the capture's one training begins with points.
@@ -65,7 +65,7 @@ def known_model(capture, settings, say) -> GaussianModel | None:
 
 def begins_with_model(capture, settings) -> bool:
     """Whether training begins with a model: the settings' one, or one that the capture brings and that can be read."""
-    return known_model(capture, settings, lambda text: None) is not None
+    return starting_model(capture, settings, lambda text: None) is not None
 
 
 def following(capture, settings):
@@ -77,7 +77,7 @@ def following(capture, settings):
     """
     if settings.order or settings.motion in ("static", "paper", "polynomial") or capture.clip.frame_count < 3:
         return settings
-    model = known_model(capture, settings, lambda text: None)
+    model = starting_model(capture, settings, lambda text: None)
     if model is None or not len(model):
         return settings
     model = model.take(np.unique(np.linspace(0, len(model) - 1, LOOKED_AT).astype(int)))

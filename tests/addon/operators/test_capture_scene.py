@@ -193,4 +193,4 @@ def test_the_button_trains_on_a_film_of_the_scene_as_the_command_line_does(movin
     (capture, pressed), (_, typed) = plans
     differing = {name for name, value in vars(typed.settings).items() if vars(pressed.settings)[name] != value}
     assert differing <= {"preview_every"} and pressed.source == typed.source, differing
-    assert module("fastgs_blender.training.initial.warm_start").known_model(capture, pressed.settings, print) is not None
+    assert module("fastgs_blender.training.initial.warm_start").starting_model(capture, pressed.settings, print) is not None

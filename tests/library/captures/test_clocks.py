@@ -15,7 +15,7 @@ from toy_captures import toy_scene
 from uneven_captures import write_uneven
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.captures.clocks import alignment
+from fastgs_blender.captures.clocks import lags
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
 from fastgs_blender.captures.clocks.find import find_offsets
 from fastgs_blender.captures.clocks.sound import onsets
@@ -266,12 +266,12 @@ def test_labels_of_evaluation_do_not_depend_on_clocks(shifted):
 
 
 def test_one_wrong_pair_does_no_harm():
-    pairs = [alignment.Pair(i, j, (0.0, 1.0, -2.0, 0.0)[j] - (0.0, 1.0, -2.0, 0.0)[i], 0.9, 0.5) for i in range(4) for j in range(i + 1, 4)]
+    pairs = [lags.Pair(i, j, (0.0, 1.0, -2.0, 0.0)[j] - (0.0, 1.0, -2.0, 0.0)[i], 0.9, 0.5) for i in range(4) for j in range(i + 1, 4)]
     pairs[0] = replace(pairs[0], lag=9.0)
-    offsets, _ = alignment.settled(5, pairs)
+    offsets, _ = lags.settled(5, pairs)
     assert offsets[:4] == pytest.approx([0, 1, -2, 0], abs=0.01) and np.isnan(offsets[4])
 
 
 def test_values_between_samples():
     values = np.arange(6.0) ** 2
-    assert alignment.between(values, np.array([2.5, 3.0])) == pytest.approx([6.25, 9.0])
+    assert lags.between(values, np.array([2.5, 3.0])) == pytest.approx([6.25, 9.0])

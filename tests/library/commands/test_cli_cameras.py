@@ -12,7 +12,7 @@ from toy_captures import toy_cameras, write_capture
 
 import fastgs_blender as fg
 from fastgs_blender import cli
-from fastgs_blender.cameras import moving, poses
+from fastgs_blender.cameras import flights, poses
 from fastgs_blender.commands.sight import sight
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -177,4 +177,4 @@ def test_leaving_the_region_is_told(capture, tmp_path, capsys):
     cli.main(["cameras", str(capture), "--out", str(tmp_path / "a.json"), "--move", "orbit", "--distance", "50"])
     assert "expect holes" in capsys.readouterr().err
     cameras = toy_cameras(5)
-    assert moving.outside(moving.through(cameras[:2], 4), cameras).max() < 0.2
+    assert flights.outside(flights.through(cameras[:2], 4), cameras).max() < 0.2

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fastgs_blender as fg
-from fastgs_blender.cameras.alignment import ground_from_cameras, ground_from_points
+from fastgs_blender.cameras.upright import ground_from_cameras, ground_from_points
 from fastgs_blender.util.rotations import to_matrices
 
 
