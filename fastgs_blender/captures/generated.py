@@ -5,8 +5,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-RIGS = ("dome", "arc")
-
 
 def directions(count: int, rig: str = "dome") -> np.ndarray:
     """Unit vectors [count, 3] from the subject to the cameras: z up, the first among the others, in front (-y).

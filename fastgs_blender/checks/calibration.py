@@ -63,8 +63,8 @@ def run(looked: Looked) -> Section:
     xyz = matches.good_points(bad)
     grades = dict.fromkeys(bad, "wrong")
     shown = {view: value * scale[view] for view, value in error.items()}
-    section.pictures.append(drawing.bars_picture("Distance of features from where the other cameras put them, the median of each "
-                                                 "camera.", shown, "px", grades))
+    section.pictures.append(drawing.bars("Distance of features from where the other cameras put them, the median of each camera.",
+                                         shown, "px", grades))
     section.columns = {"Calibration": {view: f"{value:.1f} px" if np.isfinite(value) else "?" for view, value in shown.items()}}
     section.measures |= {"reprojection_pixels": {view: rounded(value) for view, value in shown.items()}, "median_pixels": rounded(usual),
                          "pairs": len(matches.pairs), "pairs_tried": matches.tried, "points": len(xyz), "wrong_cameras": bad}

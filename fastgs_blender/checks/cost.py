@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates the disk space, memory and time that training will need."""
-import shutil
+from contextlib import suppress
 
 from ..captures.capture import by_view
 from ..captures.pixels import decoding
@@ -28,8 +28,9 @@ def run(looked: Looked) -> Section:
             continue
         size += height * width * channels * len(shots)
         pixels = max(pixels, height * width)
-    free = _free(default_folder(capture))
-    most = most_bytes()
+    free, most = None, most_bytes()
+    with suppress(OSError):
+        free = checks.free_bytes(default_folder(capture))
     if free is not None and min(size, most) + RESERVE > free:
         section.add("wrong", f"The cache of decoded pictures needs {min(size, most) / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free.",
                     "Free some space, use --scale or --frames, or set FASTGS_CACHE_DIR to a folder on another disk.", (),
@@ -51,15 +52,6 @@ def run(looked: Looked) -> Section:
     section.summary += f" Cache: {size / 1e9:.2f} GB{f' of {free / 1e9:.0f} GB free' if free is not None else ''}. Training: {times}."
     section.measures = {"cache_gb": round(size / 1e9, 4), "free_gb": None if free is None else round(free / 1e9, 2), "presets": rows}
     return section
-
-
-def _free(folder) -> int | None:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None
 
 
 def _minutes(value: float) -> str:

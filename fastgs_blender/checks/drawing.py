@@ -26,8 +26,8 @@ def text(x: float, y: float, words: str, anchor: str = "start", colour: str = SO
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}" {more}>{escape(words)}</text>'
 
 
-def bars(values: Mapping[str, float], unit: str, grades: Mapping[str, str] | None = None, line: tuple[float, str] | None = None,
-         style: str = "{:.2f}") -> str:
+def bars(caption: str, values: Mapping[str, float], unit: str, grades: Mapping[str, str] | None = None,
+         line: tuple[float, str] | None = None, style: str = "{:.2f}") -> Picture:
     """A horizontal bar for each camera; NaN: "not measured".
 
     grades  severity of the cameras that have one; line: a value that is marked, and its words
@@ -53,10 +53,10 @@ def bars(values: Mapping[str, float], unit: str, grades: Mapping[str, str] | Non
         parts.append(f'<line x1="{x:.1f}" y1="4" x2="{x:.1f}" y2="{height - 4}" stroke="{SOFT}" stroke-dasharray="4 3"/>')
         parts.append(text(x, height + 10, line[1], "middle"))
         height += 16
-    return svg(WIDTH, height, parts)
+    return Picture(caption, svg(WIDTH, height, parts), wide=True)
 
 
-def curves(lines: Mapping[str, np.ndarray], across: str, up: str, first: int = 0) -> str:
+def curves(caption: str, lines: Mapping[str, np.ndarray], across: str, up: str, first: int = 0) -> Picture:
     """A line for each camera over frames, and their names."""
     width, height, left, bottom = WIDTH, 240, 50, 30
     values = np.concatenate([line[np.isfinite(line)] for line in lines.values()] or [np.zeros(1)])
@@ -81,7 +81,7 @@ def curves(lines: Mapping[str, np.ndarray], across: str, up: str, first: int = 0
         parts.append(f'<rect x="{x}" y="{y - 8}" width="10" height="10" fill="{COLOURS[k % len(COLOURS)]}"/>')
         parts.append(text(x + 14, y + 1, name, colour=INK))
         x += wide
-    return svg(width, y + 8, parts)
+    return Picture(caption, svg(width, y + 8, parts), wide=True)
 
 
 def counts_over(pixels: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -106,14 +106,3 @@ def key_of_counts() -> str:
 def hexed(colour: Sequence[float]) -> str:
     """#rrggbb of a colour 0..1."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in colour)
-
-
-def bars_picture(caption: str, values: Mapping[str, float], unit: str, grades: Mapping[str, str] | None = None,
-                 line: tuple[float, str] | None = None, style: str = "{:.2f}") -> Picture:
-    """bars() as a picture of the page."""
-    return Picture(caption, bars(values, unit, grades, line, style), wide=True)
-
-
-def curves_picture(caption: str, lines: Mapping[str, np.ndarray], across: str, up: str, first: int = 0) -> Picture:
-    """curves() as a picture of the page."""
-    return Picture(caption, curves(lines, across, up, first), wide=True)

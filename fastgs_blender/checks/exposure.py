@@ -32,8 +32,7 @@ def run(looked: Looked) -> Section:
     _dark(section, looked)
     _changing(section, looked)
     told = {view: "poor" for finding in section.findings for view in finding.views}
-    section.pictures.insert(0, drawing.bars_picture("Brightness of each camera; 1 is the median of "
-                                                    "all.", even, "", told, (1.0, "1"), "x {:.2f}"))
+    section.pictures.insert(0, drawing.bars("Brightness of each camera; 1 is the median of all.", even, "", told, (1.0, "1"), "x {:.2f}"))
     section.columns = {"Brightness": {view: f"x {value:.2f}" for view, value in even.items()}}
     section.measures |= {"brightness": {view: round(value, 4) for view, value in even.items()}, "by_whole_pictures": sorted(whole),
                          "channels": {view: [round(float(v), 4) for v in np.exp(gain)] for view, gain in gains.items()}}
@@ -169,5 +168,5 @@ def _changing(section: Section, looked: Looked) -> None:
     if curves:
         section.measures["change_of_brightness"] = {view: round(value, 4) for view, value in change.items()}
         if max(change.values()) > CHANGES / 2:
-            section.pictures.append(drawing.curves_picture("Brightness of what stands still, over the moments that were looked at.", curves,
-                                                           "moments", "brightness"))
+            section.pictures.append(drawing.curves("Brightness of what stands still, over the moments that were looked at.", curves,
+                                                   "moments", "brightness"))

@@ -57,8 +57,8 @@ def run(looked: Looked) -> Section:
                     "filmed directions.", lonely, ("gap", round(max(gaps[v] for v in lonely), 1), "degrees"))
     shown = {view: angle for view, (_, angle) in nearest.items()}
     grades = {view: "wrong" if angle > FAR else "poor" if angle > APART else "" for view, angle in shown.items()}
-    section.pictures.append(drawing.bars_picture("Degrees from each camera to the nearest training camera.", shown, "degrees",
-                                                 grades, (APART, f"{APART:.0f}"), "{:.0f}"))
+    section.pictures.append(drawing.bars("Degrees from each camera to the nearest training camera.", shown, "degrees", grades,
+                                         (APART, f"{APART:.0f}"), "{:.0f}"))
     section.columns = {"Nearest camera": {view: f"{name}, {angle:.0f} degrees" for view, (name, angle) in nearest.items()}}
     section.measures |= {"training_cameras": count, "nearest_degrees": {view: round(angle, 2) for view, angle in shown.items()},
                          "widest_degrees": round(widest, 2)}

@@ -19,34 +19,32 @@ ENOUGH = 16
 """Least number of tracks for a camera's error to be trusted."""
 MOST = 200
 """Largest number of tracks that are evaluated for a camera."""
-LEAST_PAIRS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     """misses: for each view its median error in pixels against the correct cameras, NaN where too few features match; wrong: the views with
-    a wrong calibration, the worst first; how: for each view how the error was measured, by "points" or "lines"."""
+    a wrong calibration, the worst first."""
 
     misses: dict[str, float]
-    how: dict[str, str]
     wrong: list[str]
 
 
 def judged(matches: Matches, views: Sequence[str]) -> Judged:
     """Find the wrong cameras one by one: leave out the worst camera, and measure the others again without it."""
     wrong: list[str] = []
-    final: dict[str, tuple[float, str]] = {}
+    final: dict[str, float] = {}
     while True:
         found = {view: _miss(matches, view, wrong) for view in views if view not in wrong}
         final |= found
-        off = {view: miss for view, (miss, _) in found.items() if miss > OFF}
-        if not off or len(off) == sum(np.isfinite(miss) for miss, _ in found.values()) <= 2 or len(wrong) >= len(views) // 2:
+        off = {view: miss for view, miss in found.items() if miss > OFF}
+        if not off or len(off) == sum(map(np.isfinite, found.values())) <= 2 or len(wrong) >= len(views) // 2:
             break
         wrong.append(_worst(matches, off, wrong))
     if len(wrong) >= max(len(views) // 2, 2):  # nobody is right: the calibration as a whole is off
         wrong = []
         final = {view: _miss(matches, view, wrong) for view in views}
-    return Judged({view: final[view][0] for view in views}, {view: final[view][1] for view in views}, wrong)
+    return Judged({view: final[view] for view in views}, wrong)
 
 
 def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> str:
@@ -54,19 +52,19 @@ def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> s
     if len(off) == 1:
         return next(iter(off))
     tried = sorted(off, key=lambda view: -off[view])[:4]
-    rest = {view: [miss for other in off if other != view and np.isfinite(miss := _miss(matches, other, [*without, view])[0])]
+    rest = {view: [miss for other in off if other != view and np.isfinite(miss := _miss(matches, other, [*without, view]))]
             for view in tried}
     return min(tried, key=lambda view: (np.mean(rest[view]) if rest[view] else np.inf, -off[view]))
 
 
-def _miss(matches: Matches, view: str, without: Sequence[str]) -> tuple[float, str]:
+def _miss(matches: Matches, view: str, without: Sequence[str]) -> float:
     """The error of a view's features in pixels: reprojection errors of points of the other views, else distances from epipolar lines."""
     off, _, _ = offsets(matches, view, without)
     if len(off) >= ENOUGH:
-        return float(np.median(off)), "points"
+        return float(np.median(off))
     lines = [pair.distance for pair in matches.pairs
              if view in (pair.a, pair.b) and not {pair.a, pair.b} & set(without)]
-    return (float(np.median([np.median(line) for line in lines])), "lines") if lines else (np.nan, "lines")
+    return float(np.median([np.median(line) for line in lines])) if lines else np.nan
 
 
 def offsets(matches: Matches, view: str, without: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

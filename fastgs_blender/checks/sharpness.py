@@ -30,8 +30,8 @@ def run(looked: Looked) -> Section:
     if blind:
         section.add("note", f"The sharpness of {listed(blind)} cannot be measured: the pictures have too little texture or are too small.",
                     "Look at them in full size.", blind)
-    section.pictures.append(drawing.bars_picture("Blur of each camera in pixels of the pictures as they are trained on.", blur, "px",
-                                                 dict.fromkeys(soft, "poor")))
+    section.pictures.append(drawing.bars("Blur of each camera in pixels of the pictures as they are trained on.", blur, "px",
+                                         dict.fromkeys(soft, "poor")))
     section.columns = {"Blur": {view: f"{value:.1f} px" if np.isfinite(value) else "?" for view, value in blur.items()}}
     section.measures = {"blur_pixels": {view: rounded(value) for view, value in blur.items()}}
     return section

@@ -34,9 +34,8 @@ def run(looked: Looked) -> Section:
     if found.curves is not None:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
         if lines:
-            section.pictures.append(drawing.curves_picture("How much moves from frame to frame, as it is compared: the curves of cameras "
-                                                           "that run together rise and fall "
-                                                           "together.", lines, "frames", "motion", found.curves.first))
+            section.pictures.append(drawing.curves("How much moves from frame to frame, as it is compared: the curves of cameras that run "
+                                                   "together rise and fall together.", lines, "frames", "motion", found.curves.first))
     spread = found.clocks.uncertainty
     offsets = {view: off[view] for view in capture.views if view in spread and view not in found.lost}
     section.columns = {"Clock": {view: f"{offsets[view]:+.2f} ± {spread[view]:.2f} frames" if view in offsets else "unsure"

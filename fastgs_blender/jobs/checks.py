@@ -78,13 +78,17 @@ def picture_size(capture: str) -> tuple[int, int, int]:
     return 0, 0, 0
 
 
+def free_bytes(folder: Path) -> int:
+    """What is free on the disk of a folder that need not be there yet; raises OSError."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
 def before_start(out: str, memory: float = BASE_MEMORY) -> list[str]:
     """Remarks on disk and memory, for a run that needs so many bytes of memory; raises FastGSError if the disk is too full."""
-    place = Path(out)
-    while not place.exists() and place != place.parent:
-        place = place.parent
     try:
-        free = shutil.disk_usage(place).free
+        free = free_bytes(Path(out))
     except OSError as error:
         raise FastGSError(f"{out}: this folder cannot be used ({error.strerror}); choose another.") from error
     if free < LEAST_DISK // 10:

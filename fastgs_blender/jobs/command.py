@@ -18,7 +18,23 @@ def command_line(python: str, arguments: Sequence[str], lock: str = "", stop: st
     return [python, str(here.with_name("child.py")), str(here.parents[2]), lock, stop, *arguments]
 
 
-class Command:
+class Watched:
+    """Work of another process, which a thread of this one watches."""
+
+    _thread: threading.Thread
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended."""
+        return not self._thread.is_alive()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait for its end, so long at most; returns whether it has ended."""
+        self._thread.join(seconds)
+        return self.done
+
+
+class Command(Watched):
     """A command that is running or has ended.
 
     what, about  what it does, as a noun, and the file or folder that it reads: for sentences; good: exit codes with which it gives values
@@ -40,16 +56,6 @@ class Command:
             raise FastGSError(f"{python}: the training Python does not start ({error.strerror or error}); choose another.") from error
         self._thread = threading.Thread(target=self._run, name=f"FAST-GS {arguments[0]}", daemon=True)
         self._thread.start()
-
-    @property
-    def done(self) -> bool:
-        """Whether it has ended."""
-        return not self._thread.is_alive()
-
-    def wait(self, seconds: float | None = None) -> bool:
-        """Wait for its end, so long at most; returns whether it has ended."""
-        self._thread.join(seconds)
-        return self.done
 
     def stop(self) -> None:
         """End it, if it has not ended."""

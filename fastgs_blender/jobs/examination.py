@@ -4,13 +4,13 @@ import sys
 import threading
 
 from ..util.errors import FastGSError
-from .command import Command
+from .command import Command, Watched
 
 TRIES = 4
 """Processes that are begun before it is given up.  A GPU that has ended one is not tested again by the next."""
 
 
-class Examination:
+class Examination(Watched):
     """`fastgs info --devices` in another process, watched by a thread.
 
     part   of the names of the GPUs that are tested, "": all
@@ -32,16 +32,6 @@ class Examination:
     def line(self) -> str:
         """What it is doing."""
         return (self._command.line if self._command else "") or "looking for GPUs"
-
-    @property
-    def done(self) -> bool:
-        """Whether it has ended."""
-        return not self._thread.is_alive()
-
-    def wait(self, seconds: float | None = None) -> bool:
-        """Wait for its end, so long at most; returns whether it has ended."""
-        self._thread.join(seconds)
-        return self.done
 
     def stop(self) -> None:
         """End it."""

@@ -74,7 +74,7 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
         away = squares - 2 * places @ eyes.T + (eyes**2).sum(1)
         return ((across - axes @ eyes.T) ** 2 / np.maximum(away, 1e-9 * size**2)).mean(0)
 
-    around = _directions(DIRECTIONS)
+    around = directions(DIRECTIONS)
     around = around[np.abs(around @ np.asarray(up, np.float64)) < HEIGHT]
     tried = (size * np.array(DISTANCES)[:, None, None] * around).reshape(-1, 3)
     found = end_on(tried)
@@ -95,13 +95,13 @@ def mean_direction(position: np.ndarray) -> np.ndarray:
 def _best(values: Callable[[np.ndarray], np.ndarray], place: np.ndarray, step: float) -> np.ndarray:
     """The place [3] of the largest value near another one: in each round the best of some around it, if it is better."""
     for _ in range(ROUNDS):
-        tried = np.concatenate([place[None], place + step * _directions(STEPS)])
+        tried = np.concatenate([place[None], place + step * directions(STEPS)])
         place = tried[values(tried).argmax()]
         step /= 1.7
     return place
 
 
-def _directions(count: int) -> np.ndarray:
+def directions(count: int) -> np.ndarray:
     """Unit vectors [count, 3] spread evenly: Fibonacci's sphere."""
     i = np.arange(count) + 0.5
     height, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i

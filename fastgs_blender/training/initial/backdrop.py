@@ -6,6 +6,7 @@ Without them training reproduces the background with Gaussians directly in front
 import numpy as np
 
 from ...captures.capture import Points
+from ...model.filmed_from import directions
 from .dense import picture, shown_part, spread
 from .geometry import project, unproject, visible
 
@@ -59,7 +60,7 @@ def with_backdrop(capture, store, settings, points: Points) -> Points:
         return points
     xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
     seen, rgb = _merged((xyz - centre) / radius, rgb)
-    everywhere = _sphere(count)
+    everywhere = directions(count)
     near, nearest = _nearest(everywhere, seen)
     kept = near > np.cos(np.radians(BEYOND))
     xyz, rgb = centre + radius * everywhere[kept], rgb[nearest[kept]]
@@ -96,14 +97,6 @@ def _on_sphere(camera, pixels, centre, radius):
     along = rays @ (centre - eye)
     reach = np.sqrt(np.maximum(radius**2 - ((centre - eye) ** 2).sum() + along**2, 0))
     return eye + rays * (along + reach)[:, None]
-
-
-def _sphere(count):
-    """Unit vectors [count, 3], evenly spread (Fibonacci's lattice)."""
-    k = np.arange(count) + 0.5
-    z = 1 - 2 * k / count
-    across, angle = np.sqrt(1 - z * z), np.pi * (1 + np.sqrt(5)) * k
-    return np.stack([across * np.cos(angle), across * np.sin(angle), z], 1)
 
 
 def _merged(directions, rgb, cells=48):

@@ -27,7 +27,7 @@ def looked(tmp_path):
         found = Looked(open_capture(path))
         look(found)
         found.__dict__["matches"] = matches or Matches({}, {}, [], 3)
-        found.__dict__["judged"] = Judged(dict.fromkeys(VIEWS, 0.4), dict.fromkeys(VIEWS, "lines"), [])
+        found.__dict__["judged"] = Judged(dict.fromkeys(VIEWS, 0.4), [])
         return found
 
     return of
@@ -126,17 +126,15 @@ def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
 def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looked, free, most, memory, words):
     monkeypatch.setenv("FASTGS_CACHE_GB", most)
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
-    monkeypatch.setattr(cost, "_free", lambda folder: free)
+
+    def free_bytes(folder):
+        if free is None:
+            raise OSError("the drive is gone")
+        return free
+
+    monkeypatch.setattr(cost.checks, "free_bytes", free_bytes)
     monkeypatch.setattr(cost.checks, "available_memory", lambda: memory)
     section = cost.run(looked(path))
     assert [finding.sentence[:len(words)] for finding in section.findings] == ([words] if words else [])
     assert section.measures["cache_gb"] == pytest.approx(3 * 2 * 320 * 240 * 3 / 1e9, abs=6e-5)
     assert set(section.measures["presets"]) == {"draft", "standard", "final"} and "Cache: 0.00 GB" in section.summary
-
-
-def test_disk_without_an_answer_is_no_fault(monkeypatch, tmp_path):
-    def gone(folder):
-        raise OSError("the drive is gone")
-
-    monkeypatch.setattr(cost.shutil, "disk_usage", gone)
-    assert cost._free(tmp_path / "none" / "below") is None

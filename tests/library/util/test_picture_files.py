@@ -94,7 +94,7 @@ def test_other_exrs_and_cut_ones_are_refused(tmp_path):
             read_exr(tmp_path / f"{i}.exr")
 
 
-@pytest.mark.parametrize("rig", generated.RIGS)
+@pytest.mark.parametrize("rig", ["dome", "arc"])
 def test_rigs_look_at_the_middle_from_different_places(rig):
     eyes = np.array([1, 2, 3]) + 4 * generated.directions(12, rig)
     for eye in eyes:
