@@ -20,13 +20,9 @@ ADVICE = "it is no usable checkpoint, so delete it to train from the beginning"
 
 def save(folder, arrays: dict[str, np.ndarray], about: dict) -> None:
     """Replace the folder's checkpoint.  If that fails, the previous one is kept, and FastGSError gives the reason."""
-    path = Path(folder) / CHECKPOINT
-
-    def write(part):
+    with writing([Path(folder) / CHECKPOINT]) as (part,):
         write_tensors(part, arrays, {KEY: json.dumps({"version": VERSION, **about}, allow_nan=False)})
         barrier.wait("checkpoint", about.get("iteration", 0))
-
-    write_aside(path, write)
 
 
 def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
@@ -52,12 +48,7 @@ def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
     return arrays, about
 
 
-def write_aside(path: Path, write) -> None:
-    """write(temporary file), which then takes the place of `path`; raises FastGSError with the reason where it cannot."""
-    with writing([path], "what was there before is kept") as (part,):
-        write(part)
-
-
 def write_json(path: Path, values) -> None:
     """A small JSON file, all of it or what was there before."""
-    write_aside(path, lambda part: part.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", "utf-8"))
+    with writing([path]) as (part,):
+        part.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", "utf-8")

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...util.outputs import writing
 from ...util.reading import parse_json, read_text, reading
 from ..core.state import is_number
-from .checkpoint import write_aside
 
 SIZE = (900, 420)
 MARGINS = (64, 64, 30, 40)
@@ -19,12 +19,8 @@ def write_plot(path: Path, log: Path) -> None:
     with reading(log):
         rows = [parse_json(line) for line in read_text(log).splitlines() if line.endswith("}")]
     image = draw(series(rows, "smooth_loss"), {"PSNR": series(rows, "smooth_psnr"), "held-out PSNR": series(rows, "held_out_psnr")})
-
-    def write(part):
-        with part.open("wb") as file:
-            image.save(file, format="PNG")
-
-    write_aside(path, write)
+    with writing([path]) as (part,), part.open("wb") as file:
+        image.save(file, format="PNG")
 
 
 def series(rows: list[dict], name: str) -> np.ndarray:

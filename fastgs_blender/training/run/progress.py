@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...util.errors import FastGSError
-from ...util.outputs import appending
+from ...util.outputs import appending, writing
 from ...util.progress import progress
 from ...util.reading import parse_json, read_bytes
 from . import barrier, checkpoint
@@ -155,12 +155,8 @@ class Reporter:
         folder = self.folder / PREVIEWS
         folder.mkdir(exist_ok=True)
         pixels = np.floor(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
-
-        def write(part):
-            with part.open("wb") as file:
-                Image.fromarray(pixels).save(file, format="PNG")
-
-        checkpoint.write_aside(folder / f"{iteration:06d}.png", write)
+        with writing([folder / f"{iteration:06d}.png"]) as (part,), part.open("wb") as file:
+            Image.fromarray(pixels).save(file, format="PNG")
 
     def _log(self, row):
         if self.log:
@@ -176,11 +172,12 @@ class Reporter:
         if not path.exists():
             return
 
-        def write(part):
-            lines = read_bytes(path, LARGEST_LOG).decode("utf-8", "replace").splitlines()
-            part.write_text("".join(f"{line}\n" for line in lines if 0 < _iteration(line) <= iteration), "utf-8")
+        def write():
+            with writing([path]) as (part,):
+                lines = read_bytes(path, LARGEST_LOG).decode("utf-8", "replace").splitlines()
+                part.write_text("".join(f"{line}\n" for line in lines if 0 < _iteration(line) <= iteration), "utf-8")
 
-        self._safely("the log", lambda: checkpoint.write_aside(path, write))
+        self._safely("the log", write)
 
     def _board(self):
         if os.environ.get("FASTGS_NO_TENSORBOARD"):

@@ -6,12 +6,12 @@ from pathlib import Path
 from ... import formats
 from ...model.gaussians import GaussianModel
 from ...util.errors import FastGSError, LossWarning, printable
-from .checkpoint import write_aside
+from ...util.outputs import writing
 
 
 def write(model: GaussianModel, path: Path) -> None:
     """Write a model as .safetensors and read it; raises FastGSError where either fails, and what was at `path` stays."""
-    def write_and_read(part: Path) -> None:
+    with writing([path]) as (part,):
         try:
             formats.save(model, part)
             with warnings.catch_warnings():  # Gaussians that are left out are told to whoever opens the model
@@ -19,5 +19,3 @@ def write(model: GaussianModel, path: Path) -> None:
                 formats.load(part)
         except FastGSError as error:
             raise FastGSError(str(error).replace(printable(str(part)), "the trained model")) from error
-
-    write_aside(path, write_and_read)
