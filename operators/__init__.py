@@ -21,6 +21,7 @@ from . import (
     effects,
     example,
     export_native,
+    export_page,
     export_splats,
     filters,
     fit_scene,
@@ -47,7 +48,7 @@ else:
 
 CLASSES = classes_of(
     align_world, bake, brush, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture,
-    clip, crop, effects, example, export_native, export_splats, filters, fit_scene, gpus, import_model, look, maintenance, native_copy,
-    reload, select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
+    clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, import_model, look, maintenance,
+    native_copy, reload, select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -2,8 +2,7 @@
 """File > Export > 4D Gaussians: a frame or a range of frames as static files, or the active object's whole model."""
 from __future__ import annotations
 
-import warnings
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import bpy
@@ -15,11 +14,9 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender import formats
 from ..fastgs_blender.formats.scenes import as_seen
 from ..fastgs_blender.formats.usd import save_samples
-from ..fastgs_blender.util.errors import printable
 from ..scene import objects, snapshot
 from ..scene.background import in_background
-from ..scene.splats.splat_object import sentence
-from .stepwise import Stepwise
+from .exporting import Exporting
 
 SAMPLE = 200
 """Gaussians of each object that are looked at to say what a format cannot hold."""
@@ -49,13 +46,12 @@ def _items(kinds):
     return tuple((key, label, description, number) for number, (key, label, _, description) in enumerate(kinds))
 
 
-class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
+class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
     """Export what splat objects show as files for other programs"""
 
     bl_idname = "export_scene.fastgs"
     bl_label = "Export 4D Gaussians"
-    bl_options = {'PRESET'}
-    doing, interrupted = "Exporting splats", "The export was cancelled; nothing was written"
+    doing = "Exporting splats"
 
     filename_ext = ".ply"
     filter_glob: StringProperty(default=";".join(f"*{extension}" for extension in formats.writable()), options={'HIDDEN'})
@@ -73,17 +69,9 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
     frame_start: IntProperty(name="Start", description="First frame of the scene to export", default=1)
     frame_end: IntProperty(name="End", description="Last frame of the scene to export", default=250)
 
-    @classmethod
-    def poll(cls, context):
-        if any(objects.is_splat(obj) for obj in context.view_layer.objects):
-            return True
-        cls.poll_message_set("The scene has no splat objects")
-        return False
-
     def invoke(self, context, event):
         self.frame_start, self.frame_end = context.scene.frame_start, context.scene.frame_end
-        self._interactive = True
-        return ExportHelper.invoke(self, context, event)
+        return super().invoke(context, event)
 
     @property
     def extension(self) -> str:
@@ -113,16 +101,7 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
             col = layout.column(align=True)
             col.prop(self, "frame_start")
             col.prop(self, "frame_end")
-        try:
-            lost = self.losses(context)
-        except fg.FastGSError as error:
-            layout.label(text=sentence(error), icon='ERROR')
-            return
-        header, body = layout.panel("FASTGS_export_losses")
-        header.label(text="Not Kept" if lost else "Everything Is Kept")
-        if body is not None:
-            for clause in lost:
-                body.label(text=clause[:1].upper() + clause[1:], translate=False)
+        self.draw_losses(context)
 
     def losses(self, context) -> list[str]:
         """What the chosen format cannot hold of what would be written, found on a few Gaussians of each object."""
@@ -146,22 +125,13 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
             raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
         return as_seen([take(instance) for instance in instances], formats.says_antialiased(self.extension))
 
-    def finish(self, context, written):
-        for text in dict.fromkeys(self._remarks):
-            self.warn(text)
-        return f"Exported {written}"
-
-    def steps(self, context):
-        self._remarks = []
-        return self._write(context, Path(bpy.path.abspath(self.filepath)))
-
-    def _write(self, context, target: Path):
+    def write(self, context, target: Path):
         """Yields the progress; returns what was written, in words."""
         if self.content == 'RANGE':
             if self.frame_end < self.frame_start:
                 raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
             return (yield from self._write_range(context, target))
-        with self._listening():
+        with self.listening():
             model = _model(context) if self.content == 'MODEL' else self._shown(context)[0]
         level = LEVELS.get(self.moving_format) if self.content == 'MODEL' else None
         steps = in_background(lambda progress: self._save(model, target, level, progress))
@@ -177,7 +147,7 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
         stem = target.name[:-len(self.extension)] if target.name.endswith(self.extension) else target.stem
         try:
             if self.static_format == 'USD':  # one file, whose frames are asked for while it is written
-                with self._listening():
+                with self.listening():
                     save_samples(target, self._frames(context, count), scene.render.fps / scene.render.fps_base)
             else:
                 self.interrupted = "The export was cancelled; the files of {} are kept"
@@ -192,22 +162,14 @@ class FASTGS_OT_export(Stepwise, bpy.types.Operator, ExportHelper):
         """(frame, what the scene shows on it) for each frame of the range."""
         for done in range(count):
             context.scene.frame_set(self.frame_start + done)
-            with self._listening():
+            with self.listening():
                 model = self._shown(context)[0]
             yield self.frame_start + done, model
             self._show(context, done + 1, count)
 
     def _save(self, model, target: Path, level: str | None = None, progress=None):
-        with self._listening():
+        with self.listening():
             fg.save(model, target, level, progress)
-
-    @contextmanager
-    def _listening(self):
-        """Keeps what the block warns of for the report at the end."""
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always")
-            yield
-        self._remarks += [printable(remark.message) for remark in heard if issubclass(remark.category, fg.LossWarning)]
 
 
 def few(model: fg.GaussianModel) -> fg.GaussianModel:

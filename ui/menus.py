@@ -16,6 +16,7 @@ def draw_import(self, context):
 def draw_export(self, context):
     """File > Export."""
     self.layout.operator("export_scene.fastgs", text="4D Gaussians (.ply/.spz/.sog/...)")
+    self.layout.operator("fastgs.export_page", text="4D Gaussians: Web Page (.html)")
     self.layout.operator("fastgs.export_native", text="Native Splats (.ply)")
     self.layout.operator("fastgs.export_camera_path", text="Camera Path (.json/...)")
 

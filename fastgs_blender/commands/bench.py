@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     from .. import formats
     from ..cameras.cameras_json import choose, resized
-    from .sight import overview, sight
+    from ..cameras.opening import overview
+    from .sight import sight
 
     if not (1 <= args.gaussians <= 100_000_000 and 1 <= args.repeat <= 10_000):
         raise FastGSError("--gaussians must be from 1 to 100000000 and --repeat from 1 to 10000.")

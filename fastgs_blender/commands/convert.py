@@ -4,6 +4,7 @@
 The format of OUT follows from its name.  Whatever that format cannot hold is reported at the end, one line each.
 With --at FRAME the model is written as it is at that frame, counted from 0; fractions are allowed.  With --at A:B or A:B:S, both ends
 included, a file is written for each frame.  OUT then says where the number goes: out_####.ply or out_%04d.ply.
+If its name ends in .html, OUT is a web page that plays the model offline.  It holds a compressed file, and takes one as it is.
 IN may be a sequence: a folder or a zip of numbered files, or a pattern of their names (take_####.ply).  Without --at one model is fitted
 to its frames, which must hold the same Gaussians in the same order; what is lost says how well.
 """
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING
 from ..util.documentation import page
 from ..util.errors import FastGSError, LossWarning
 from ..util.progress import Progress, progress
+from . import web_page
 from .shared import human_bytes, note, note_frames_outside, print_json, say
 
 if TYPE_CHECKING:
@@ -37,12 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("output", metavar="OUT", help="the file to write")
     parser.add_argument("--at", metavar="FRAME", help="write a static model of this frame, or of each frame of A:B")
     parser.add_argument("--compress", metavar="LEVEL", nargs="?", const="fine",
-                        help="write .safetensors compressed: fine (the default; pictures lose at most 0.1 dB of held-out views), small "
-                             "(0.3 dB; takes minutes), or another number of dB")
+                        help="write .safetensors, or what a page holds, compressed: fine (the default; pictures lose at most 0.1 dB of "
+                             "held-out views), small (0.3 dB; takes minutes), or another number of dB")
     parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
                         help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
     parser.add_argument("--antialias", action="store_true", help="make the sampling limit of the capture's cameras a part of static "
                         "Gaussians and mark the file as antialiased: for viewers with Mip-Splatting's mode")
+    web_page.add_arguments(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist already")
 
 
@@ -58,6 +61,7 @@ def run(args: argparse.Namespace) -> None:
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)
     _refuse_existing(targets, args)
+    web_page.check_options(targets[0], args)
     losses: list[str] = []
     with _collected(losses):
         source = formats.open_source(args.input)
@@ -66,9 +70,11 @@ def run(args: argparse.Namespace) -> None:
         note_frames_outside(source, frames)
     lines: list[str] = []
     held = len(model)
-    total = PARTS * len(targets) if args.compress or len(targets) > 1 else 0
+    page = web_page.is_page(targets[0])
+    packs = bool(args.compress) or page
+    total = PARTS * len(targets) if packs or len(targets) > 1 else 0
     try:
-        with progress(total, "step", "compressing" if args.compress else "writing", quiet=args.quiet) as bar:
+        with progress(total, "step", "compressing" if packs else "writing", quiet=args.quiet) as bar:
             for done, (target, frame) in enumerate(zip(targets, frames or [None], strict=True)):
                 result = model if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
                 assert isinstance(result, GaussianModel)
@@ -79,9 +85,12 @@ def run(args: argparse.Namespace) -> None:
                         result = _sampled(result, args.input, target)
                 _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
                 with _collected(losses, str(target), args.output):
-                    formats.save(result, target, args.compress, partial(_move, bar, done))
+                    if page:
+                        web_page.write(result, target, args, partial(_move, bar, done))
+                    else:
+                        formats.save(result, target, args.compress, partial(_move, bar, done))
                 bar.to((done + 1) * PARTS)
-                held = len(formats.load(target) if args.compress else result)  # compression leaves Gaussians out
+                held = len(formats.load(target) if args.compress and not page else result)  # compression leaves Gaussians out
                 lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
     finally:  # once the bar is away
         for line in lines if not (args.json or args.quiet) else ():

@@ -18,16 +18,12 @@ import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..util.errors import FastGSError
 from ..util.screen import screen
 from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say, say_table
 
-if TYPE_CHECKING:
-    from ..model.gaussians import GaussianModel
-
-CHUNK = 65_536
 LONG = 100
 """Characters of a record of the model's origin that is shown by --all alone."""
 CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
@@ -114,6 +110,7 @@ def describe(path: str | Path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
     from ..formats.sequences import settled, stored_bytes
+    from ..model.framing import bounds
 
     path = settled(Path(path))
     file_format = formats.identify(path)
@@ -150,22 +147,6 @@ def _basis(basis: Any, clip: Any) -> dict:
 def _appearance(appearance: Any) -> dict:
     values = {key: getattr(appearance, key) for key in appearance.recorded}
     return {"kind": appearance.name, "columns": appearance.width, **values}
-
-
-def bounds(model: GaussianModel) -> tuple[list[float] | None, list[float] | None]:
-    """Lowest and highest centre [3] at the quarters of the clip; None for a model without (finite) Gaussians."""
-    import numpy as np
-
-    from ..model.slicing import positions_at
-
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for start in range(0, len(model), CHUNK):
-        part = model.take(slice(start, start + CHUNK))
-        for t in (0, 0.25, 0.5, 0.75, 1) if model.basis.terms else (0,):
-            centre = positions_at(part, t)
-            centre = centre[np.isfinite(centre).all(1)]
-            low, high = np.minimum(low, centre.min(0, initial=np.inf)), np.maximum(high, centre.max(0, initial=-np.inf))
-    return (low.tolist(), high.tolist()) if np.isfinite(low).all() else (None, None)
 
 
 def model_text(facts: dict, everything: bool) -> str:

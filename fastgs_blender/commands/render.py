@@ -26,24 +26,19 @@ from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
-from .shared import add_backend, chosen_backend, image_size, model_file, note, note_frames_outside, print_json, use_threads
+from .shared import OWN, add_backend, chosen_backend, colour, image_size, model_file, note, note_frames_outside, print_json, use_threads
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ..cameras.camera import Camera
-    from ..cameras.cameras_json import View
     from ..model.sequence import Source
     from ..rendering.exposure import Exposure
-    from ..util.frames import Frames
 
     Image = dict[str, np.ndarray]
 
-OWN = "own"
-"""The background that a model's decoder shows; a model without one shows black."""
 STREAM = "-"
 """The folder that stands for standard output."""
-NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
     from ..util.backends import load_backend
     from ..util.frames import parse_frames
     from .kept_frames import KeptFrames
-    from .sight import sight
+    from .sight import cameras_of_frames, sight
 
     use_threads(args.threads)
     passes = _passes(args)
@@ -89,7 +84,7 @@ def run(args: argparse.Namespace) -> None:
     own = args.background == OWN
     if own and exposure is not None:
         raise FastGSError(f"--background {OWN} goes with sharp frames; leave --shutter and --aperture out, or name a colour.")
-    background = None if args.background is None else _colour(args.background)
+    background = None if args.background is None else colour(args.background)
     size = image_size(args.size) if args.size else None
     frames = parse_frames(args.frames) if args.frames is not None else None
     views = sight(args.camera).views
@@ -99,7 +94,7 @@ def run(args: argparse.Namespace) -> None:
     model = formats.open_source(name)
     if frames is None:
         frames = parse_frames(f"0:{model.clip.frame_count - 1}")
-    cameras = _cameras(views, frames, args, size)
+    cameras = cameras_of_frames(views, frames, args, size)
     note_frames_outside(model, frames)
 
     times = [model.clip.t_of_frame(float(frame)) for frame in frames]
@@ -212,49 +207,17 @@ def _passes(args: argparse.Namespace) -> tuple[str, ...]:
     return passes
 
 
-def _colour(text: str) -> list[float]:
-    """sRGB values 0..1 of #rgb, #rrggbb or a name."""
-    digits = NAMED_COLOURS.get(text.lower(), text).removeprefix("#")
-    if len(digits) == 3:
-        digits = "".join(2 * d for d in digits)
-    try:
-        if len(digits) != 6:
-            raise ValueError
-        return [value / 255 for value in bytes.fromhex(digits)]
-    except ValueError as error:
-        raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
-
-
 def _over(image: Image, background: list[float], colour_space: str) -> Image:
     """The image with an opaque background, blended in the model's own space like everything else in it."""
     import numpy as np
 
-    from ..rendering import colour
+    from ..rendering.colour import over, srgb_to_linear
 
     srgb = np.array(background, np.float32)
     if "rgb" not in image:
         return image
-    ground = srgb if colour_space == "srgb" else colour.srgb_to_linear(srgb)
-    return {**image, "rgb": colour.over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
-
-
-def _cameras(views: list[View], frames: Frames, args: argparse.Namespace, size: tuple[int, int] | None) -> list[Camera]:
-    """The camera of each frame."""
-    from ..cameras.cameras_json import choose, resized
-
-    if args.view is not None:
-        chosen = [choose(views, args.view, args.camera)] * len(frames)
-    elif len(views) == len(frames):
-        chosen = views
-    elif args.path:
-        if not all(frame == int(frame) and 0 <= frame < len(views) for frame in frames):
-            raise FastGSError(f"{args.camera} has {len(views)} cameras, so there is none for some of the {len(frames)} frames of the path.")
-        chosen = [views[int(frame)] for frame in frames]
-    else:
-        if len(views) > 1:
-            note(f"{args.camera} has {len(views)} cameras; the first, {views[0].name}, is used (--view picks another).")
-        chosen = views[:1] * len(frames)
-    return [resized(view.camera, *size) if size else view.camera for view in chosen]
+    ground = srgb if colour_space == "srgb" else srgb_to_linear(srgb)
+    return {**image, "rgb": over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
 
 
 def _make_folder(folder: Path) -> None:

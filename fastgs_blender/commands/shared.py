@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 PROBLEMS, FAILED = 1, 2
 """Exit codes: something is wrong with what was looked at; the command failed.  0: all is well; util/stopping.py has that
 of what was stopped."""
+OWN = "own"
+"""The background that a model's decoder shows; a model without one shows black."""
+NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
@@ -68,6 +71,19 @@ def image_size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and 0 < int(width) <= LARGEST_SIDE and 0 < int(height) <= LARGEST_SIDE):
         raise FastGSError(f"a size is written WIDTHxHEIGHT, as in 1920x1080, each at most {LARGEST_SIDE}, not {text!r}.")
     return int(width), int(height)
+
+
+def colour(text: str) -> list[float]:
+    """sRGB values 0..1 of #rgb, #rrggbb or a name."""
+    digits = NAMED_COLOURS.get(text.lower(), text).removeprefix("#")
+    if len(digits) == 3:
+        digits = "".join(2 * d for d in digits)
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        return [value / 255 for value in bytes.fromhex(digits)]
+    except ValueError as error:
+        raise FastGSError(f"a colour is written #rrggbb, or is one of {', '.join(NAMED_COLOURS)}, not {text!r}.") from error
 
 
 def print_json(values: Any) -> None:

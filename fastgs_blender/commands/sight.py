@@ -2,6 +2,7 @@
 """Loads cameras from a path of any kind: a capture, a training run, a model, or a camera file of any program."""
 from __future__ import annotations
 
+import argparse
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..cameras.cameras_json import View, choose
-from ..model.gaussians import GaussianModel
+from ..cameras.cameras_json import View, choose, resized
 from ..util.errors import FastGSError
-from .info import bounds
-from .shared import is_run, model_file
+from ..util.frames import Frames
+from .shared import is_run, model_file, note
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +97,29 @@ def _sight_of_file(path: Path) -> Sight:
 
 def _sight_of_model(path: Path) -> Sight:
     from .. import formats
+    from ..cameras.opening import overview
     from ..cameras.viewpoints import camera_of
-    from ..model.framing import in_ball, is_subject, looked_at, without_backdrop
+    from ..model.framing import middle
 
     source = formats.open_source(path)
     model = source.moment(0.0)[0]
-    place = without_backdrop(model).position
-    place = place[in_ball(place, looked_at(model.surroundings.cameras))]
-    centre = np.median(place[is_subject(place)], axis=0).astype(np.float64) if len(place) else np.zeros(3)
     views = [View(point.name or f"{i:05d}", camera_of(point)) for i, point in enumerate(model.surroundings.cameras)]
     views = views or [View("overview", overview(model, 1280, 720))]
-    return Sight(path, views, centre, source.clip.frame_count, source.clip.fps, model.axes)
+    return Sight(path, views, middle(model), source.clip.frame_count, source.clip.fps, model.axes)
 
 
-def overview(model: GaussianModel, width: int, height: int) -> Camera:
-    """A camera outside the model that sees all of its centres at t = 0, looking along the axis that the model calls forward."""
-    low, high = bounds(model)
-    if low is None or high is None:
-        raise FastGSError("the model has no Gaussians to look at.")
-    # rows: the camera's right, down and forward in the axes of the model
-    right_down_forward = {"RDF": np.eye(3), "RFU": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "RUB": np.diag([1, -1, -1])}
-    rotation = right_down_forward[model.axes].astype(np.float64)
-    centre, radius = (np.array(low) + high) / 2, max(float(np.linalg.norm(np.subtract(high, low))) / 2, 1e-6)
-    focal, distance = 1.2 * min(width, height), 2.6 * radius + model.raster.near
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ centre + [0, 0, distance]
-    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
+def cameras_of_frames(views: list[View], frames: Frames, args: argparse.Namespace, size: tuple[int, int] | None) -> list[Camera]:
+    """The camera of each frame, as --view and --path of a command choose them."""
+    if args.view is not None:
+        chosen = [choose(views, args.view, args.camera)] * len(frames)
+    elif len(views) == len(frames):
+        chosen = views
+    elif args.path:
+        if not all(frame == int(frame) and 0 <= frame < len(views) for frame in frames):
+            raise FastGSError(f"{args.camera} has {len(views)} cameras, so there is none for some of the {len(frames)} frames of the path.")
+        chosen = [views[int(frame)] for frame in frames]
+    else:
+        if len(views) > 1:
+            note(f"{args.camera} has {len(views)} cameras; the first, {views[0].name}, is used (--view picks another).")
+        chosen = views[:1] * len(frames)
+    return [resized(view.camera, *size) if size else view.camera for view in chosen]

@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,7 @@ from .streamed_sog import StreamedSog
 from .supersplat_ply import SuperSplatPly
 from .tsog import Tsog
 from .usd import Usd
+from .web import WebPage
 
 DYNAMIC: tuple[Format, ...] = (FreeTimePly(), MediastormPly(), FreeTimeCheckpoint(), FreeTimeArrays(), Dynamic3DGaussians(), FourDGS(),
                                Realtime4DGS(), RotorGaussians(), Katsumata(), Ex4DGS(), DeformableGaussians(), HexPlaneGaussians(), Tsog(),
@@ -64,7 +66,8 @@ FILES, STREAMED = NumberedFiles(), StreamedSog()
 """What a path that is no file may be."""
 HEAD = 512
 """Bytes that formats are first asked about."""
-WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), FourDGS(), Splatv(), *STATIC, Usd(".usda"))
+WRITERS: tuple[Format, ...] = (Native(), Inria(), SpacetimeGaussians(), FreeTimePly(), FourDGS(), Splatv(), *STATIC, Usd(".usda"),
+                               WebPage())
 """Asked in this order to write, among those that share an extension."""
 
 
@@ -143,10 +146,10 @@ def load(path: str | os.PathLike) -> GaussianModel:
 
 def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | None = None,
          progress: Callable[[float], None] | None = None) -> None:
-    """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .splatv.
+    """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .html (a page that plays it).
 
     compress  write the compressed variant of .safetensors: "fine" (held-out views lose at most 0.1 dB), "small" (0.3 dB), or another
-              number of dB; rate.py says how that is measured
+              number of dB; rate.py says how that is measured.  A page holds such a file: without `compress`, a fine one
     progress  called with 0..1 while a file is compressed; what it raises cancels that, and nothing is written
     One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
     Raises FastGSError.
@@ -159,10 +162,11 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
         if not isinstance(model, GaussianModel):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
         writer = writer_of(model, path)
-        if compress is not None:
-            if not isinstance(writer, Native):
-                raise FastGSError("only .safetensors files have a compressed variant; choose such a name, or a packed format such as .spz.")
-            writer = Native(Loss.of(compress), progress)
+        if isinstance(writer, (Native, WebPage)):
+            writer = replace(writer, progress=progress, **({} if compress is None else {"loss": Loss.of(compress)}))
+        elif compress is not None:
+            raise FastGSError("only .safetensors files and pages have a compressed variant; choose such a name, or a packed format such as "
+                              ".spz.")
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
             lost = lost + writer.lost_cameras(model)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..util.rotations import to_matrices
 from .gaussians import GaussianModel
+from .slicing import positions_at
 from .surroundings import Viewpoint
 
 SPREAD = 3.5
@@ -15,6 +16,8 @@ HARDLY = 0.02
 far away that is."""
 FEW = 20
 """Of fewer positions none can be told to be a stray."""
+CHUNK = 65_536
+"""Gaussians whose places are computed at once."""
 
 
 def inside_backdrop(model: GaussianModel) -> np.ndarray:
@@ -62,3 +65,22 @@ def in_ball(position: np.ndarray, ball: tuple[np.ndarray, float] | None) -> np.n
         if inside.sum() > len(position) * HARDLY:
             return inside
     return np.ones(len(position), bool)
+
+
+def middle(model: GaussianModel) -> np.ndarray:
+    """The middle [3] of a model's subject; the origin where it has no Gaussians."""
+    place = without_backdrop(model).position
+    place = place[in_ball(place, looked_at(model.surroundings.cameras))]
+    return np.median(place[is_subject(place)], axis=0).astype(np.float64) if len(place) else np.zeros(3)
+
+
+def bounds(model: GaussianModel) -> tuple[list[float] | None, list[float] | None]:
+    """Lowest and highest centre [3] at the quarters of the clip; None for a model without (finite) Gaussians."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for start in range(0, len(model), CHUNK):
+        part = model.take(slice(start, start + CHUNK))
+        for t in (0, 0.25, 0.5, 0.75, 1) if model.basis.terms else (0,):
+            centre = positions_at(part, t)
+            centre = centre[np.isfinite(centre).all(1)]
+            low, high = np.minimum(low, centre.min(0, initial=np.inf)), np.maximum(high, centre.max(0, initial=-np.inf))
+    return (low.tolist(), high.tolist()) if np.isfinite(low).all() else (None, None)

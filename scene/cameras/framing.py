@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.cameras.opening import middle_camera
 from ...fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
 from ...fastgs_blender.model.filmed_from import filmed_from
 from ...fastgs_blender.model.surroundings import Surroundings, Viewpoint
@@ -39,15 +40,6 @@ class Look:
 def surroundings_of(obj: bpy.types.Object) -> Surroundings:
     """What an object's file knows of its surroundings.  Raises FastGSError where it cannot be read."""
     return objects.load_model(objects.abspath(obj)).surroundings
-
-
-def middle_camera(viewpoints: tuple[Viewpoint, ...], up) -> int:
-    """The number of the camera that stands nearest to the middle of all, among those that stand neither high nor low (`up` [3])."""
-    places = np.array([viewpoint.position for viewpoint in viewpoints])
-    heights = places @ np.asarray(up, np.float64)
-    low, high = np.percentile(heights, 25, method="lower"), np.percentile(heights, 75, method="higher")
-    away = np.linalg.norm(places - places.mean(0), axis=1)
-    return int(np.argmin(np.where((heights >= low) & (heights <= high), away, np.inf)))
 
 
 def show(context, splats: list[bpy.types.Object]) -> int:

@@ -86,13 +86,6 @@ def test_without_cameras_long_gaussians_tell_where_they_stood(startup, make_mode
     assert pose()[1].dot(Vector((0, 9, -1)).normalized()) > 0.97 and (view().view_location - Vector((10, 0, 0))).length < 0.2
 
 
-def test_the_middle_camera_of_a_dome_looks_from_the_side(module, around):
-    middle, turn = module("scene.cameras.framing").middle_camera, np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    ring = [(np.cos(a), np.sin(a), height) for height in (0.2, 0.6) for a in turn]
-    dome = [around.Viewpoint(position=tuple(map(float, place))) for place in [*ring, (0.1, 0.0, 1.0)]]
-    assert dome[middle(dome, (0, 0, 1))].position[2] < 1 and middle(dome, (0, 1, 0)) == len(dome) - 1
-
-
 def test_views_through_a_camera_and_asked_ones_stay(startup, filmed, model_file):
     path, before = model_file(filmed), view().view_matrix.copy()
     bpy.ops.import_scene.fastgs(filepath=path, view='KEEP')

@@ -13,8 +13,9 @@ import pytest
 @pytest.fixture
 def exporter(module):
     """A stand-in for the operator whose properties can be set, for what it says before it writes."""
-    cls = module("operators.export_splats").FASTGS_OT_export
-    plain = {name: value for name, value in vars(cls).items() if not name.startswith("bl_") and name != "__annotations__"}
+    parts = module("operators.exporting").Exporting, module("operators.export_splats").FASTGS_OT_export
+    plain = {name: value for part in parts for name, value in vars(part).items()
+             if not name.startswith("bl_") and name != "__annotations__"}
     return type("Exporter", (), plain | {"content": 'FRAME', "static_format": 'PLY', "moving_format": 'OWN', "selected": False})
 
 
@@ -86,12 +87,12 @@ def test_compressing_shows_how_far_it_is_and_can_be_broken_off(module, exporter,
     asked, target = exporter(), tmp_path / "out" / "small.safetensors"
     target.parent.mkdir()
     asked.content, asked.moving_format, asked._remarks = 'MODEL', 'COMPRESSED', []
-    steps = asked._write(bpy.context, target)
+    steps = asked.write(bpy.context, target)
     while next(steps)[0] == 0:
         pass
     steps.close()
     assert not any(target.parent.iterdir()) and not any(thread.name == background.NAME for thread in threading.enumerate())
-    steps, shares = asked._write(bpy.context, target), []
+    steps, shares = asked.write(bpy.context, target), []
     written = None
     while written is None:
         try:
