@@ -32,7 +32,9 @@ void main()
 }
 """
 BASES = ("static", "fourier", "cosine", "polynomial", "keyframes")
-"""Those whose weights the player computes (player/bases.js)."""
+TEMPORALS = ("always", "radial", "window", "radial-window")
+LOOKS = ("rgb", "sh", "features", "changing")
+"""What the player computes: in bases.js; in order.js, beside the shaders; in model.js and texels.js."""
 MOST_GAUSSIANS, MOST_TEXELS = 1 << 24, 4096 * 4096
 """Of a page: as many as single precision counts, and as many texels as every graphics card with WebGL2 has room for."""
 
@@ -76,9 +78,12 @@ def cannot_play(model: GaussianModel) -> str | None:
     """Why a page could not play a model, as a sentence; None where it can."""
     layout = model_texels.layout_of(model)
     bases = (model.basis, model.rotation_basis, model_texels.changes_of(model))
-    unknown = next((basis.name for basis in bases if basis.name not in BASES), None)
-    if unknown is not None:
-        return f"a web page cannot play motion in the basis {unknown!r}; fit it to one of {', '.join(BASES)}."
+    for what, names, known in (("a basis of time", [basis.name for basis in bases], BASES),
+                               ("a temporal opacity", [model.temporal_kind.name], TEMPORALS),
+                               ("an appearance", [model.appearance.name], LOOKS)):
+        unknown = next((name for name in names if name not in known), None)
+        if unknown is not None:
+            return f"a web page cannot play {what} of the kind {unknown!r}; it plays {', '.join(known)}."
     most = min(MOST_GAUSSIANS, MOST_TEXELS // max(layout.geometry, layout.colour))
     if len(model) > most:
         return f"a web page plays at most {most} Gaussians of this kind, not {len(model)}; thin the model out, or cut a part of it."

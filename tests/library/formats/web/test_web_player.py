@@ -20,7 +20,9 @@ from fastgs_blender.formats.web import library
 from fastgs_blender.formats.web.page import Page, PageObject, player_files
 from fastgs_blender.kernels.gl import model_texels
 from fastgs_blender.kernels.gl.frame_table import frame_table
+from fastgs_blender.model import appearance, motion
 from fastgs_blender.model.basis import Basis
+from fastgs_blender.model.temporal import KINDS as KINDS_OF_OPACITY
 from fastgs_blender.rendering import visibility
 from fastgs_blender.util.tensor_files import write_tensors
 
@@ -200,10 +202,37 @@ def test_a_damaged_model_ends_in_a_sentence(node, rng, tmp_path):
     assert all(text == "" or text.endswith(".") for text in got["said"])
 
 
+@needs_node
+def test_between_frames_places_turn_and_times_go_on(node):
+    """Half-way between two places, and times that jump where a loop begins anew."""
+    turn = np.deg2rad(80)
+    before, after = np.eye(4), np.diag([2.0, 2, 2, 1])
+    after[:2, :2] = 2 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    after[:3, 3] = 4, 0, 2
+    got = node("""
+        import {between, inverse, stretch} from "./matrices.js";
+        import {time} from "./scene.js";
+        const [a, b] = JSON.parse(process.argv[2]), times = [0.5, 0.7, 0.9, 0.1, 0.3, 0.5];
+        console.log(JSON.stringify({middle: [...between(a, b, 0.5)], inverse: [...inverse(b)], stretch: stretch(b),
+                                    times: [1.5, 2.5, 3.5, 9].map((frame) => time(times, frame, 6)), free: time([], 3.3, 6)}));
+        """, json.dumps([before.ravel().tolist(), after.ravel().tolist()]))
+    half = turn / 2
+    want = np.eye(4)
+    want[:3, :3] = 1.5 * np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]])
+    want[:3, 3] = 2, 0, 1
+    np.testing.assert_allclose(np.reshape(got["middle"], (4, 4)), want, atol=1e-12)
+    np.testing.assert_allclose(np.reshape(got["inverse"], (4, 4)), np.linalg.inv(after), atol=1e-12)
+    assert got["stretch"] == pytest.approx(2)
+    np.testing.assert_allclose(got["times"], [0.8, 1.0, 0.2, 0.5], atol=1e-12)
+    assert got["free"] == pytest.approx(0.55)
+
+
 def test_what_a_page_cannot_play_is_said(rng):
     model = random_model(rng, 20)
     assert library.cannot_play(model) is None
     assert library.cannot_play(random_model(rng, 5, "smooth keys", "line", "window", "changing sh1")) is None
+    assert set(library.BASES) == set(motion.BASES) and set(library.TEMPORALS) == set(KINDS_OF_OPACITY)
+    assert set(library.LOOKS) == set(appearance.APPEARANCES)
     assert "'strange'" in library.cannot_play(random_model(rng, 5, Strange()))
     long = random_model(rng, 300, fg.Keyframes(tuple(np.linspace(0, 1, 90_000))))
     assert "248 Gaussians" in library.cannot_play(long) and "300" in library.cannot_play(long)
