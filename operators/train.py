@@ -93,8 +93,9 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
         self.fill(start_frame=scene.frame_start)
         python, capture = installation.python(), self._capture(context, place)
         pixels, views, frames = checks.picture_size(capture)
-        size = costs.size_of(self.preset, self.iterations, self.max_gaussians)
-        _, memory = costs.estimate(round(pixels * (self.scale or 1) ** 2), *size, views * frames)
+        pixels = round(pixels * (self.scale or 1) ** 2)
+        size = costs.size_of(self.preset, self.iterations, self.max_gaussians, pixels * views)
+        _, memory = costs.estimate(pixels, *size, views * frames)
         for remark in checks.before_start(place.out, memory):
             self.warn(remark)
         resumed = place.existing == "--resume"

@@ -21,19 +21,21 @@ ICONS = {'QUEUED': 'TIME', 'PAUSED': 'PAUSE', 'STOPPED': 'SNAP_FACE', 'FAILED': 
 def estimate_rows(context, settings) -> list[tuple[str, str]]:
     """Time and memory that filming and training will need, if the number and the size of the pictures are known."""
     scene = context.scene
-    pixels = pictures = 0
+    pixels = views = pictures = 0
     filming = 0.0
     if settings.source == 'SCENE':
         pixels = settings.width * settings.height
         frames = (scene.frame_end - scene.frame_start) // settings.frame_step + 1
-        pictures = frames * readiness.count_of_cameras(context, settings.cameras, settings.count)
+        views = readiness.count_of_cameras(context, settings.cameras, settings.count)
+        pictures = frames * views
         filming = progress.estimate(scene, settings, pictures)
     elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
-        pixels, pictures = found.width * found.height, found.views * found.frames
+        pixels, views, pictures = found.width * found.height, found.views, found.views * found.frames
     if not pixels:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
-    iterations, gaussians = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians)
-    seconds, memory = costs.estimate(round(pixels * (settings.scale or 1) ** 2), iterations, gaussians, pictures)
+    pixels = round(pixels * (settings.scale or 1) ** 2)
+    size = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians, pixels * views)
+    seconds, memory = costs.estimate(pixels, *size, pictures)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
     if settings.source == 'SCENE':
         rows.append(("Filming", f"{results.duration(filming)} of it"))

@@ -20,7 +20,7 @@ def run(looked: Looked) -> Section:
     capture = looked.capture
     section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
                                        "without a GPU, roughly.")
-    size, pixels = 0, 0
+    size, pixels, moment = 0, 0, 0
     for shots in by_view(capture.shots).values():
         try:
             height, width, channels = decoding.shape(shots[0], capture.scale)
@@ -28,6 +28,7 @@ def run(looked: Looked) -> Section:
             continue
         size += height * width * channels * len(shots)
         pixels = max(pixels, height * width)
+        moment += height * width * (not shots[0].held_out)
     free, most = None, most_bytes()
     with suppress(OSError):
         free = checks.free_bytes(default_folder(capture))
@@ -42,7 +43,7 @@ def run(looked: Looked) -> Section:
     memory = checks.available_memory()
     rows = {}
     for preset in LENGTHS:
-        seconds, needed = costs.estimate(pixels, *costs.size_of(preset), len(capture))
+        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment), len(capture))
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Options of a training run: the panel stores them in the scene; the operator takes them from there unless they are given."""
+import math
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
@@ -41,7 +43,7 @@ class TrainingOptions:
     preset: EnumProperty(
         name="Preset", description="How long to train, and how large the model may become",
         items=tuple((name.upper(), TITLES.get(name, name.capitalize()),
-                     "{:,} steps, at most {:,} Gaussians".format(*costs.size_of(name)), number)
+                     "{:,} steps, at most {:,} Gaussians".format(*costs.size_of(name, pixels=math.inf)), number)
                     for number, name in enumerate(PRESETS)), default='STANDARD')
     iterations: IntProperty(name="Steps", description="Number of training steps; 0: as in the preset", default=0, min=0)
     max_gaussians: IntProperty(

@@ -1,21 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Estimates the time and the memory of a run before it starts, on this machine's processor."""
+"""How many Gaussians suit a capture, and the time and the memory of a run before it starts, on this machine's processor."""
 import os
 
-from .presets import PRESETS
+from .presets import LENGTHS, PRESETS
 from .settings import Settings
 
 BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
 STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
 """Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
 CORES = 2
+ROOM, MOST_ROOMS = 2.5e6, 3.0
+"""Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
+larger rig gets at most.  31 cameras of 640 x 360 around a hall show more than 18 of 480 x 360 around one room
+(docs/notes/reconstruction.md)."""
 
 
-def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0) -> tuple[int, int]:
-    """Number of steps and maximum number of Gaussians of a run."""
+def rooms(pixels: float) -> float:
+    """By how much a capture's cameras show more than those that the presets' numbers suit, 1 to MOST_ROOMS.
+
+    pixels  of one moment, of all training cameras
+    """
+    return min(max(pixels / ROOM, 1.0), MOST_ROOMS)
+
+
+def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: float = 0) -> tuple[int, int]:
+    """Number of steps and maximum number of Gaussians of a run; pixels as in rooms()."""
     chosen = PRESETS[preset.lower()]
+    times = rooms(pixels) if preset.lower() in LENGTHS else 1.0
     return (iterations or chosen.get("iterations", Settings.iterations),
-            max_gaussians or chosen.get("max_gaussians", Settings.max_gaussians))
+            max_gaussians or round(times * chosen.get("max_gaussians", Settings.max_gaussians)))
 
 
 def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from ...captures.capture import Capture
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ..core.presets import WARM_START
+from ..core.costs import rooms
+from ..core.presets import LENGTHS, WARM_START
 from ..core.settings import Settings, from_dict
 from . import checkpoint
 from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REFINED, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
@@ -135,7 +136,8 @@ def begin(out: str | Path, wanted: dict, make: Callable[[dict], Settings], resum
 
 
 def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) -> Settings:
-    """The settings for a new run on this capture: where it brings a model to begin with, steps and motion as that needs.
+    """The settings for a new run on this capture: more Gaussians for a large rig (costs.rooms); where the capture brings a model to begin
+    with, steps and motion as that needs.
 
     named  the settings that were asked for by name, which stay
     """
@@ -143,12 +145,20 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     from .segments import spans
 
     if not begins_with_model(capture, settings):
-        return settings
+        return _for_its_rig(settings, capture, named)
     chosen = replace(settings, **{name: value for name, value in WARM_START.get(settings.preset, {}).items() if name not in named})
     cuts = spans(capture.clip.frame_count, chosen.segment_frames, chosen.segment_overlap)
     each = [following(capture.part(cut.first, cut.count), chosen) for cut in cuts]  # segments are joined, so all have the same motion
     freedom = {name: max(getattr(one, name) for one in each) for name in ("order", "rotation_degree") if name not in named}
     return replace(chosen, **freedom)
+
+
+def _for_its_rig(settings: Settings, capture: Capture, named: Collection[str]) -> Settings:
+    """The settings with as many Gaussians and starting points as the training cameras show."""
+    sizes = {shot.view: shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None}
+    times = rooms(sum(sizes.values())) if settings.preset in LENGTHS else 1.0
+    return replace(settings, **{name: round(times * getattr(settings, name)) for name in ("max_gaussians", "init_points")
+                                if name not in named})
 
 
 def _continued(out: Path, old: Source, new: Source) -> Source:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
-from toy_captures import write_capture
+from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
 from fastgs_blender import cli
+from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.run.files import CHECKPOINT, MODEL, RUN
-from fastgs_blender.training.run.plan import Source, plan_from_dict, read_plan
+from fastgs_blender.training.run.plan import Source, plan_from_dict, read_plan, suited
 
 SHORT = ["--init", "file", "--quiet", *(text for option in ("iterations=6", "init_points=60", "preview_every=0", "warm_up=") for text in
                                         ("--set", option))]
@@ -46,6 +48,20 @@ def test_resume_needs_the_folder_alone(run, finished, capsys):
     assert (run / MODEL).read_bytes() == (finished / MODEL).read_bytes()
     known = json.loads(again.provenance["trained_on"])
     assert known["scale"] == 0.5 and known["views"] == ["cam00", "cam02", "cam04"] and again.clip.frame_count == 3
+
+
+@pytest.mark.parametrize(("width", "height", "times"), [(48, 36, 1), (1250, 1000, 2), (4000, 3000, 3)])
+def test_a_rig_that_films_more_than_a_room_gets_more_gaussians(width, height, times):
+    """In proportion to the pixels of one moment of its four training cameras, above 2.5 million and up to three times."""
+    capture = toy_capture(frames=2)[0]
+    shots = [replace(shot, camera=replace(shot.camera, width=width, height=height)) for shot in capture.shots]
+    capture = replace(capture, shots=shots)
+    for preset, most, points in (("draft", 20_000, 10_000), ("standard", 50_000, 20_000), ("final", 150_000, 60_000)):
+        chosen = suited(settings(preset), capture)
+        assert (chosen.max_gaussians, chosen.init_points) == (times * most, times * points)
+    named = suited(settings(max_gaussians=70, init_points=60), capture, ("max_gaussians", "init_points"))
+    assert (named.max_gaussians, named.init_points) == (70, 60)
+    assert suited(settings("stg"), capture) == settings("stg")
 
 
 @pytest.mark.parametrize(("options", "words"), [
