@@ -134,6 +134,22 @@ def test_several_objects_with_looks_and_crops(played, tmp_path):
     assert looked_at(played, objects, [data for _, data in made], around(made[0][0]), TIMES[1::2]) >= LEAST
 
 
+def test_graphics_that_were_lost_come_back(played, tmp_path):
+    model, data = saved(random_model(np.random.default_rng(2), 300, "paper", "line", "radial", "clamp"), tmp_path / "model.safetensors")
+    page, camera = Page([PageObject(model)], around(model)[:1], frames=40, background=BACKGROUND), around(model)[1]
+    tab = played(page, [data])
+    before = shown(tab, camera, 8)
+    tab.evaluate("""new Promise((back) => {
+        const { renderer } = fastgs, { gl } = renderer.graphics, ends = gl.getExtension("WEBGL_lose_context");
+        renderer.canvas.addEventListener("webglcontextlost", () => setTimeout(() => ends.restoreContext()), { once: true });
+        renderer.canvas.addEventListener("webglcontextrestored", () => setTimeout(back), { once: true });
+        ends.loseContext();
+    })""")
+    tab.until("document.getElementById('notice').textContent === ''")
+    np.testing.assert_array_equal(shown(tab, camera, 8), before)
+    assert not [text for text in tab.messages if "INVALID" in text]
+
+
 def test_a_damaged_page_says_so(played, browser, tmp_path):
     _, data = saved(random_model(np.random.default_rng(1), 50, "paper"), tmp_path / "model.safetensors")
     model = fg.load(tmp_path / "model.safetensors")

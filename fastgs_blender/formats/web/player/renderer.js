@@ -20,7 +20,8 @@ export class Renderer {
   /** Makes everything that is on the GPU; again after a lost context. */
   build() {
     this.graphics = new Graphics(this.canvas);
-    Object.assign(this, { last: null, targets: [], shape: "", order: null, asked: "", arrived: "", list: null, work: null, failure: null });
+    Object.assign(this, { last: null, targets: [], shape: "", order: null, arrived: "", list: null, work: null, failure: null,
+                          atlas: null, table: null, resolved: null, linear: null, sum: null, nothing: null });
     this.loading = this.load();
     this.loading.catch((error) => (this.failure = error));
   }
@@ -99,9 +100,9 @@ export class Renderer {
     const given = { instances, camera: { ...camera, pose: null, spread: spreads(camera) }, width: ORDER_WIDTH, list,
                     volumes: views.some(({ crops }) => crops.some(({ shape }) => shape === "VOLUME")) ? this.scene.volumes : [] };
     this.work = this.scene.calls.call("order", given, list ? [list.buffer] : []).then((order) => {
+      if (graphics !== this.graphics) return;
       this.work = null;
       this.list = order.list;
-      if (graphics !== this.graphics) return;
       this.take(order);
       this.arrived = key;
       this.ask();

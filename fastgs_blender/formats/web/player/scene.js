@@ -27,7 +27,7 @@ export class Scene {
       && isTable(opening) && several(opening.cameras, (camera) => isTable(camera) && numbers(camera.pose, 16))
       && Array.isArray(volumes) && Array.isArray(objects) && objects.every((each) => isTable(each) && isCount(each.model, objects.length)
         && several(each.places, (place) => numbers(place, 16)) && several(each.looks, (look) => numbers(look, 20))
-        && several(each.crops, Array.isArray) && (each.times.length ? several(each.times, Number.isFinite) : true)
+        && several(each.crops, Array.isArray) && Array.isArray(each.times) && (!each.times.length || several(each.times, Number.isFinite))
         && (each.sampling === null || isTable(each.sampling)));
     if (!good) throw damaged("the description of its scene is of no version that it can play, or cut short");
     Object.assign(this, { ...description, models: [], calls: null });
