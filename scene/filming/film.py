@@ -134,7 +134,7 @@ def _chosen(studio, plan) -> dict[str, list[fg.Camera]]:
 def camera_entry(name: str, shots: list[fg.Camera]) -> dict:
     """What cameras.json says of a camera: its lens, and its pose, or those of all frames where it moves."""
     first = shots[0]
-    still = all(np.allclose(shot.world_to_camera, first.world_to_camera, atol=1e-9) for shot in shots)
+    still = all(np.allclose(shot.world_to_camera, first.world_to_camera, rtol=0, atol=1e-9) for shot in shots)
     pose = first.world_to_camera if still else np.array([shot.world_to_camera for shot in shots])
     return dict(name=name, width=first.width, height=first.height, fx=first.fx, fy=first.fy, cx=first.cx, cy=first.cy,
                 world_to_camera=np.round(pose, 12))
