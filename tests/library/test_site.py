@@ -120,6 +120,8 @@ def site(build, staged, tmp_path_factory):
     pytest.importorskip("mkdocs", reason="the site's generator is not installed; `make test-site` has it")
     out = tmp_path_factory.mktemp("dist")
     (out / "index.json").write_text(json.dumps(INDEX), "utf-8")
+    (staged / "play").mkdir()
+    (staged / "play" / "dancer.html").write_text("<title>in the place of a page of 5 MB</title>", "utf-8")
     build.generate(staged, out.parent / "site", out)
     build.publish(out.parent / "site", out)
     return out
@@ -130,7 +132,7 @@ def test_the_site_is_whole_and_asks_no_other_host(site):
     assert {path.relative_to(site).as_posix() for path in pages} >= {"index.html", "docs/index.html", "docs/guide.html", "CHANGELOG.html"}
     for path, page in pages.items():
         for load in page.loads:
-            assert "//" not in load and (path.parent / load.split("?")[0]).is_file(), (path.name, load)
+            assert "//" not in load and (path.parent / re.split("[?#]", load)[0]).is_file(), (path.name, load)
         for link in (link for link in page.links if "://" not in link and not link.startswith("mailto:")):
             where, _, part = link.partition("#")
             there = Path(os.path.normpath(path.parent / where.split("?")[0])) if where else path
@@ -142,7 +144,8 @@ def test_the_site_is_whole_and_asks_no_other_host(site):
 
 def test_the_first_page_has_it_all(site):
     text = (site / "index.html").read_text("utf-8")
-    for part in ('class="stage"', 'class="card"', 'href="index.json"', "platforms=windows-x64", 'id="install-it-in-blender"', "guide.html"):
+    for part in ('class="stage"', 'src="play/dancer.html#play=1"', 'class="card"', 'href="index.json"', "platforms=windows-x64",
+                 'id="install-it-in-blender"', "guide.html"):
         assert part in text, part
     assert text.count("first-light.webp") <= 1  # README's picture is the stage's
 

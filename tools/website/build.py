@@ -18,6 +18,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("mkdocs.yml")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import gallery  # noqa: E402
+
 WORK = ROOT / "build" / "website"
 
 
@@ -28,6 +32,7 @@ def main(argv=None) -> Path:
     parser.add_argument("--website", default="", help="the address where it is published, if it is known")
     args = parser.parse_args(argv)
     stage(WORK / "pages")
+    gallery.play("dancer", gallery.EXAMPLE, WORK / "pages" / "play" / "dancer.html")
     generate(WORK / "pages", WORK / "site", args.out, args.website)
     return publish(WORK / "site", args.out)
 

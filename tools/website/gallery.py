@@ -19,9 +19,12 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "benchmarks")]
+EXAMPLE = ROOT / "examples" / "fireside.safetensors"
 MODELS, PICTURES = ROOT / "build" / "gallery", ROOT / "docs" / "gallery"
 ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
 SIZE, FRAMES, QUALITY = (400, 300), 36, 40
+WINDOW = (960, 540)
+"""Of a page's camera."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def main():
 def make(name: str, path: Path) -> None:
     """The entry's model: the example itself, or the bake of a scene."""
     if name == "dancer":
-        shutil.copy(ROOT / "examples" / "fireside.safetensors", path)
+        shutil.copy(EXAMPLE, path)
         return
     if name == "robot" and not ROBOT.exists():
         print(f"{ROBOT} is not there, so the robot keeps the picture that it has.")
@@ -124,7 +127,21 @@ def film(name: str, path: Path) -> Path:
     return target
 
 
-def moment(entry: Entry, part: float, frames: int) -> tuple:
+def play(name: str, path: Path, target: Path) -> None:
+    """The entry as a web page, with the camera's swing as its opening move."""
+    import fastgs_blender as fg
+    from fastgs_blender.formats.web import kept_file, save_page
+    from fastgs_blender.formats.web.page import Page, PageObject
+
+    entry, model = ENTRIES[name], fg.load(path)
+    frames = model.clip.frame_count * (2 if entry.turns_back else 1)
+    cameras, times = zip(*(moment(entry, k / frames, model.clip.frame_count, WINDOW) for k in range(frames)), strict=True)
+    page = Page([PageObject(model, times=times)], cameras, entry.title, frames, model.clip.fps, pivot=entry.target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    save_page(page, target, packed={model: kept_file(path)})
+
+
+def moment(entry: Entry, part: float, frames: int, size: tuple[int, int] = SIZE) -> tuple:
     """The camera and the model's t at a part of the loop, 0 to 1."""
     import fastgs_blender as fg
 
@@ -132,8 +149,8 @@ def moment(entry: Entry, part: float, frames: int) -> tuple:
     distance, around, above = entry.eye[0], *np.radians(entry.eye[1:])
     around += np.radians(entry.sway) * np.sin(turn)
     eye = np.array(entry.target) + distance * np.array([np.sin(around) * np.cos(above), -np.cos(around) * np.cos(above), np.sin(above)])
-    focal = 1.2 * SIZE[1]
-    camera = fg.Camera(*SIZE, focal, focal, SIZE[0] / 2, SIZE[1] / 2, fg.look_at(eye, entry.target))
+    focal = 1.15 * size[1]
+    camera = fg.Camera(*size, focal, focal, size[0] / 2, size[1] / 2, fg.look_at(eye, entry.target))
     return camera, (0.5 - 0.5 * np.cos(turn)) * (frames - 1) / frames if entry.turns_back else part
 
 

@@ -34,7 +34,7 @@ def on_page_markdown(markdown, page, config, files, **_):
         first = FIRST.fullmatch(markdown)
         out = Path(os.environ["SITE_OUT"])
         page.meta |= {"template": "home.html", "hide": ["navigation"], **first.groupdict()}
-        page.meta |= {"gallery": cards(files), "systems": systems(out / "index.json"), "play": there(files, "play/fireside.html"),
+        page.meta |= {"gallery": cards(files), "systems": systems(out / "index.json"), "play": there(files, "play/dancer.html"),
                       "repository": (config.site_url or "") + "index.json" if (out / "index.json").is_file() else ""}
         markdown = first["rest"]
     return reindented(markdown)

@@ -28,9 +28,10 @@ function fail(error) {
   console.warn(error);
 }
 
-/** What the page is at: loading, waiting (for a hand to start it), ready or failed. */
+/** What the page is at: loading, waiting (for a hand to start it), ready or failed.  A page around this one hears it, too. */
 function state(name) {
   document.body.dataset.state = name;
+  if (embedded) window.parent.postMessage({ fastgs: name }, "*");
 }
 
 function loaded(share) {

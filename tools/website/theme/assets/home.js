@@ -15,6 +15,8 @@ function give(to) {
 }
 
 if (hands) {
+  addEventListener("message", ({data, source}) => // until the scene says that it draws, or for ever, README's film is seen
+    source === stage.querySelector("iframe").contentWindow && stage.classList.toggle("stage--live", data?.fastgs === "ready"))
   hands.addEventListener("click", () => give(!stage.classList.contains("stage--hands")))
   new IntersectionObserver(([seen]) => seen.isIntersecting || give(false)).observe(stage)
 }
