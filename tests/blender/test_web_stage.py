@@ -13,7 +13,7 @@ from fastgs_blender.formats.web import page_of, save_page
 
 SITE = Path(__file__).resolve().parents[2] / "tools" / "website" / "theme" / "assets"
 OUTER = """<!doctype html><html class="js"><link rel="stylesheet" href="site.css"><section class="stage"><img class="stage__picture" alt="">
-<iframe class="stage__picture stage__live" src="small.html#play=1"></iframe><button data-stage-hands>Take the camera</button></section>
+<iframe class="stage__picture stage__live" src="small.html#play=1"></iframe><button data-stage-hands>Look around</button></section>
 <script src="home.js"></script></html>"""
 SEEN = "[document.querySelector('.stage').className, getComputedStyle(document.querySelector('.stage__live')).pointerEvents]"
 BLIND = "HTMLCanvasElement.prototype.getContext = () => null"

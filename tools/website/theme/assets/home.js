@@ -10,7 +10,7 @@ const stage = document.querySelector(".stage"), hands = document.querySelector("
 /* Until it is asked for, the scene takes no wheel and no touch, so that both scroll the page. */
 function give(to) {
   stage.classList.toggle("stage--hands", to)
-  hands.textContent = to ? "Give it back" : "Take the camera"
+  hands.textContent = to ? "Done" : "Look around"
   if (to) stage.querySelector("iframe").focus()
 }
 
