@@ -40,7 +40,7 @@ def main(argv=None) -> list[Path]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--zip", action="append", choices=tuple(wheels.ZIPS), help="default: all of them")
     parser.add_argument("--store", action="store_true", help="as extensions.blender.org takes them: one a system, without pip")
-    parser.add_argument("--website", help="the address that Blender's Visit Website opens: where this build is published")
+    parser.add_argument("--website", help="where this build and its site are published: Visit Website, documents and errors lead there")
     parser.add_argument("--no-wheels", action="store_true", help="for a Blender whose Python has numba and safetensors already")
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     args = parser.parse_args(argv)
@@ -68,7 +68,7 @@ def build(name: str, bundled: list[Path], out: Path, website: str | None = None,
         sys.exit("\n".join(found))
     with tempfile.TemporaryDirectory() as temporary:
         stage = Path(temporary) / "extension"
-        copy_content(stage, store)
+        copy_content(stage, store, website)
         manifest = stage / "blender_manifest.toml"
         if name:
             (stage / "wheels").mkdir()
@@ -120,17 +120,26 @@ def index(built: list[Path], out: Path) -> Path:
     return target
 
 
-def copy_content(stage: Path, store: bool = False):
+def copy_content(stage: Path, store: bool = False, website: str | None = None):
     """What the extension consists of, and nothing that lies beside it."""
     for name in git("ls-files", "-z", "--", *CONTENT).split("\0"):
         if name and not (store and name in NOT_IN_STORE):
             (stage / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, stage / name)
-    copy_pages(stage)
+    if website:
+        module = stage / "fastgs_blender" / "util" / "documentation.py"
+        module.write_text(module.read_text("utf-8").replace('WEBSITE = ""', f"WEBSITE = {json.dumps(published(website))}", 1), "utf-8")
+    copy_pages(stage, website)
 
 
-def copy_pages(stage: Path):
-    """README, CHANGELOG and docs/ as HTML, without pictures; a link to what the extension leaves out becomes its words."""
+def published(website: str, path: Path = Path()) -> str:
+    """The address of a file of the repository on the site that tools/website builds."""
+    name = "" if path == Path() else re.sub(r"\.md$", ".html", re.sub(r"README\.md$", "index.html", path.as_posix()))
+    return f"{website.rstrip('/')}/{name}"
+
+
+def copy_pages(stage: Path, website: str | None = None):
+    """README, CHANGELOG and docs/ as HTML, without pictures; a link to what is left out leads to the website, or becomes its words."""
     pages = [Path("README.md"), Path("CHANGELOG.md"), *(page.relative_to(ROOT) for page in (ROOT / "docs").glob("*.md"))]
     (stage / "docs").mkdir()
 
@@ -139,6 +148,8 @@ def copy_pages(stage: Path):
         inside = Path(os.path.normpath(page.parent / target.partition("#")[0]))
         if "://" in target or target.startswith("#") or inside in pages or (stage / inside).exists():
             return link[0]
+        if website:
+            return f"[{words}]({published(website, inside)}{''.join(target.partition('#')[1:])})"
         return "" if picture else words
 
     for page in pages:

@@ -135,6 +135,12 @@ def test_wheels_and_website_are_named_in_the_staged_manifest_alone(builder, mani
     (path,) = builder.main(["--no-wheels", "--website", "https://a.example/b", "--out", str(tmp_path)])
     with zipfile.ZipFile(path) as file:
         assert tomllib.loads(file.read("blender_manifest.toml").decode())["website"] == "https://a.example/b"
+        sentences = {}
+        exec(file.read("fastgs_blender/util/documentation.py"), sentences)  # noqa: S102
+        assert sentences["page"]("formats") == "https://a.example/b/docs/formats.html"
+        page, guide = (file.read(f"docs/{name}.html").decode() for name in ("README", "guide"))
+        assert 'href="https://a.example/b/docs/notes/index.html"' in page and 'href="https://a.example/b/CONTRIBUTING.html"' in page
+        assert 'href="https://a.example/b/docs/blender-5.2-f12.png"' in guide and 'src="http' not in guide and 'href="colour.html"' in guide
 
 
 def test_the_same_commit_builds_the_same_zip(builder, numbas, tmp_path, monkeypatch):
