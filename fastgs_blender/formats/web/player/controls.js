@@ -25,7 +25,7 @@ export class Controls {
     const { clock, sound } = player;
     this.screen = fullScreen(player.embedded);
     for (const id of ["play", "time", "clock", "speed"]) $(id).hidden = !clock.moves;
-    $("sound").hidden = !sound;
+    $("mute").hidden = !sound;
     $("full").hidden = !this.screen;
     document.body.toggleAttribute("data-still", !clock.moves);
     document.body.toggleAttribute("data-silent", !sound);
@@ -47,7 +47,7 @@ export class Controls {
     });
     click("play", () => this.toggle());
     click("speed", () => clock.hasten(clock.speed === 1 ? 0.5 : clock.speed === 0.5 ? 0.25 : 1));
-    click("sound", () => this.mute());
+    click("mute", () => this.mute());
     click("reset", () => orbit.reset());
     click("link", () => this.copy());
     click("help", () => $("guide").showModal());
@@ -122,7 +122,7 @@ export class Controls {
     $("clock").textContent = shown(time, clock.length);
     $("speed").textContent = { 0.125: "⅛×", 0.25: "¼×", 0.5: "½×", 1: "1×", 2: "2×" }[clock.speed];
     $("speed").setAttribute("aria-label", `Speed: ${clock.speed}`);
-    if (sound) label("sound", sound.muted ? "Sound on" : "Sound off", "M", !sound.muted);
+    if (sound) label("mute", sound.muted ? "Sound on" : "Sound off", "M", !sound.muted);
     if (this.screen) label("full", this.screen.on() ? "Leave full screen" : this.screen.label, "F", this.screen.on());
     if (!clock.playing) this.stir();
   }
