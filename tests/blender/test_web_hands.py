@@ -103,7 +103,8 @@ def sentence(tab):
 
 def visible(tab, name):
     return tab.evaluate(f"""(() => {{ const e = document.getElementById("{name}"); const style = e && getComputedStyle(e);
-        return Boolean(e) && style.display !== "none" && style.visibility === "visible" && Number(style.opacity) > 0 && e.getClientRects().length > 0; }})()""")
+        return Boolean(e) && style.display !== "none" &&
+            style.visibility === "visible" && Number(style.opacity) > 0 && e.getClientRects().length > 0; }})()""")
 
 
 def bright(picture):
@@ -124,7 +125,8 @@ def test_the_policy_lets_nothing_out(opened):
     tab = opened()
     refused = tab.evaluate("""new Promise((done) => {
         const seen = [];
-        document.addEventListener("securitypolicyviolation", ({effectiveDirective}) => seen.push(effectiveDirective) === 3 && done(seen.sort()));
+        document.addEventListener("securitypolicyviolation", ({effectiveDirective}) =>
+            seen.push(effectiveDirective) === 3 && done(seen.sort()));
         fetch("http://127.0.0.1:9/x").catch(() => {});
         new Image().src = "http://127.0.0.1:9/x.png";
         document.head.append(Object.assign(document.createElement("script"), {textContent: "window.ran = true"})); })""")
@@ -236,8 +238,8 @@ def test_every_control_is_reached_by_tab_and_has_a_name(opened):
         tab.key("Tab")
         names.append(tab.evaluate("document.activeElement.id"))
     assert names == ["view", "play", "time", "speed", "mute", "reset", "link", "help", "full"]
-    unnamed = tab.evaluate("[...document.querySelectorAll('button, input, canvas, dialog')].filter((e) => !(e.getAttribute('aria-label') || "
-                           "e.getAttribute('aria-labelledby') || e.textContent.trim())).map((e) => e.id)")
+    unnamed = tab.evaluate("[...document.querySelectorAll('button, input, canvas, dialog')].filter((e) => "
+                           "!(e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.textContent.trim())).map((e) => e.id)")
     assert unnamed == []
     assert tab.evaluate("document.documentElement.lang") == "en"
     tab.evaluate("document.getElementById('play').focus()")
@@ -248,7 +250,8 @@ def test_every_control_is_reached_by_tab_and_has_a_name(opened):
 def test_scrubbing_pauses_and_plays_on(opened):
     tab = opened(reduced_motion=False)
     tab.until("fastgs.clock.playing")
-    x, y, width = tab.evaluate("(() => { const r = document.getElementById('time').getBoundingClientRect(); return [r.x, r.y + r.height / 2, r.width]; })()")
+    x, y, width = tab.evaluate(
+        "(({x, y, height, width}) => [x, y + height / 2, width])(document.getElementById('time').getBoundingClientRect())")
     tab.call("Input.dispatchMouseEvent", type="mousePressed", x=x + 0.3 * width, y=y, button="left", buttons=1, clickCount=1)
     tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + 0.6 * width, y=y, button="left", buttons=1)
     held = shown(tab)
@@ -305,7 +308,8 @@ def test_addresses_are_followed_and_made(opened, browser):
 
 @pytest.mark.parametrize(("address", "wanted"), [("knot.html", "waiting"), ("knot.html#play=1", "ready")])
 def test_a_page_in_another_page_waits_for_a_hand_unless_that_page_asks(browser, page, address, wanted):
-    (browser.folder / "around.html").write_text(f'<!doctype html><body style="margin:0"><iframe src="{address}" width="440" height="240"></iframe>')
+    (browser.folder / "around.html").write_text(
+        f'<!doctype html><body style="margin:0"><iframe src="{address}" width="440" height="240"></iframe>')
     tab = browser.open("around.html", SIZE)
     frame = tab.call("Page.getFrameTree")["frameTree"]["childFrames"][0]["frame"]["id"]
     world = tab.call("Page.createIsolatedWorld", frameId=frame)["executionContextId"]

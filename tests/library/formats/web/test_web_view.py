@@ -50,7 +50,8 @@ def looking(eye, target, up, roll=0.0):
 @pytest.mark.parametrize("roll", [0.0, 0.4])
 def test_a_pose_becomes_a_view_and_is_the_same_again(told, up, roll):
     pose = looking((4, -3, 2), (1, 0.5, 1), up, roll)
-    found, view = told(f"const v = orbit.viewOf({pose.ravel().tolist()}, [1.2, 0.4, 1], {list(up)}); said([orbit.poseOf(v, {list(up)}), v]);")
+    found, view = told(f"const v = orbit.viewOf({pose.ravel().tolist()}, [1.2, 0.4, 1], {list(up)});"
+                       f"said([orbit.poseOf(v, {list(up)}), v]);")
     np.testing.assert_allclose(np.reshape(found, (4, 4)), pose, atol=1e-9)
     ahead = np.dot(np.subtract([1.2, 0.4, 1], (4, -3, 2)), pose[:3, 2])
     np.testing.assert_allclose(view["pivot"], pose[:3, 3] + ahead * pose[:3, 2], atol=1e-9)
@@ -66,9 +67,9 @@ def test_a_camera_that_looks_straight_down_or_up_keeps_its_upper_edge(told, side
 
 def test_what_a_hand_holds_stays_under_it(told):
     """A point at the pivot's depth follows the pointer, and stays where it is when the wheel goes nearer to it."""
-    before, moved, near, factor = told("""
+    before, moved, near = told("""
         const at = (v) => orbit.poseOf(v, up);
-        said([at(view), at(orbit.panned(view, lens, up, 30, -12)), at(orbit.dollied(view, lens, up, 0.5, 400, 100, [0.1, 100])), 0]);""")
+        said([at(view), at(orbit.panned(view, lens, up, 30, -12)), at(orbit.dollied(view, lens, up, 0.5, 400, 100, [0.1, 100]))]);""")
     before, moved, near = (np.reshape(pose, (4, 4)) for pose in (before, moved, near))
 
     def pixel(pose, point):
@@ -104,7 +105,8 @@ def test_a_window_of_another_shape_shows_as_much(told, size, scale):
 
 def test_parallel_projections_show_more_from_farther_away(told):
     cameras = told("""
-        const pose = [1,0,0,0, 0,0,1,-5, 0,-1,0,0, 0,0,0,1], opening = {moves: false, cameras: [{pose, ...lens, fx: 60, fy: 60, orthographic: true}]};
+        const pose = [1,0,0,0, 0,0,1,-5, 0,-1,0,0, 0,0,0,1], camera = {pose, ...lens, fx: 60, fy: 60, orthographic: true};
+        const opening = {moves: false, cameras: [camera]};
         const o = new orbit.Orbit({opening, pivot: [0, 0, 0], up}, true); o.size = [640, 360];
         const first = o.camera(1); o.dolly(2); o.arrive(); said([first, o.camera(1), o.camera(2)]);""")
     assert [camera["fx"] for camera in cameras] == pytest.approx([60, 30, 60])
@@ -113,7 +115,8 @@ def test_parallel_projections_show_more_from_farther_away(told):
 
 MOVING = """
     const pose = (x) => [1,0,0,x, 0,0,1,-5, 0,-1,0,0, 0,0,0,1];
-    const made = (calm) => new orbit.Orbit({opening: {moves: true, cameras: [0, 1, 2].map((x) => ({pose: pose(x), ...lens}))}, pivot: [0, 0, 0], up}, calm);
+    const opening = {moves: true, cameras: [0, 1, 2].map((x) => ({pose: pose(x), ...lens}))};
+    const made = (calm) => new orbit.Orbit({opening, pivot: [0, 0, 0], up}, calm);
 """
 
 
@@ -165,7 +168,8 @@ CLOCK = "let now = 10; const clock = (loop, sound = null) => new Clock({frames: 
 
 def test_the_clock_loops_or_stops_at_the_last_frame(told):
     seen = told(CLOCK + """
-        const c = clock(true); c.play(); now += 0.5; c.step(); seen.push(c.time, c.frame); now += 1.75; c.step(); seen.push(c.time, c.playing);
+        const c = clock(true); c.play(); now += 0.5; c.step(); seen.push(c.time, c.frame);
+        now += 1.75; c.step(); seen.push(c.time, c.playing);
         const d = clock(false); d.play(); now += 5; d.step(); seen.push(d.time, d.frame, d.playing); d.play(); seen.push(d.time);
         c.hasten(0.5); now += 0.5; const passed = c.time; c.before = now - 0.5; c.step(); seen.push(c.time - passed); said(seen);""")
     assert seen == pytest.approx([0.5, 10, 0.25, True, 1.95, 39, False, 0, 0.25])
@@ -174,8 +178,10 @@ def test_the_clock_loops_or_stops_at_the_last_frame(told):
 def test_the_clock_steps_by_frames_and_pauses(told):
     seen = told(CLOCK + """
         const c = clock(true); c.play(); c.stepFrames(-1); seen.push(c.frame, c.playing); c.stepFrames(1); seen.push(c.frame);
-        c.seek(0.512); c.stepFrames(1); seen.push(c.frame); c.seek(0.512); c.stepFrames(-1); seen.push(c.frame);
-        const d = clock(false); d.stepFrames(-1); seen.push(d.frame); d.seek(99); d.stepFrames(1); seen.push(d.frame); d.seek(NaN); seen.push(d.time);
+        c.seek(0.512); c.stepFrames(1); seen.push(c.frame); c.seek(0.512); c.stepFrames(-1);
+        seen.push(c.frame);
+        const d = clock(false); d.stepFrames(-1); seen.push(d.frame); d.seek(99); d.stepFrames(1); seen.push(d.frame);
+        d.seek(NaN); seen.push(d.time);
         said(seen);""")
     assert seen == pytest.approx([39, False, 0, 11, 10, 0, 39, 0])
 
@@ -183,7 +189,8 @@ def test_the_clock_steps_by_frames_and_pauses(told):
 def test_the_picture_follows_the_sound(told):
     """A sound that is late is waited for; one that is over leaves the clock alone."""
     seen = told(CLOCK + """
-        const sound = {playing: true, time: 0, calls: [], seek(t) { this.calls.push(["seek", t]); }, follow() {}, play() {}, pause() { this.calls.push("pause"); }};
+        const sound = {playing: true, time: 0, calls: [], seek(t) { this.calls.push(["seek", t]); },
+            follow() {}, play() {}, pause() { this.calls.push("pause"); }};
         const c = clock(true, sound); c.play(); now += 0.5; c.step(); seen.push(c.time);
         sound.time = 0.52; now += 0.5; c.step(); seen.push(c.time);
         sound.playing = false; now += 0.25; c.step(); seen.push(c.time);
@@ -195,8 +202,10 @@ def test_the_picture_follows_the_sound(told):
 def test_a_sound_begins_where_the_scene_reaches_it(told):
     """A sound that begins a second into the scene, and lasts for two."""
     seen = told("""
-        const element = {currentTime: 0, duration: 2, paused: true, play() { this.paused = false; return Promise.resolve(); }, pause() { this.paused = true; }};
-        const s = new Sound(element, -1), seen = []; s.play(0); seen.push(element.paused); s.follow(1.25); seen.push(element.paused, element.currentTime);
+        const element = {currentTime: 0, duration: 2, paused: true,
+            play() { this.paused = false; return Promise.resolve(); }, pause() { this.paused = true; }};
+        const s = new Sound(element, -1), seen = [];
+        s.play(0); seen.push(element.paused); s.follow(1.25); seen.push(element.paused, element.currentTime);
         s.seek(3.5); s.follow(3.5); seen.push(element.paused); s.pause(); s.follow(1.5); seen.push(element.paused); said(seen);""")
     assert seen == [True, False, 0.25, True, True]
 
