@@ -9,7 +9,7 @@ LTS := .venv313/bin/python
 help:
 	@echo "make demo          import the example model, move a camera around it and render it through Blender"
 	@echo "make test          style, library and add-on tests (Blender 5.0.1; 5.2.3 too where Python 3.13 is found)"
-	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1 and 5.2.3"
+	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1, 5.2.3, and 5.3 once it is to be had"
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
 	@echo "make bench         the figures that the README quotes"
@@ -62,7 +62,15 @@ test-addon-4.5.15: .venvs/4.5.15/ready
 test-addon-4.2.23: .venvs/4.2.23/ready
 	@echo "Blender 4.2.23:" && .venvs/4.2.23/bin/python -m pytest $(ADDON)
 
-test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3
+# Blender 5.3 as soon as the package index has it.
+.PHONY: test-addon-5.3
+test-addon-5.3: .venv313/ready
+	@version=$$($(LTS) -m pip index versions bpy 2>/dev/null | grep -o '5\.3\.[0-9]*' | head -n 1); \
+	if [ -z "$$version" ]; then echo "The package index has no bpy 5.3 for Python 3.13: its tests are left out."; else \
+	folder=.venvs/$$version && mkdir -p .venvs && { [ -e $$folder/ready ] || tools/make_venv.sh $$folder 3.13 $$version; } && \
+	echo "Blender $$version:" && $$folder/bin/python -m pytest $(ADDON); fi
+
+test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3 test-addon-5.3
 
 test-blender: .venv/ready
 	@$(PY) tools/test_blender.py $(ARGS)

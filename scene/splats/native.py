@@ -73,7 +73,7 @@ def make(context, obj, kind: str) -> bpy.types.Object:
         found.data.materials.clear()
         found.data.materials.append(_material())
     if "type" in bpy.types.PointCloud.bl_rna.properties and found.type == 'POINTCLOUD':
-        found.data.type = 'GAUSSIAN_SPLAT' if kind == 'SPLATS' else 'POINT'
+        found.data.type = 'GAUSSIAN_SPLAT' if kind == 'SPLATS' else 'POINTS'
     modifier = proxy_nodes.modifier_of(obj)
     if modifier is not None:
         modifier.show_render = False

@@ -11,12 +11,14 @@ from types import SimpleNamespace
 import image_files
 import numpy as np
 import pytest
+import windows_rules
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("fastgs", deadline=None, derandomize=True, database=None, suppress_health_check=[
     HealthCheck.too_slow, HealthCheck.function_scoped_fixture])  # how fast the machine is does not matter
 settings.load_profile("fastgs")
 
+windows_rules.install()
 ROOT = Path(__file__).resolve().parents[2]
 ADDON = "bl_ext.user_default.fastgs_blender"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import windows_rules
 from hypothesis import HealthCheck, settings
 from random_models import random_model
 
@@ -15,6 +16,7 @@ settings.register_profile("fastgs", deadline=None, derandomize=True, database=No
                           suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 settings.load_profile("fastgs")
 
+windows_rules.install()
 CACHE = Path(__file__).resolve().parents[2] / "build" / "cache"
 os.environ.setdefault("FASTGS_CACHE_DIR", str(CACHE))  # compiled kernels, which the add-on's tests share; the user's own stays as it is
 os.environ["FASTGS_DEVICE"] = "cpu"  # commands under test use no GPU, whatever this machine has, unless they are told to
