@@ -104,6 +104,14 @@ def picture(model, output, width, height, frame):
             "start": obj.fastgs.start_frame}
 
 
+def page(model, output, frames):
+    """Import, and export the scene's first frames as a web page."""
+    scene = bring(model)
+    camera = look(scene, 320, 240)
+    bpy.ops.fastgs.export_page(filepath=os.path.abspath(output), frame_start=scene.frame_start, frame_end=scene.frame_start + frames - 1)
+    return {"camera": camera}
+
+
 def opened():
     """The file that Blender was started with: what it says of its splats."""
     scene = bpy.context.scene
