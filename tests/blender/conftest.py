@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from blenders import User
 from browser import Browser
+from knot_pages import opened, page  # noqa: F401 - fixtures
 from PIL import Image
 
 import fastgs_blender as fg

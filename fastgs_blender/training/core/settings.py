@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All options of a training run in one frozen dataclass, each with its default, meaning and limits; their conversion to and from JSON."""
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any
 
@@ -16,9 +17,9 @@ def _number(default: Any, low: float, high: float) -> Any:
     return field(default=default, metadata={"limits": (low, high)})
 
 
-def _choice(default: str, *others: str) -> Any:
-    """One of several words."""
-    return field(default=default, metadata={"words": (default, *others)})
+def _choice(default: str, *others: str, more: Callable[[], Iterable[str]] = tuple) -> Any:
+    """One of several words; more() gives those that are only known when it is asked."""
+    return field(default=default, metadata={"words": lambda: (default, *others, *more())})
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Settings:
     preset: str = "standard"  # the name of the table in presets.py that the other values began from
 
     # The model
-    motion: str = _choice("cosine", *trained_motions(), "static")  # basis of the positions; paper: the printed form, period 1 (eq. 3-4)
+    motion: str = _choice("cosine", "static", more=trained_motions)  # basis of the positions; paper: the printed form, period 1 (eq. 3-4)
     # Fourier frequencies, cosines, degree or keyframes.  0: the usual one, lower for short clips, or, where training begins with a model,
     # the one that follows it; a run's plan says which, and rotation_degree with it
     order: int = _number(0, 0, 64)
@@ -137,9 +138,9 @@ class Settings:
         for option in fields(self):
             value = _checked(option, getattr(self, option.name))
             object.__setattr__(self, option.name, value)
-            if "words" in option.metadata and value not in option.metadata["words"]:
-                raise FastGSError(f"the training option {option.name} is one of {', '.join(dict.fromkeys(option.metadata['words']))}, not "
-                                  f"{value!r}.")
+            words = option.metadata["words"]() if "words" in option.metadata else (value,)
+            if value not in words:
+                raise FastGSError(f"the training option {option.name} is one of {', '.join(dict.fromkeys(words))}, not {value!r}.")
             low, high = option.metadata.get("limits", (value, value))
             if not low <= value <= high:
                 raise FastGSError(f"the training option {option.name} must lie between {low:g} and {high:g}, not at {value:g}.")

@@ -123,6 +123,7 @@ def test_objects_with_one_file_share_it_and_filters_leave_gaussians_out(scene, f
     assert len(fg.load(tmp_path / "half.safetensors")) <= 30
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_compressed_file_is_taken_as_it_is(fg, pictures, moving, export, tmp_path):
     fg.save(fg.load(moving), tmp_path / "packed.safetensors", compress="fine")
     bpy.ops.import_scene.fastgs(filepath=str(tmp_path / "packed.safetensors"))

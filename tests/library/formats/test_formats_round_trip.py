@@ -72,8 +72,9 @@ def saved(model, path, compress=None) -> list[str]:
     return [str(each.message) for each in caught]
 
 
-@pytest.mark.parametrize(("extension", "compress"),
-                         [*((extension, None) for extension in writable()), (".safetensors", "fine"), (".safetensors", "small")])
+@pytest.mark.parametrize(("extension", "compress"), [
+    *((extension, None) for extension in writable() if extension != ".html"),  # web pages are played, and not read
+    (".safetensors", "fine"), (".safetensors", "small")])
 def test_every_model_that_is_saved_is_loaded_again(tmp_path, extension, compress):
     if extension.startswith(".usd"):
         pixars_library()
