@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_UNDO = {
-    "write files": "capture_scene store_view export_native export_camera_path",
+    "write files": "capture_scene store_view export_native export_page export_camera_path",
     "change what Blender's undo leaves out, such as the view": "frame_capture copy_diagnostics use_gpu open_guide",
     "work outside of the scene": "check_capture sync_cameras compile_kernels clear_kernels test_gpus test_training_python "
                                  "make_training_python train train_check train_pause train_resume train_stop train_forget train_report",
