@@ -14,7 +14,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
 from ..engine.viewport.eye import eye
-from ..fastgs_blender.rendering.brush import Box, Lasso, Stroke
+from ..fastgs_blender.selecting.shapes import Box, Lasso, Stroke
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import brush
 from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Need

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.brush import Shape, under
 from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
+from ..fastgs_blender.selecting.shapes import Shape, under
 from . import objects, snapshot
 
 
@@ -28,9 +28,7 @@ def brush(obj, depsgraph, camera: fg.Camera, shape: Shape, hide: bool = True) ->
     found = [(item, instance) for item, instance in snapshot.take(depsgraph, rendered=False).pairs()[0] if item.name == obj.name]
     for _, instance in found:
         settings = instance.settings if hide else replace(instance.settings, mask="")
-        index = under(replace(instance, settings=settings).viewed(camera), camera, shape)
-        changed = index[bits[index] != hide]
-        bits[changed] = hide
+        bits[under(replace(instance, settings=settings).viewed(camera), camera, shape)] = hide
     count = int(np.count_nonzero(bits != mask_of(obj)))
     if count:
         set_mask(obj, bits)

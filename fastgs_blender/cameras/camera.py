@@ -2,7 +2,7 @@
 """Camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5, the first row at the top."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import NamedTuple
 
@@ -81,9 +81,10 @@ class Camera:
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def stretched(self, width: int, height: int) -> Camera:
-        """The camera of the same picture at another size."""
+        """The camera of the same picture, whole, at another size."""
         x, y = width / self.width, height / self.height
-        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.world_to_camera)
+        return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y,
+                       window=(0, 0, width, height))
 
     def tangent_limits(self) -> tuple[float, float, float, float]:
         """x/z low and high, y/z low and high, to which the projection's Jacobian is clamped.

@@ -44,6 +44,11 @@ class Filter:
         if np.isnan((self.low, self.high, *self.colour)).any():
             raise FastGSError(f"the limits and the colour of a filter ({self.kind.lower()}) must be numbers, not NaN.")
 
+    def holds(self, model: GaussianModel) -> np.ndarray:
+        """Which Gaussians have a value from low to high: [N] bool."""
+        value = values(model, self.kind, self.colour)
+        return (value >= self.low) & (value <= self.high)
+
 
 def _size(model, _):
     return np.exp(model.scale.astype(np.float64).max(1))
@@ -178,9 +183,7 @@ def hidden(model: GaussianModel, filters, mask: str = "", density: float = 1.0) 
         return known[1]
     out = unpack_mask(mask, len(model))
     for each in filters:
-        value = values(model, each.kind, each.colour)
-        chosen = (value >= each.low) & (value <= each.high)
-        out |= ~chosen if each.keep else chosen
+        out |= ~each.holds(model) if each.keep else each.holds(model)
     if density < 1:
         out |= kept_rank(model) >= density
     with _lock:

@@ -28,7 +28,7 @@ def count(render):
 @pytest.fixture
 def stroke(module, row, scene, now):
     """stroke(low, high, hide=True): a box over these pixels in x, in the scene's camera."""
-    brush, shapes = module("scene.brush"), module("fastgs_blender.rendering.brush")
+    brush, shapes = module("scene.brush"), module("fastgs_blender.selecting.shapes")
 
     def go(low, high, hide=True):
         bpy.context.view_layer.update()
