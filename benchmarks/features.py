@@ -52,7 +52,7 @@ def features(model, camera) -> dict[str, tuple[dict, float | None]]:
     found["all passes"] = {"passes": tuple(PASSES)}, None
     shadow = Shadow(Light.sun((0.3, -0.8, -0.5), 0.05, samples=16), sheet())
     found["holdout of 7200 triangles"] = {"holdout": sheet()}, None
-    found["splat shadow, a sun of 16 samples"] = {"passes": ("rgb", "alpha", "shadow"), "settings": PassSettings(shadow=shadow)}, None
+    found["splat shadow, a sun of 16 samples"] = {"passes": ("rgb", "alpha", "shadow"), "settings": PassSettings(shadows=(shadow,))}, None
     found["motion blur, 32 steps"] = {"exposure": Exposure(-0.25, 0.25, steps=32)}, 0.6 * 32
     found["the same with Cryptomatte"] = {"passes": ("rgb", "alpha", "cryptomatte_00"), "exposure": Exposure(-0.25, 0.25, steps=32)}, None
     found["depth of field, 64 samples"] = {"exposure": Exposure(aperture=Aperture(0.02, 5.0, samples=64))}, 0.7 * 64

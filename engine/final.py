@@ -42,7 +42,7 @@ def _render_layer(engine, depsgraph):
     now = _moment(engine, depsgraph, area, views)
     settings_now = passes.settings(scene)
     if _has(wanted, "shadow"):
-        settings_now = replace(settings_now, shadow=shadows.shadow_of(depsgraph))
+        settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
     shutter = exposure.times(scene)
     middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
     vectors = [middle - 1, middle + 1] if _has(wanted, "vector") else []

@@ -15,7 +15,7 @@ from ..fastgs_blender.rendering import cryptomatte
 from ..fastgs_blender.rendering.exposure import Exposure
 from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, Pass, PassSettings
 from ..fastgs_blender.rendering.quantities import Mist
-from ..scene import colour, composite
+from ..scene import colour, composite, shadows
 from . import scene_linear
 
 COMBINED = "Combined"
@@ -32,9 +32,10 @@ def switched_on(scene, layer) -> list[Pass]:
     """The passes that a view layer wants, one for each of Blender's, in the table's order."""
     names = {p.blender: p.name for p in reversed(PASSES.values()) if p.blender}
     names |= {blender: choose(scene) for blender, choose in CHOICES.items()}
-    levels = -(-layer.pass_cryptomatte_depth // cryptomatte.PAIRS)
-    return [p for p in PASSES.values() if names.get(p.blender) == p.name and p.level < levels and (
-        attrgetter(p.switch)(layer) or composite.needs(scene, p.name))]
+    levels = {"use_pass_cryptomatte_object": -(-layer.pass_cryptomatte_depth // cryptomatte.PAIRS),
+              "fastgs.use_pass_shadow": len(shadows.lamps(scene))}
+    return [p for p in PASSES.values() if names.get(p.blender) == p.name and p.level < max(levels.get(p.switch, 1), 1) and (
+        attrgetter(p.switch)(layer) or composite.needs(scene, p))]
 
 
 def in_viewport(shading, scene) -> str | None:

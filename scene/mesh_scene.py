@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import bpy
 
-from . import holdout, objects
+from . import holdout, objects, shadows
 
-LAMP = "FAST-GS Shadow"
-"""Light group of the lamp whose light the splats take away."""
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 SHARED = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set", "active_clip")
 """Properties of a scene itself that both have alike."""
 OWN = ("engine", "film_transparent", "use_compositing", "use_sequencer", "filepath")
 """Render settings that the scene of the meshes has for itself."""
+
+
+def light_group(i: int) -> str:
+    """The light group of the i-th lamp whose light the splats take away."""
+    return f"FAST-GS Shadow {i + 1}"
 
 
 def is_one(scene) -> bool:
@@ -41,6 +44,7 @@ def follow(scene, engine: str) -> bpy.types.Scene:
     for name, value in zip(OWN, (engine, True, False, False)):
         _set(other.render, name, value)
     _follow_animation(scene, other)
+    _follow_drivers(scene, other)
     _follow_markers(scene.timeline_markers, other.timeline_markers)
     _follow_views(scene.render.views, other.render.views)
     moved = [_follow_contents(scene.collection.children, other.collection.children),
@@ -62,7 +66,7 @@ def remove(scene) -> None:
 def hide(depsgraph) -> None:
     """Leave out of an evaluated scene of meshes what is no mesh beside the splats: these, shapes that crop them, copies that show them.
 
-    It writes to the evaluated objects alone.  The lamp whose light splats take away gets its light group in the same way.
+    It writes to the evaluated objects alone.  The lamps whose light splats take away get their light groups in the same way.
     """
     scene = depsgraph.scene.fastgs.splats_scene.original
     helpers = holdout.helpers(scene)
@@ -72,9 +76,10 @@ def hide(depsgraph) -> None:
             if evaluated.is_evaluated:
                 for ray in RAYS:
                     setattr(evaluated, f"visible_{ray}", False)
-    lamp = scene.fastgs.shadow_light
-    if lamp is not None and lamp.evaluated_get(depsgraph).is_evaluated:
-        lamp.evaluated_get(depsgraph).lightgroup = LAMP
+    for i, lamp in enumerate(shadows.lamps(scene)):
+        evaluated = lamp.evaluated_get(depsgraph)
+        if evaluated.is_evaluated:
+            evaluated.lightgroup = light_group(i)
 
 
 def _new(scene):
@@ -137,6 +142,24 @@ def _follow_animation(scene, other):
         _set(animation, "action_slot", data.action_slot)
 
 
+def _follow_drivers(scene, other):
+    here, there = (list(each.animation_data.drivers) if each.animation_data else [] for each in (scene, other))
+    if [_driver(curve) for curve in here] != [_driver(curve) for curve in there]:
+        other.animation_data_create()
+        for curve in there:
+            other.animation_data.drivers.remove(curve)
+        for curve in here:
+            other.animation_data.drivers.from_existing(src_driver=curve)
+
+
+def _driver(curve) -> tuple:
+    """What a driver computes, to compare it."""
+    targets = [(variable.name, variable.type, target.id, target.data_path, target.transform_type, target.transform_space)
+               for variable in curve.driver.variables for target in variable.targets]
+    return (curve.data_path, curve.array_index, curve.mute, curve.driver.type, curve.driver.expression, curve.driver.use_self,
+            [tuple(point.co) for point in curve.keyframe_points], targets)
+
+
 def _follow_markers(source, target):
     wanted = [(marker.name, marker.frame, marker.camera) for marker in source]
     if wanted == [(marker.name, marker.frame, marker.camera) for marker in target]:
@@ -181,8 +204,9 @@ def _follow_layers(scene, other) -> bool:
             _set(target, name, True)
         _set(target, "pass_alpha_threshold", 0.0)  # the depth of glass, too
         moved |= _follow_collection(layer.layer_collection, target.layer_collection)
-        if scene.fastgs.shadow_light is not None and LAMP not in target.lightgroups:
-            target.lightgroups.add(name=LAMP)
+        for i in range(len(shadows.lamps(scene))):
+            if light_group(i) not in target.lightgroups:
+                target.lightgroups.add(name=light_group(i))
     return moved
 
 

@@ -16,7 +16,7 @@ from bpy.props import (
 
 from ..fastgs_blender.rendering.instances import LOOKS, ObjectSettings
 from ..fastgs_blender.rendering.passes import PASSES
-from . import paths, shadows, updates
+from . import paths, updates
 from .settings import BLEND_RELATIVE
 from .time import Retime
 from .training.options import FASTGS_PG_training
@@ -155,6 +155,9 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     hides_splats: BoolProperty(
         name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on. "
         "What lets light through, such as glass, never hides them", default=True, override=_OWN, update=updates.viewports)
+    splat_shadow: BoolProperty(
+        name="Splat Shadow", description="Let splats take the light of this lamp from meshes, in a pass Splat Shadow of its own",
+        default=False, override=_OWN, update=updates.lamps)
     mask: StringProperty(
         name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
     viewport_density: FloatProperty(
@@ -206,9 +209,6 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     use_meshes: BoolProperty(
         name="Meshes Hide Splats", description="Leave out of final renders what of the splats lies behind the scene's meshes, which "
         "another engine renders. Objects and collections with Holdout hide splats in any case", default=False, update=updates.viewports)
-    shadow_light: PointerProperty(
-        name="Light", description="The sun, spot or area light whose light splats take from meshes, in the pass Splat Shadow",
-        type=bpy.types.Object, poll=lambda self, obj: shadows.is_lamp(obj))
     shadow_samples: IntProperty(
         name="Samples", description="Points of the light from which shadows are looked at; more make soft shadows smoother", default=32,
         min=1, soft_max=256, max=4096)
@@ -254,7 +254,7 @@ FASTGS_PG_view_layer = type("FASTGS_PG_view_layer", (bpy.types.PropertyGroup,), 
     "__module__": __name__,
     "__annotations__": {
         entry.switch.removeprefix("fastgs."): BoolProperty(
-            name=entry.blender, description=entry.description, default=False, update=updates.passes)
+            name=entry.title or entry.blender, description=entry.description, default=False, update=updates.passes)
         for entry in PASSES.values() if not entry.builtin},
 })
 

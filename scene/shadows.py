@@ -1,42 +1,52 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads the lamp whose light splats take from the scene's meshes, and these, for the pass of shadows."""
+"""Reads the lamps whose light splats take from the scene's meshes, and these, for the passes of shadows."""
 from __future__ import annotations
 
 import numpy as np
 
+from ..fastgs_blender.rendering.passes import LAMPS, SHADOWS
 from ..fastgs_blender.rendering.shadow import Light, Shadow
 from ..fastgs_blender.util.errors import FastGSError
 from . import holdout
 
-LAMPS = ('SUN', 'SPOT', 'AREA')
+PASSES = [entry.blender for entry in SHADOWS]
+"""Blender's names of the passes, in the order of the lamps."""
+KINDS = ('SUN', 'SPOT', 'AREA')
 """Types of lights that cast the shadows of splats."""
 
 
 def is_lamp(obj) -> bool:
-    """Whether an object can be chosen as the light."""
-    return obj.type == 'LIGHT' and obj.data.type in LAMPS
+    """Whether splats can take the light of an object."""
+    return obj.type == 'LIGHT' and obj.data.type in KINDS
 
 
-def shadow_of(depsgraph) -> Shadow | None:
-    """The shadow that the scene asks for, as the depsgraph has evaluated it; None without a light or without meshes.
+def lamps(scene) -> list:
+    """The lamps of a scene, evaluated or not, whose light splats take from meshes, in the order of their passes."""
+    return chosen(scene)[:LAMPS]
 
-    Raises FastGSError where the chosen light is not one of LAMPS, or where its transform holds no numbers.
+
+def chosen(scene) -> list:
+    """The lamps that are to have a splat shadow, of which the first LAMPS get one."""
+    return sorted((obj for obj in scene.objects if is_lamp(obj) and obj.fastgs.splat_shadow), key=lambda obj: obj.name_full)
+
+
+def shadows_of(depsgraph) -> tuple[Shadow, ...]:
+    """The shadows that the scene asks for, as the depsgraph has evaluated it; none without meshes.
+
+    Raises FastGSError where the transform of a lamp holds no numbers.
     """
-    settings = depsgraph.scene.fastgs
-    if settings.shadow_light is None:
-        return None
-    meshes = holdout.triangles(depsgraph)
+    scene = depsgraph.scene
+    found = lamps(scene)
+    meshes = holdout.triangles(depsgraph) if found else None
     if meshes is None:
-        return None
-    render, lamp = depsgraph.scene.render, settings.shadow_light.evaluated_get(depsgraph)
-    size = render.resolution_percentage / 100 * max(render.resolution_x, render.resolution_y)
-    return Shadow(light_of(lamp, settings.shadow_samples), meshes, settings.shadow_bias, int(np.clip(size, 256, 2048)))
+        return ()
+    size = scene.render.resolution_percentage / 100 * max(scene.render.resolution_x, scene.render.resolution_y)
+    return tuple(Shadow(light_of(lamp.evaluated_get(depsgraph), scene.fastgs.shadow_samples), meshes, scene.fastgs.shadow_bias,
+                        int(np.clip(size, 256, 2048))) for lamp in found)
 
 
 def light_of(obj, samples: int) -> Light:
     """The library's light for an evaluated lamp: its place, direction and size, as Cycles reads them."""
-    if not is_lamp(obj):
-        raise FastGSError(f'"{obj.name}" casts no shadows of splats; choose a sun, a spot or an area light under Splat Shadows.')
     matrix, data = np.array(obj.matrix_world, np.float64), obj.data
     if not np.isfinite(matrix).all():
         raise FastGSError(f'the light "{obj.name}" has a transform that holds no finite numbers; clear its location and rotation, or those '

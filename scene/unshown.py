@@ -2,7 +2,8 @@
 """Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
 from __future__ import annotations
 
-from . import holdout, objects
+from ..fastgs_blender.rendering.passes import LAMPS
+from . import holdout, objects, shadows
 
 NAMED = 3
 """Objects that a sentence names; of further ones it gives the number."""
@@ -31,7 +32,9 @@ def meshes(scene, view_layer) -> str | None:
 def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
     holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and holdout.is_held_out(obj, view_layer)]
-    return [f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."] if holdouts else []
+    surplus = [obj.name for obj in shadows.chosen(scene)[LAMPS:]]
+    return ([f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."] if holdouts else []) + (
+        [f"At most {LAMPS} lamps have a splat shadow; {', '.join(surplus[:NAMED])} has none."] if surplus else [])
 
 
 def in_viewports(scene) -> str | None:

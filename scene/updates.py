@@ -33,6 +33,15 @@ def meshes(group, context):
     viewports(group, context)
 
 
+def lamps(group, context):
+    """Update callback of *Splat Shadow*: each lamp has a pass."""
+    for scene in context.blend_data.scenes:
+        if group.id_data.name in scene.objects:
+            for layer in scene.view_layers:
+                layer.update_render_passes()
+    shown(group, context)
+
+
 def passes(group, context):
     """Update callback of properties on ViewLayer.fastgs: update the compositor's sockets to the passes that are switched on."""
     # the group cannot tell which of its scene's layers it belongs to, and context.view_layer may be another one

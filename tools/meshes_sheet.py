@@ -52,7 +52,7 @@ def main():
     pictures["pass Splat Shadow"] = np.repeat(shadow[..., None], 3, -1)
     scene.render.use_compositing = True
     tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
-    strength = tree.nodes["FAST-GS Join"].inputs["Shadow Strength"]
+    strength = tree.nodes["FAST-GS Shade"].inputs["Shadow Strength"]
     for name, strength.default_value in (("joined, without shadows", 0.0), ("joined", 0.8)):
         pictures[name] = render(scene)
     grid(pictures.items(), 3).save(options.out, quality=85, method=6)
@@ -87,7 +87,7 @@ def build():
     bpy.context.object.modifiers.new("Smooth", 'SUBSURF').render_levels = 2
     bpy.ops.object.shade_smooth()
     paint((0.12, 0.3, 0.75), 0.35)
-    scene.fastgs.shadow_light, scene.fastgs.shadow_bias = spot, 0.06
+    spot.fastgs.splat_shadow, scene.fastgs.shadow_bias = True, 0.06
     scene.frame_set(FRAME)
     return scene
 

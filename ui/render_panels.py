@@ -7,7 +7,7 @@ import bpy
 from ..fastgs_blender.rendering.passes import PASSES
 from ..fastgs_blender.util.backends import describe_backend
 from ..fastgs_blender.util.threads import available
-from ..scene import devices, holdout, mesh_scene, objects, settings, unshown
+from ..scene import devices, holdout, mesh_scene, objects, settings, shadows, unshown
 from . import facts
 from .object_panels import draw_column, draw_other_engine, draw_rows, draw_trouble, split
 
@@ -140,9 +140,15 @@ class FASTGS_PT_shadows(_Engine, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout), context.scene.fastgs
-        layout.prop(settings, "shadow_light")
-        draw_column(layout, settings, "shadow_samples", "shadow_bias", active=settings.shadow_light is not None)
-        if not (settings.shadow_light is None or context.view_layer.fastgs.use_pass_shadow or holdout.with_meshes(context.scene)):
+        lamps = sorted((obj for obj in context.scene.objects if shadows.is_lamp(obj)), key=lambda obj: obj.name_full)
+        col = layout.column(heading="Of Lamps", align=True)
+        for lamp in lamps:
+            col.prop(lamp.fastgs, "splat_shadow", text=lamp.name)
+        if not lamps:
+            draw_trouble(layout, context, "The scene has no sun, spot or area light", 'INFO')
+        chosen = shadows.lamps(context.scene)
+        draw_column(layout, settings, "shadow_samples", "shadow_bias", active=bool(chosen))
+        if chosen and not (context.view_layer.fastgs.use_pass_shadow or holdout.with_meshes(context.scene)):
             draw_trouble(layout, context, "Choose Render With Meshes, or switch on the pass Splat Shadow", 'INFO')
 
 

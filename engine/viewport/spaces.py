@@ -90,7 +90,7 @@ class Viewports:
             settings = passes.settings(depsgraph.scene)
             if chosen == "shadow":
                 try:
-                    settings = replace(settings, shadow=shadows.shadow_of(depsgraph))
+                    settings = replace(settings, shadows=shadows.shadows_of(depsgraph)[:1])
                 except fg.FastGSError as error:
                     _say_once(str(error))
             return DataPass(chosen, settings, self._holdout(space, depsgraph), (self.changes,))

@@ -22,7 +22,7 @@ from .holdout import as_triangles
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
 from .panorama import render_panorama
-from .passes import DEFAULTS, PASSES, Blended, PassSettings
+from .passes import DEFAULTS, PASSES, SHADOWS, Blended, PassSettings
 from .quantities import shares
 
 AT_ONCE = 16
@@ -43,7 +43,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
                             without holdout and exposure, comes as its trainer shows it, with a colour where alpha is 0; see settings
               alpha         [h, w]
               holdout       [h, w]  the light that the holdout's triangles stop; alpha, this and what lies behind make up a pixel
-              shadow        [h, w]  the share of settings.shadow's light that arrives at its meshes, 1 where the camera sees none
+              shadow        [h, w]  the share of the light of settings.shadows[0] that arrives at its meshes, 1 where the camera sees
+                                    none; shadow_2 ... of the next ones
               depth         [h, w]  expected depth along the view axis, of the points of greatest density on the pixel's ray; inf where
                             alpha is 0
               median_depth  [h, w]  depth where transmittance falls to a half (the last splat's where it does not), else inf
@@ -126,9 +127,10 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
         more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])}, planes, settings.by_pixel)
         drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
-    shadow = settings.shadow.picture(backend, instances, camera, progress) if settings.shadow and "shadow" in needs else None
+    shadows = {entry.name: shadow.picture(backend, instances, camera, progress)
+               for entry, shadow in zip(SHADOWS, settings.shadows, strict=False) if entry.name in needs}
     return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None,
-                   None if buffers.held is None else backend.numpy(buffers.held), shadow)
+                   None if buffers.held is None else backend.numpy(buffers.held), shadows)
 
 
 def _exposed(backend: Any, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..util.arguments import one_of
+from ..util.errors import FastGSError
 from . import cryptomatte, false_colour
 from .instances import Moment, ViewedInstance
 from .quantities import NORMAL, Mist, Quantity, vector
@@ -19,6 +20,8 @@ FAR = np.float32(1e10)
 """Depth where there is nothing, in files and in Blender, as Blender's own engines write it: filters turn an infinity into NaN."""
 SORTINGS = ("centre", "pixel")
 FILMS = ("opaque", "transparent")
+LAMPS = 8
+"""Lights whose shadows can be had, each in a pass of its own."""
 LEVELS = 8
 """Levels of Cryptomatte that can be had: as many as Blender's most, 16 objects a pixel, needs."""
 
@@ -29,13 +32,13 @@ class PassSettings:
 
     mist           the distances of the Mist pass
     before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
-    shadow         the light and the meshes of the pass of shadows, see shadow.py; None: there are no shadows
+    shadows        the lights and the meshes of the passes of shadows, one for each, at most LAMPS; see shadow.py
     sorting        "centre": all splats by the depth of their centres; "pixel": in each pixel by the depth of the greatest density on its
                    ray, so that none comes suddenly before another while the camera turns (StopThePop, Radl et al. 2024)
     film           "opaque": nothing is put behind the picture, so a model of Spacetime Gaussians shows what its decoder makes of no
                    features there; "transparent": that is left out, and alpha says what can be put behind.  Other models are the same
 
-    Raises FastGSError for another sorting or film.
+    Raises FastGSError for another sorting or film, and for too many shadows.
 
     Example:
         picture = fg.render(model, camera, settings=fg.PassSettings(sorting="pixel"))
@@ -44,13 +47,15 @@ class PassSettings:
     mist: Mist = field(default_factory=Mist)
     before: Moment | None = None
     after: Moment | None = None
-    shadow: Shadow | None = None
+    shadows: tuple[Shadow, ...] = ()
     sorting: str = "centre"
     film: str = "opaque"
 
     def __post_init__(self) -> None:
         one_of(self.sorting, "how splats are sorted", SORTINGS)
         one_of(self.film, "the film", FILMS)
+        if len(self.shadows) > LAMPS:
+            raise FastGSError(f"{len(self.shadows)} lights cast shadows; at most {LAMPS} can.")
 
     @property
     def by_pixel(self) -> bool:
@@ -81,7 +86,7 @@ class Blended:
     objects  (name, index) of each object in the picture
     shares   [h, w, K]  what part of each pixel each of the objects covers; None where no pass needs it
     held     [h, w]     the light that a holdout stops; None without one
-    shadow   [h, w]     the share of a light that splats let through to meshes; None where no pass needs it
+    shadows  [h, w]     by the pass's name, the share of a light that splats let through to meshes
     """
 
     camera: Camera
@@ -92,7 +97,7 @@ class Blended:
     objects: list[tuple[str, int]]
     shares: np.ndarray | None
     held: np.ndarray | None = None
-    shadow: np.ndarray | None = None
+    shadows: dict[str, np.ndarray] = field(default_factory=dict)
 
     def at_pixels(self, sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The mean of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3].
@@ -127,8 +132,8 @@ class Pass:
     mixes     whether values of neighbouring pixels may be mixed
     title     what panels call it, if not as Blender names the pass
     meshes    whether it says something of the meshes of a scene: files of a model alone have none, unless they are asked for
-    level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants; files get the first three
-              if nothing else is said
+    level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants, of shadows the number of
+              lamps; files get the first three if nothing else is said
     look      (image) -> [h, w, 3]: what viewports show of a pass that is no colour, see false_colour.py
     shows     what these colours mean, for users
     """
@@ -215,6 +220,19 @@ def _cryptomatte(level: int) -> Pass:
                 look=false_colour.mattes, shows="A colour for each object, as bright as it covers the pixel")
 
 
+def _shadow(level: int) -> Pass:
+    number = f" {level + 1}" if level else ""
+    name = "shadow" + number.replace(" ", "_")
+    return Pass(name, lambda b: b.shadows.get(name, np.ones_like(b.alpha)), (name,), empty=1.0, mixes=True, meshes=True,
+                exr=(f"Splat Shadow{number}.X",), blender=f"Splat Shadow{number}", letters="X", switch="fastgs.use_pass_shadow",
+                title="Splat Shadow", level=level,
+                description="Deliver how much of each lamp's light splats let through to the meshes that the camera sees: a factor on it",
+                shows="Black where splats keep all of the light from meshes, white where they let all of it through")
+
+
+SHADOWS = tuple(_shadow(level) for level in range(LAMPS))
+"""The passes of shadows, in the order of PassSettings.shadows."""
+
 PASSES = {entry.name: entry for entry in (
     Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, mixes=True, exr=("R", "G", "B"),
          blender="Combined", letters="RGBA", kind="COLOR", switch="use_pass_combined"),
@@ -227,10 +245,7 @@ PASSES = {entry.name: entry for entry in (
          switch="fastgs.use_pass_holdout",
          description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill",
          shows="White where meshes stop all light, black where they stop none"),
-    Pass("shadow", lambda b: np.ones_like(b.alpha) if b.shadow is None else b.shadow, ("shadow",), empty=1.0, mixes=True, meshes=True,
-         exr=("Splat Shadow.X",), blender="Splat Shadow", letters="X", switch="fastgs.use_pass_shadow",
-         description="Deliver how much of a light splats let through to the meshes that the camera sees: a factor on their colour",
-         shows="Black where splats keep all of the light from meshes, white where they let all of it through"),
+    *SHADOWS,
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z",
          look=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",

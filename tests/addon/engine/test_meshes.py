@@ -180,7 +180,8 @@ def test_shadows_fall_where_the_light_sends_them(scene, fg, model_file, splat_ob
         for name, value in data.items():
             setattr(obj.data, name, value)
         scene.collection.objects.link(obj)
-        scene.fastgs.shadow_light = obj
+        for each in scene.objects:
+            each.fastgs.splat_shadow = each is obj
         dark = 1 - render()["ViewLayer.Splat Shadow"][..., 0]
         y, x = np.mgrid[:48, :64] + 0.5
         return dark, ((dark * x).sum() / dark.sum() - 32) / 6.4, (24 - (dark * y).sum() / dark.sum()) / 6.4
@@ -199,15 +200,28 @@ def test_shadows_fall_where_the_light_sends_them(scene, fg, model_file, splat_ob
     wide, x, y = lamp('AREA', (0, 0, 4), shape='RECTANGLE', size=3.0, size_y=0.1)
     assert (x, y) == pytest.approx((0, 0), abs=0.15)
     assert (wide.max(0) > 0.05).sum() > 1.5 * (wide.max(1) > 0.05).sum()
-    scene.fastgs.shadow_light.hide_render = True
+    bpy.data.objects["AREA"].hide_render = True
     assert render()["ViewLayer.Splat Shadow"].min() < 1, "a hidden lamp still says where the light comes from"
 
 
-def test_a_point_lamp_is_refused_in_a_sentence(scene, splats, add):
-    square(add)
-    lamp = bpy.data.objects.new("Bulb", bpy.data.lights.new("Bulb", 'POINT'))
-    scene.collection.objects.link(lamp)
-    scene.fastgs.shadow_light = lamp
+def test_each_lamp_has_its_shadow(scene, fg, model_file, splat_object, add, add_camera, render, warned):
+    """A sun from the left, one from the right, and more than there are passes; a point lamp is none."""
+    ball = fg.GaussianModel(position=[[0, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[4.0], features=[[0, 0, 0]])
+    splat_object(model_file(ball))
+    add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
+    add("plane", size=40)
     bpy.context.view_layer.fastgs.use_pass_shadow = True
-    with pytest.raises(RuntimeError, match='"Bulb" casts no shadows'):
-        bpy.ops.render.render()
+    for name, kind, angle in (("Bulb", 'POINT', 0.0), ("From Left", 'SUN', -np.pi / 4), ("From Right", 'SUN', np.pi / 4)):
+        lamp = bpy.data.objects.new(name, bpy.data.lights.new(name, kind))
+        lamp.rotation_euler.y, lamp.fastgs.splat_shadow = angle, True
+        scene.collection.objects.link(lamp)
+    planes = render()
+    for name, x in (("Splat Shadow", 2), ("Splat Shadow 2", -2)):
+        assert planes[f"ViewLayer.{name}"][24, int(32 + 6.4 * x), 0] < 0.5 < planes[f"ViewLayer.{name}"][24, int(32 - 6.4 * x), 0]
+    assert "ViewLayer.Splat Shadow 3" not in planes and not any("lamps" in text for text in warned())
+    for _ in range(7):
+        more = scene.objects["From Right"].copy()
+        scene.collection.objects.link(more)
+    planes = render()
+    assert "ViewLayer.Splat Shadow 8" in planes and "ViewLayer.Splat Shadow 9" not in planes
+    assert any("At most 8 lamps" in text for text in warned())

@@ -163,6 +163,10 @@ def test_the_meshes_scene_is_in_step(scene, screen, add, add_camera, choose):
     assert other.render.views["third"].camera_suffix == "_T"
     assert {(layer.name, layer.use) for layer in other.view_layers} == {("Renamed", True), ("Second", False)}
     assert other.render.film_transparent and not scene.render.film_transparent
+    scene.driver_add("render.motion_blur_shutter").driver.expression = "frame / 4"
+    scene.frame_set(3)
+    bpy.ops.render.render()
+    assert other.animation_data.drivers[0].driver.expression == "frame / 4" and other.render.motion_blur_shutter == 0.75
 
 
 def test_flags_of_collections_count_for_meshes(scene, screen, wall, add_camera, choose, render):
@@ -265,27 +269,80 @@ def test_both_eyes_have_meshes(scene, screen, wall, add_camera, choose, render):
 
 
 def test_a_shadow_takes_the_light_of_its_lamp_alone(scene, fg, model_file, splat_object, add, paint, sky, add_camera, choose, render):
-    """A white plane under a sun and a world: where the ball's shadow falls it is as bright as without the sun."""
-    ball = fg.GaussianModel(position=[[1, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[9.0],
+    """A white plane under two suns and a world: where the ball keeps one's light it is as bright as without this one."""
+    ball = fg.GaussianModel(position=[[0, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[9.0],
                             features=[[0.9, 0.1, 0.1]])
     splat_object(model_file(ball))
     add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
     paint(add("plane", size=40))[1].inputs["Specular IOR Level"].default_value = 0  # as bright from every side
-    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
-    lamp.rotation_euler.y, lamp.data.energy = np.pi / 4, 1.0  # from the side of x
-    scene.collection.objects.link(lamp)
-    scene.fastgs.shadow_light = lamp
-    choose().cycles.samples = 64
-    x, y = int(32 - 1 * 6.4), 24
-    lit, through = render("PNG16"), render()["ViewLayer.Splat Shadow"][y, x, 0]
-    lamp.data.energy = 0
-    dark = render("PNG16")
-    sun = lit[y, 60, :3] - dark[y, 60, :3]
-    assert dark[y, x].min() > 0.1 and sun.min() > 0.1 and through < 0.5
-    np.testing.assert_allclose(lit[y, x, :3], dark[y, x, :3] + through * sun, atol=0.02)
-    lamp.data.energy = 1.0
-    tree_of(scene).nodes["FAST-GS Join"].inputs["Shadow Strength"].default_value = 0.0
-    np.testing.assert_allclose(render("PNG16")[y, x, :3], lit[y, 60, :3], atol=0.02)
+    lamps = {}
+    for name, angle, colour in (("Left", -np.pi / 4, (1, 0.2, 0.2)), ("Right", np.pi / 4, (0.2, 0.2, 1))):
+        lamp = lamps[name] = bpy.data.objects.new(name, bpy.data.lights.new(name, 'SUN'))
+        lamp.rotation_euler.y, lamp.data.color, lamp.data.energy, lamp.fastgs.splat_shadow = angle, colour, 0.5, True
+        scene.collection.objects.link(lamp)
+    scene.fastgs.shadow_samples = 4
+    choose().cycles.samples = 16
+    lit, planes = render("PNG16"), render()
+    for name, x, number in (("Left", 2, ""), ("Right", -2, " 2")):
+        y, x, through = 24, int(32 + x * 6.4), planes[f"ViewLayer.Splat Shadow{number}"][..., 0]
+        lamps[name].data.energy = 0
+        dark = render("PNG16")
+        lamps[name].data.energy = 0.5
+        sun = lit[y, 60, :3] - dark[y, 60, :3]
+        assert dark[y, x].min() > 0.05 and sun.max() > 0.08 and through[y, x] < 0.5
+        np.testing.assert_allclose(lit[y, x, :3], dark[y, x, :3] + through[y, x] * sun, atol=0.02)
+    nodes = [node for node in tree_of(scene).nodes if node.name.startswith("FAST-GS Shade")]
+    assert {node.label for node in nodes} == {"Left", "Right"}
+    for node in nodes:
+        node.inputs["Shadow Strength"].default_value = 0.0
+    np.testing.assert_allclose(render("PNG16")[24, int(32 - 2 * 6.4), :3], lit[24, 60, :3], atol=0.02)
+    lamps["Left"].fastgs.splat_shadow = False
+    bpy.ops.render.render()
+    assert [node.label for node in tree_of(scene).nodes if node.name.startswith("FAST-GS Shade")] == ["Right"]
+
+
+def test_a_mesh_behind_splats_does_not_leak_at_the_edge_of_one_before_them(scene, screen, wall, add_camera, choose, render):
+    """A turned green square before red splats before a blue wall, of which nothing is seen."""
+    add_camera(lens=30.0)
+    wall(0, -1.0, (0, 1, 0), size=2.0).rotation_euler.y = 0.3
+    wall(0, 1.0, (0, 0, 1), size=20)
+    choose().cycles.samples = 32
+    picture = render("PNG16")
+    assert picture[..., 1].max() > 0.99 and picture[..., 2].max() < 0.03
+    green, red = picture[..., 1], picture[..., 0] / np.median(picture[:, :8, 0])
+    np.testing.assert_allclose((green + red)[4:-4, 8:-8], 1, atol=0.25)  # the red screen is no even surface
+
+
+def test_two_scenes_in_one_compositor(scene, screen, wall, add_camera, choose, render, compositor):
+    """The compositor puts one scene over another; each has meshes of its own."""
+    add_camera(lens=30.0)
+    scene.render.film_transparent = True
+    wall(-1.5, -1.0, (0, 1, 0))
+    over = scene.copy()
+    bpy.context.window.scene = over
+    for obj in list(over.collection.objects):
+        if obj.type != 'CAMERA':
+            over.collection.objects.unlink(obj)
+    blue = wall(1.5, -1.0, (0, 0, 1))
+    assert blue.name in over.objects and blue.name not in scene.objects
+    bpy.context.window.scene = scene
+    compositor.show("Image")
+    tree = tree_of(scene)
+    layers = tree.nodes.new('CompositorNodeRLayers')
+    layers.scene = over
+    node = tree.nodes.new('CompositorNodeAlphaOver')
+    output = next(each for each in tree.nodes if each.inputs and not each.outputs)
+    for image, socket in zip((compositor.layers, layers), (socket for socket in node.inputs if socket.type == 'RGBA')):
+        tree.links.new(image.outputs["Image"], socket)
+    tree.links.new(node.outputs[0], output.inputs[0])
+    choose()
+    choose(of=over)
+    assert (compositor.layers.scene, layers.scene) == (scene, over)
+    picture = render("PNG16")
+    assert picture[24, column(-1.5, -1), 1] > 0.95 and picture[24, column(1.5, -1), 2] > 0.95
+    over.fastgs.render_meshes = 'OFF'
+    picture = render("PNG16")
+    assert picture[24, column(-1.5, -1), 1] > 0.95 and picture[24, column(1.5, -1), 2] < 0.2
 
 
 def test_the_users_nodes_stay(scene, screen, add, add_camera, compositor, choose):

@@ -5,34 +5,39 @@ import pytest
 
 
 @pytest.fixture
-def joined(scene, module, add_camera, render):
-    """joined(**values): the group's colour for values of its sockets."""
+def group(scene, module, add_camera, render):
+    """group("join", **values): the colour of a group of composite_nodes.py for values of its sockets, which the next call keeps."""
     add_camera()
-    group = bpy.data.node_groups.new("Join", 'CompositorNodeTree')
-    module("scene.composite_nodes").build(group)
-    tree = module("scene.composite")._new_tree(scene)
-    node = tree.nodes.new('CompositorNodeGroup')
-    node.node_tree = group
-    output = next(each for each in tree.nodes if each.inputs and not each.outputs)
-    tree.links.new(node.outputs[0], output.inputs[0])
     scene.render.resolution_x = scene.render.resolution_y = 8
     scene.view_settings.view_transform = 'Raw'
+    tree = module("scene.joins")._new_tree(scene)
+    output = next(each for each in tree.nodes if each.inputs and not each.outputs)
+    nodes = {}
 
-    def run(**values):
+    def run(kind, **values):
+        if kind not in nodes:
+            made = bpy.data.node_groups.new(kind, 'CompositorNodeTree')
+            getattr(module("scene.composite_nodes"), kind)(made)
+            nodes[kind] = tree.nodes.new('CompositorNodeGroup')
+            nodes[kind].node_tree = made
+        tree.links.new(nodes[kind].outputs[0], output.inputs[0])
         for name, value in values.items():
-            node.inputs[name.replace("_", " ")].default_value = value
+            nodes[kind].inputs[name.replace("_", " ")].default_value = value
         return render("PNG16")[4, 4]
 
     return run
 
 
-def test_what_meshes_and_splats_make_together(joined):
+def test_what_meshes_and_splats_make_together(group):
     """Colours are premultiplied; PNG files hold straight ones, so all of these fill the pixel with the world's blue."""
     splats, meshes = {"Splats": (0.2, 0, 0, 0.4), "Splat_Alpha": 0.4}, {"Meshes": (0, 0.5, 0, 0.5), "Mesh_Alpha": 0.5, "Mesh_Depth": 3.0}
-    held = joined(**splats, **meshes, Splat_Depth=5.0, Splat_Holdout=0.3, World=(0, 0, 1, 1))
+    held = group("join", **splats, **meshes, Splat_Depth=5.0, Splat_Holdout=0.3, World=(0, 0, 1, 1))
     assert held == pytest.approx([0.2, 0.3, 0.3, 1], abs=1e-3)  # splats + straight meshes x 0.3 + what is left of the world
-    assert joined(Splat_Holdout=0.0, Splat_Depth=2.0) == pytest.approx([0.2, 0.3, 0.3, 1], abs=1e-3)  # splats over meshes
-    assert joined(Splat_Depth=5.0) == pytest.approx([0.1, 0.5, 0.3, 1], abs=1e-3)  # meshes over splats
-    assert joined(Splat_Shadow=0.5) == pytest.approx([0.1, 0.5, 0.3, 1], abs=1e-3)  # the lamp has no light there
-    assert joined(Lamp=(0, 0.5, 0, 1)) == pytest.approx([0.1, 0.25, 0.3, 1], abs=1e-3)
-    assert joined(Shadow_Strength=0.5) == pytest.approx([0.1, 0.375, 0.3, 1], abs=1e-3)
+    assert group("join", Splat_Holdout=0.0, Splat_Depth=2.0) == pytest.approx([0.2, 0.3, 0.3, 1], abs=1e-3)  # splats over meshes
+    assert group("join", Splat_Depth=5.0) == pytest.approx([0.1, 0.5, 0.3, 1], abs=1e-3)  # meshes over splats
+
+
+def test_a_shadow_takes_the_lamps_part(group):
+    assert group("shade", Image=(0.1, 0.5, 0.2, 1), Lamp=(0, 0.3, 0.1, 1)) == pytest.approx([0.1, 0.5, 0.2, 1], abs=1e-3)
+    assert group("shade", Splat_Shadow=0.5) == pytest.approx([0.1, 0.35, 0.15, 1], abs=1e-3)
+    assert group("shade", Shadow_Strength=0.5) == pytest.approx([0.1, 0.425, 0.175, 1], abs=1e-3)

@@ -55,7 +55,9 @@ def test_no_text_is_cut_whatever_is_set(panels, obj, scene):
     settings.camera_count, settings.use_capture_frame = 12, True
     scene.view_settings.view_transform = 'AgX'
     bpy.ops.mesh.primitive_cube_add()
-    scene.fastgs.shadow_light = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    scene.collection.objects.link(sun)
+    sun.fastgs.splat_shadow = True
     for engine in ('FASTGS', 'CYCLES'):
         for source in ('FOLDER', 'CAMERAS', 'SCENE'):
             training.source, training.cameras = source, 'DOME'

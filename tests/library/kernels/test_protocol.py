@@ -50,7 +50,7 @@ def test_a_picture_through_the_protocol(rng, fake):
     camera = fg.Camera(60, 44, 50, 50, 30, 22, random_pose(rng, 2.5))
     scene = [(random_model(rng, 80, appearance=look), np.eye(4), 0.3) for look in ("rgb", "sigmoid", "sh1", "none")]
     holdout = rng.normal(size=(9, 3, 3))
-    settings = PassSettings(shadow=Shadow(Light.sun((0, 0, 1)), holdout, size=64))
+    settings = PassSettings(shadows=(Shadow(Light.sun((0, 0, 1)), holdout, size=64),))
     for models in (scene, scene[1:2], scene[:1]):
         wanted, got = (fg.render(models, camera, passes=tuple(PASSES), backend=name, holdout=holdout, settings=settings)
                        for name in ("cpu", "fake"))

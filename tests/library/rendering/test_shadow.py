@@ -24,7 +24,7 @@ def ball(x, y, z, size=0.3, alpha=0.9):
 
 
 def shadow(model, light, backend="cpu", camera=CAMERA, meshes=None, **options):
-    settings = PassSettings(shadow=Shadow(light, ground() if meshes is None else meshes, **{"size": 192} | options))
+    settings = PassSettings(shadows=(Shadow(light, ground() if meshes is None else meshes, **{"size": 192} | options),))
     return fg.render(model, camera, passes=("shadow",), backend=backend, settings=settings)["shadow"]
 
 

@@ -90,7 +90,7 @@ def test_shadows_and_a_holdout_alone_are_the_cpus(gpu, adapter):
     camera = fg.Camera(48, 32, 40, 40, 24, 16, np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 8], [0, 0, 0, 1.0]]))
     ball = fg.GaussianModel(position=[[1, 0.5, 2]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[2.0], features=[[0.5] * 3])
     ground = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], np.float32)[[[0, 1, 2], [0, 2, 3]]]
-    settings = PassSettings(shadow=Shadow(Light.sun((1, 0, 1)), ground, size=96))
+    settings = PassSettings(shadows=(Shadow(Light.sun((1, 0, 1)), ground, size=96),))
     found, wanted = (fg.render(ball, camera, passes=("shadow",), backend=name, settings=settings)
                      for name in (f"gpu:{adapter.name}", "cpu"))
     assert wanted["shadow"].min() < 0.5 < wanted["shadow"].max()
