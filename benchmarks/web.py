@@ -21,7 +21,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), *(str(ROOT / "tests" / folder) for folder in ("blender", "shared"))]
 
-from browser import Browser  # noqa: E402
+from browser import launched  # noqa: E402
 
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.formats import web  # noqa: E402
@@ -52,7 +52,7 @@ def main():
     parser.add_argument("--browser", default="chromium")
     options = parser.parse_args()
     model = fg.load(EXAMPLE)
-    with tempfile.TemporaryDirectory() as folder, Browser(Path(folder), command=options.browser) as browser:
+    with tempfile.TemporaryDirectory() as folder, launched(options.browser, Path(folder)) as browser:
         print(f"{browser.version}, 640 x 360 pixels; the player has {len(joined('main.js', player_files())) / 1e3:.0f} kB")
         size = web.save_page(web.page_of(model), Path(folder, "page.html"), packed={model: EXAMPLE.read_bytes()})
         before = browser.cpu_seconds()

@@ -19,7 +19,7 @@ packages=(
     blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
     mesa-vulkan-drivers python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
 )
-[[ $suite != trixie ]] || packages+=(chromium)  # opens web pages; one browser is enough
+[[ $suite != trixie ]] || packages+=(chromium firefox-esr)  # open web pages
 recipe=1  # to be raised when something below changes what is in a root
 digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)
 root=$roots/$suite-$digest

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Chromium without a window and without a network, driven over a pipe (the DevTools protocol): it opens pages as a double click does.
+"""Browsers without a network, driven over a pipe: they open pages as a double click does.
 
-    with Browser(folder) as browser:
+    with launched("chromium", folder) as browser:
         page = browser.open("page.html")
         page.evaluate("document.title")
 
-The browser is this machine's, or that of a Debian root (tools/blender_root.sh), which has no network at all.
+The browser is this machine's, or that of a Debian root (tools/blender_root.sh), which has no network at all.  Chromium, without a window,
+speaks the DevTools protocol; Firefox (firefox.py) has the same tabs and hands, for less: what a test needs beyond them is Chromium's.
 """
 from __future__ import annotations
 
@@ -41,18 +42,26 @@ class Failed(AssertionError):
     """The page or the browser refused."""
 
 
-class Browser:
-    """A browser with its own profile, for the files in a folder."""
+def launched(command: str, folder: Path, root: Path | str = "") -> Browser:
+    """The browser that a command starts, for a with statement; see Browser."""
+    if "firefox" not in command:
+        return Browser(folder, root, command, FLAGS)
+    from firefox import Firefox  # which needs this module
 
-    def __init__(self, folder: Path, root: Path | str = "", command: str = "chromium", flags: tuple[str, ...] = ()):
+    return Firefox(folder, root, command)
+
+
+class Browser:
+    """A browser with its own profile, for the files in a folder: a Chromium."""
+
+    def __init__(self, folder: Path, root: Path | str = "", command: str = "chromium", flags: tuple[str, ...] = FLAGS):
         self.folder, self.root = Path(folder), str(root)
-        self.command, self.flags = command, [f"--{flag}" for flag in (*FLAGS, *flags)]
+        self.command, self.flags = command, [f"--{flag}" for flag in flags]
 
     def __enter__(self) -> Browser:
         home = f"profile-{self.command}"
         self.profile = Path(tempfile.mkdtemp(prefix=home, dir=self.folder))
-        seen = Path("/mnt") / self.profile.name if self.root else self.profile
-        line = [self.command, *self.flags, f"--user-data-dir={seen}", "about:blank"]
+        line = self.line(Path("/mnt") / self.profile.name if self.root else self.profile)
         if self.root:
             line = [str(TOOLS / "in_root.sh"), self.root, str(self.folder), *line]
         (theirs_in, self.to), (self.come, theirs_out) = _pipe(), _pipe()
@@ -64,7 +73,7 @@ class Browser:
         os.close(theirs_out)
         self.rest, self.number, self.answers, self.pages = b"", 0, {}, {}
         try:
-            self.version = self.call("Browser.getVersion")["product"]
+            self.greet()
         except BaseException:
             self.__exit__()
             raise
@@ -80,6 +89,14 @@ class Browser:
         os.close(self.come)
         shutil.rmtree(self.profile, ignore_errors=True)
 
+    def line(self, profile: Path) -> list[str]:
+        """The command line, for a profile's folder as the browser sees it."""
+        return [self.command, *self.flags, f"--user-data-dir={profile}", "about:blank"]
+
+    def greet(self) -> None:
+        """The first words: who it is."""
+        self.version = self.call("Browser.getVersion")["product"]
+
     def call(self, method: str, session: str | None = None, **parameters) -> dict:
         """The result of a method of the protocol; events that come before it reach their pages."""
         number = self.send(method, session, **parameters)
@@ -87,7 +104,7 @@ class Browser:
             self.receive()
         answer = self.answers.pop(number)
         if "error" in answer:
-            raise Failed(f"{method}: {answer['error']['message']}")
+            raise Failed(f"{method}: {answer.get('message') or answer['error']['message']}")
         return answer["result"]
 
     def send(self, method: str, session: str | None = None, **parameters) -> int:
@@ -112,11 +129,16 @@ class Browser:
             self.rest += data
         message, self.rest = self.rest.split(b"\0", 1)
         message = json.loads(message)
-        if "id" in message:
+        if message.get("id") is not None:
             self.answers[message["id"]] = message
-        elif message.get("sessionId") in self.pages:
-            self.pages[message["sessionId"]].happened(message["method"], message["params"], message["sessionId"])
+        elif "method" in message:
+            self.heard(message)
         return True
+
+    def heard(self, message: dict) -> None:
+        """Hand an event to its page."""
+        if message.get("sessionId") in self.pages:
+            self.pages[message["sessionId"]].happened(message["method"], message["params"], message["sessionId"])
 
     def address(self, name: str) -> str:
         """The file: address of a file in the folder, as the browser sees it; the name may end in #..."""
@@ -128,12 +150,16 @@ class Browser:
 
     def open(self, name: str | None = None, size: tuple[int, int] = (640, 360), **options) -> Page:
         """A new tab with a file of the folder, loaded; without a name, an empty one.  `options` are those of Page.prepare()."""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        page = Page(self, target, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"])
+        page = self.tab()
         page.prepare(size, **options)
         if name is not None:
             page.go(name)
         return page
+
+    def tab(self) -> Page:
+        """A new tab, empty."""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        return Page(self, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"], target)
 
 
 def _pipe() -> list[int]:
@@ -153,8 +179,8 @@ class Page:
     exceptions  what nobody caught
     """
 
-    def __init__(self, browser: Browser, target: str, session: str):
-        self.browser, self.target, self.session = browser, target, session
+    def __init__(self, browser: Browser, session: str, target: str = ""):
+        self.browser, self.session, self.target = browser, session, target
         self.requests: list[str] = []
         self.messages: list[str] = []
         self.exceptions: list[str] = []
@@ -229,12 +255,23 @@ class Page:
         """Wait until an expression gives something true, and return that."""
         return until(lambda: self.evaluate(expression), guard)
 
+    def rest(self) -> None:
+        """Let the page draw no frame by itself any more; one that is due is drawn before this returns."""
+        self.evaluate("""new Promise((drawn) => {
+            const next = window.requestAnimationFrame;
+            window.requestAnimationFrame = () => 0;
+            next(drawn); })""")
+
     def screenshot(self, file: Path | None = None) -> np.ndarray:
         """What the tab shows, RGB [h, w, 3] uint8; also written as a PNG where a file is named."""
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        data = base64.b64decode(self.picture())
         if file is not None:
             Path(file).write_bytes(data)
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+    def picture(self) -> str:
+        """The base64 of a PNG of what the tab shows."""
+        return self.call("Page.captureScreenshot", format="png")["data"]
 
     def resize(self, width: int, height: int, scale: float = 1, mobile: bool = False) -> None:
         """Another size of the tab, in CSS pixels."""

@@ -10,7 +10,7 @@ import models
 import numpy as np
 import pytest
 from blenders import User
-from browser import Browser
+from browser import launched
 from knot_pages import opened, page  # noqa: F401 - fixtures
 from PIL import Image
 
@@ -21,6 +21,8 @@ ROOT = os.environ.get("FASTGS_BLENDER_ROOT", "")
 """A folder made by blender_root.sh."""
 OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
 """Where logs, files and screenshots stay."""
+IN_BOTH = pytest.mark.parametrize("browser", ["chromium", "firefox-esr"], indirect=True)
+"""Marks tests of web pages that run in both browsers."""
 
 
 def pytest_addoption(parser):
@@ -69,14 +71,18 @@ def small_model(newcomer):
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory):
-    """A Chromium that opens the pages in its folder, `browser.folder`: the root's, or the one that FASTGS_BROWSER names."""
-    command = "chromium" if ROOT else os.environ.get("FASTGS_BROWSER", "")
-    if not command or (ROOT and not Path(ROOT, "usr", "bin", command).exists()):
-        pytest.skip("the browser is in the root of Debian trixie; elsewhere FASTGS_BROWSER names one")
+def browser(request, tmp_path_factory):
+    """A browser that opens the pages in its folder, `browser.folder`: the root's, or those that FASTGS_BROWSER names.
+
+    It is Chromium; tests that IN_BOTH marks run in Firefox, too.
+    """
+    command = getattr(request, "param", "chromium")
+    known = Path(ROOT, "usr", "bin", command).exists() if ROOT else command in os.environ.get("FASTGS_BROWSER", "").split()
+    if not known:
+        pytest.skip(f"{command} is in the root of Debian trixie; elsewhere FASTGS_BROWSER names it")
     folder = OUTPUT / "pages" if ROOT else tmp_path_factory.mktemp("pages")
     folder.mkdir(parents=True, exist_ok=True)
-    with Browser(folder, ROOT, command) as browser:
+    with launched(command, folder, ROOT) as browser:
         yield browser
 
 

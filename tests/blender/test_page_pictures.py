@@ -1,25 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Web pages show what fg.render() draws: every kind of model, in Chromium, offline."""
+"""Web pages show what fg.render() draws: every kind of model, in Chromium and Firefox, offline."""
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import IN_BOTH
+from drawn_pages import BACKGROUND, around, camera_text, decibels, expected, pixels, saved, shown
 from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of
 from fastgs_blender.formats.web.page import Page, PageObject, page_text
-from fastgs_blender.rendering import colour
-from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.volumes import mesh_volume
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "fireside.safetensors"
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-BACKGROUND = (0.2, 0.05, 0.4)
 TIMES = (0.0, 0.21, 0.4, 0.625, 0.99)
 LEAST = 40
 """Decibels, of the peak signal over the error."""
@@ -27,64 +25,29 @@ LEAST = 40
 
 @pytest.fixture
 def played(browser):
-    """played(page, files): the page in the browser, at rest; nothing but tests draws in it any more."""
-    def play(page, files):
+    """played(page, files, **options): the page in a tab, at rest: nothing but tests draws in it any more."""
+    tabs = []
+
+    def play(page, files, **options):
         (browser.folder / "page.html").write_text(page_text(page, files), "utf-8")
-        tab = browser.open("page.html#t=0")
-        tab.until("['ready', 'failed'].includes(document.body.dataset.state)")
-        assert tab.evaluate("document.body.dataset.state") == "ready", tab.messages
-        tab.evaluate("new Promise((rest) => { fastgs.renderer.onfresh = () => {}; setTimeout(rest, 300); })")
-        return tab
-    return play
+        tabs.append(browser.open("page.html#t=0", **options))
+        tabs[-1].until("['ready', 'failed'].includes(document.body.dataset.state)")
+        tabs[-1].rest()
+        return tabs[-1]
+
+    yield play
+    for tab in tabs:
+        assert not tab.requests and not tab.exceptions
+        tab.close()
 
 
-def shown(tab, camera, frame):
-    """The picture [h, w, 3] of 0..1 that the page draws."""
-    seen = {**{key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy", "near")},
-            "orthographic": bool(camera.orthographic), "pose": np.linalg.inv(camera.world_to_camera).ravel().tolist()}
-    pixels = tab.array(f"(async () => {{ const {{ renderer }} = fastgs; renderer.draw({json.dumps(seen)}, {frame}); "
-                       "await renderer.settled(); return renderer.pixels(); })()")
-    return pixels.reshape(camera.height, camera.width, 4)[..., :3] / 255
-
-
-def expected(page, camera, frame):
-    """What fg.render() and fg.save_image() make of it; all models are sRGB, and of what changes from frame to frame all is still."""
-    instances = [replace(each, t=frame / page.frames) for each in page.instances(int(frame))]
-    image = fg.render(instances, camera, settings=PassSettings(film="transparent"))
-    linear = colour.scene_linear(image["rgb"], image["alpha"], instances[0].model.colour_space)
-    linear = linear + (1 - image["alpha"][..., None]) * np.array(page.background)
-    return np.clip(colour.linear_to_srgb(linear), 0, 1)
-
-
-def decibels(tab, page, camera, frame):
-    got, want = shown(tab, camera, frame), expected(page, camera, frame)
-    assert want.std() > 0.03
-    return -10 * np.log10(np.mean((got - want) ** 2))
-
-
-def around(model, count=5, size=(160, 120), distance=4.0, extent=1.0):
-    """Cameras around a model, the last one orthographic."""
-    cameras = []
-    for k in range(count):
-        pose = fg.look_at((distance * np.sin(1.3 * k), -distance * np.cos(1.3 * k), extent * (0.5 - 0.3 * k)), (0, 0, 0))
-        orthographic = k == count - 1
-        focal = size[0] / (2.6 * extent) if orthographic else size[0]
-        cameras.append(fg.Camera(*size, focal, focal, size[0] / 2, size[1] / 2, pose, orthographic=orthographic))
-    return cameras
-
-
-def saved(model, path, **options):
-    fg.save(model, path, **options)
-    return fg.load(path), path.read_bytes()
-
-
-def looked_at(played, objects, files, cameras, times=TIMES):
+def looked_at(played, objects, files, cameras, times=TIMES, **options):
     """The decibels of the worst picture of a page: of some cameras, each at some times."""
     page = Page(objects, cameras[:1], frames=40, background=BACKGROUND)
-    tab = played(page, files)
-    worst = min(decibels(tab, page, camera, 40 * t) for camera in cameras for t in times)
-    assert not tab.requests and not tab.exceptions
-    print(f"{worst:.1f} dB at least, processor {tab.browser.cpu_seconds():.1f} s")
+    tab = played(page, files, **options)
+    assert tab.evaluate("document.body.dataset.state") == "ready", tab.messages
+    worst = min(decibels(shown(tab, camera, 40 * t), expected(page, camera, 40 * t)) for camera in cameras for t in times)
+    print(f"{worst:.1f} dB at least")
     return worst
 
 
@@ -117,6 +80,7 @@ def test_a_bake(played, tmp_path):
     assert looked_at(played, [PageObject(model)], [data], around(model)) >= LEAST
 
 
+@IN_BOTH
 def test_several_objects_with_looks_and_crops(played, tmp_path):
     """Plain colours and two decoders hide each other; shapes with sharp and soft edges cut them, one of them a closed mesh."""
     rng = np.random.default_rng(7)
@@ -132,6 +96,21 @@ def test_several_objects_with_looks_and_crops(played, tmp_path):
     places = [np.eye(4), np.array([[0, -1.2, 0, 0.3], [1.2, 0, 0, 0], [0, 0, 1.2, 0.2], [0, 0, 0, 1]]), np.diag([1.4, 1.4, 1.4, 1])]
     objects = [PageObject(model, (place,), (), (look,)) for (model, _), place, look in zip(made, places, settings)]
     assert looked_at(played, objects, [data for _, data in made], around(made[0][0]), TIMES[1::2]) >= LEAST
+
+
+@IN_BOTH
+def test_the_edges_of_a_picture_are_whole_while_its_view_turns(played, tmp_path):
+    """Frames with the order of the frame before, whose camera looked 5 degrees beside: as after their own, but for splats that overtook."""
+    model, data = saved(random_model(np.random.default_rng(4), 12000, "line", size=0.015), tmp_path / "model.safetensors")
+    camera = fg.Camera(160, 120, 160, 160, 80, 60, fg.look_at((0, -0.9, 0), (0, 0, 0)))
+    tab = played(Page([PageObject(model)], [camera], frames=40, background=BACKGROUND), [data])
+    for side in (-0.08, 0.08):
+        turned = replace(camera, world_to_camera=fg.look_at((0, -0.9, 0), (side, 0, 0)))
+        before = shown(tab, camera, 8)
+        moving = pixels(tab, turned, f"renderer.ask = () => {{}}; renderer.draw({camera_text(turned)}, 8); delete renderer.ask")
+        settled = shown(tab, turned, 8)
+        edge = np.s_[:, :8] if side < 0 else np.s_[:, -8:]
+        assert decibels(before[edge], settled[edge]) < 20 and decibels(moving[edge], settled[edge]) >= LEAST
 
 
 def test_graphics_that_were_lost_come_back(played, tmp_path):
@@ -150,24 +129,87 @@ def test_graphics_that_were_lost_come_back(played, tmp_path):
     assert not [text for text in tab.messages if "INVALID" in text]
 
 
-def test_a_damaged_page_says_so(played, browser, tmp_path):
-    _, data = saved(random_model(np.random.default_rng(1), 50, "paper"), tmp_path / "model.safetensors")
-    model = fg.load(tmp_path / "model.safetensors")
+def said(tab):
+    """The sentence in which a page has ended."""
+    assert tab.evaluate("document.body.dataset.state") == "failed"
+    return tab.evaluate("document.getElementById('notice').textContent")
+
+
+def test_a_damaged_page_says_so(played, tmp_path):
+    model, data = saved(random_model(np.random.default_rng(1), 50, "paper"), tmp_path / "model.safetensors")
     page = Page([PageObject(model)], around(model)[:1])
     for k, broken in enumerate((data[:-9], data[:200], bytes(300), b"")):
-        (browser.folder / "broken.html").write_text(page_text(page, [broken]), "utf-8")
-        tab = browser.open("broken.html")
-        tab.until("document.body.dataset.state === 'failed'")
-        said = tab.evaluate("document.getElementById('notice').textContent")
-        assert said.startswith("This page is damaged: ") and said.endswith("Copy or export it again."), (k, said)
+        sentence = said(played(page, [broken]))
+        assert sentence.startswith("This page is damaged: ") and sentence.endswith("Copy or export it again."), (k, sentence)
+
+
+def without(extensions):
+    """JavaScript that takes extensions of WebGL away, by a regular expression."""
+    return (f"const asked = WebGL2RenderingContext.prototype.getExtension; WebGL2RenderingContext.prototype.getExtension = "
+            f"function (name) {{ return /{extensions}/.test(name) ? null : asked.call(this, name); }};")
+
+
+@pytest.mark.parametrize(("extensions", "least"), [("buffer_float", LEAST), ("buffer_(half_)?float", 33)])
+def test_graphics_without_float_targets_draw_plain_colours(played, tmp_path, extensions, least):
+    """Half floats are as good; bytes, in which each splat is rounded once, are a little coarser."""
+    model, data = saved(random_model(np.random.default_rng(3), 200, "paper", "line", "radial", "sh2"), tmp_path / "model.safetensors")
+    assert looked_at(played, [PageObject(model)], [data], around(model)[:2], TIMES[1::2], before=without(extensions)) >= least
+
+
+@pytest.mark.parametrize("kinds", [{"appearance": "clamp"}, {"colour_space": "linear"}], ids=["decoder", "linear"])
+def test_graphics_without_float_targets_refuse_what_bytes_do_not_hold(played, tmp_path, kinds):
+    model, data = saved(random_model(np.random.default_rng(3), 50, **kinds), tmp_path / "model.safetensors")
+    tab = played(Page([PageObject(model)], around(model)[:1]), [data], before=without("buffer_(half_)?float"))
+    assert "cannot add up the colours of this page" in said(tab)
+
+
+@IN_BOTH
+@pytest.mark.parametrize("refusal", ["throw new DOMException('no', 'SecurityError')", "setTimeout(() => this.onerror(new Event('error')))"],
+                         ids=["refused", "stopped"])
+def test_a_browser_without_workers_gets_a_sentence(played, tmp_path, refusal):
+    model, data = saved(random_model(np.random.default_rng(3), 50), tmp_path / "model.safetensors")
+    tab = played(Page([PageObject(model)], around(model)[:1]), [data],
+                 before=f"window.Worker = class {{ constructor() {{ {refusal}; }} postMessage() {{}} terminate() {{}} }};")
+    assert "in the background" in said(tab)
+
+
+def test_looks_crops_and_places_change_between_frames(played, tmp_path):
+    """Frames far apart in looks: between them pages go straight from one to the next."""
+    model, data = saved(random_model(np.random.default_rng(8), 300, "paper", "line", "radial", "sh1"), tmp_path / "model.safetensors")
+    frames = 5
+
+    def at(frame):
+        angle = 0.2 * frame
+        place, crop = np.eye(4), np.diag([1.0, 2, 2, 1])
+        place[:2, :2], place[0, 3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]], 0.1 * frame
+        crop[0, 3] = 0.15 * frame - 0.3
+        return place, fg.ObjectSettings(tint=(1 - 0.2 * frame, 1, 0.2 + 0.2 * frame), saturation=0.5 + 0.2 * frame,
+                                        opacity=1 - 0.15 * frame, splat_scale=0.6 + 0.2 * frame, crops=(fg.Crop(crop, soft=0.3),))
+
+    whole = Page([PageObject(model, [at(k)[0] for k in range(frames)], (), [at(k)[1] for k in range(frames)])], around(model)[:1],
+                 frames=frames, background=BACKGROUND)
+    tab = played(whole, [data])
+    for frame in (2, 2.5, 0.3, 3.7):
+        place, look = at(frame)
+        still = Page([PageObject(model, (place,), (), (look,))], whole.cameras, frames=frames, background=BACKGROUND)
+        for camera in around(model)[1:3]:
+            assert decibels(shown(tab, camera, frame), expected(still, camera, frame)) >= LEAST, frame
 
 
 KINDS = list(zip(BASES, [*BASES][::-1], [*TEMPORALS] * 2, APPEARANCES)) + [
     ("paper", "line", "radial", look) for look in APPEARANCES[len(BASES):]]
 
 
+@IN_BOTH
 @pytest.mark.parametrize("kinds", KINDS, ids="-".join)
 def test_every_kind_of_model(played, tmp_path, kinds):
     basis, turns, temporal, look = kinds
     model, data = saved(random_model(np.random.default_rng(5), 200, basis, turns, temporal, look), tmp_path / "model.safetensors")
+    assert looked_at(played, [PageObject(model)], [data], around(model)[2:], TIMES[1::2]) >= LEAST
+
+
+@pytest.mark.parametrize("fields", [{"colour_space": "linear"}, {"raster": fg.Raster(antialiased=True, blur=0.1)}],
+                         ids=["linear", "antialiased"])
+def test_every_way_of_blending(played, tmp_path, fields):
+    model, data = saved(random_model(np.random.default_rng(5), 200, "paper", size=0.03, **fields), tmp_path / "model.safetensors")
     assert looked_at(played, [PageObject(model)], [data], around(model)[2:], TIMES[1::2]) >= LEAST

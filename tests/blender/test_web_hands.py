@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from conftest import IN_BOTH
 from held_runs import until
 from knot_pages import SIZE, looking
 
@@ -21,6 +22,12 @@ def state(tab):
 def shown(tab):
     """The view that the hand wants, and the clock."""
     return tab.evaluate(SHOWN)
+
+
+def arrived(tab):
+    """The same, once the picture is there: a hand takes hold of what it sees."""
+    tab.until("!fastgs.orbit.busy")
+    return shown(tab)
 
 
 def sentence(tab):
@@ -38,6 +45,7 @@ def bright(picture):
     return float((np.abs(picture.astype(int) - (250, 40, 160)).max(-1) < 8).mean()) > 0.3
 
 
+@IN_BOTH
 def test_a_page_plays_by_itself_without_a_request_or_a_complaint(opened):
     tab = opened(reduced_motion=False)
     tab.until("fastgs.clock.playing && fastgs.clock.time > 0.1")
@@ -61,25 +69,26 @@ def test_the_policy_lets_nothing_out(opened):
     tab.requests.clear()  # the browser names what it has refused
 
 
+@IN_BOTH
 def test_the_mouse_turns_moves_and_goes_nearer(opened):
     tab = opened()
-    before = shown(tab)
+    before = arrived(tab)
     tab.drag((200, 100), (230, 100), (260, 100))
-    turned = shown(tab)
+    turned = arrived(tab)
     assert turned["yaw"] < before["yaw"] - 20 and turned["pitch"] == before["pitch"] and turned["pivot"] == pytest.approx(before["pivot"])
     tab.drag((200, 100), (200, 120), (200, 140))
-    assert shown(tab)["pitch"] > turned["pitch"] + 10
+    assert arrived(tab)["pitch"] > turned["pitch"] + 10
     for options in ({"button": "right"}, {"modifiers": 8}):
-        before = shown(tab)
+        before = arrived(tab)
         tab.drag((200, 100), (230, 110), (260, 120), **options)
-        moved = shown(tab)
+        moved = arrived(tab)
         assert (moved["yaw"], moved["pitch"]) == (before["yaw"], before["pitch"])
         way = np.linalg.norm(np.subtract(moved["pivot"], before["pivot"]))
         assert way == pytest.approx(math.hypot(60, 20) * before["distance"] / 300, rel=1e-6)
-    before = shown(tab)
+    before = arrived(tab)
     tab.wheel(300, 100, -200)
     tab.until(f"fastgs.orbit.goal.distance < {0.8 * before['distance']}")
-    assert not np.allclose(shown(tab)["pivot"], before["pivot"])  # to what is under the pointer
+    assert not np.allclose(arrived(tab)["pivot"], before["pivot"])  # to what is under the pointer
     assert not tab.exceptions
 
 
@@ -89,6 +98,7 @@ def test_a_hand_that_trembles_does_not_turn(opened):
     assert not shown(tab)["taken"]
 
 
+@IN_BOTH
 def test_what_is_drawn_is_where_the_hand_wants_it(opened):
     tab = opened()
     before = tab.array("fastgs.settled().then(() => fastgs.renderer.pixels())")
@@ -100,22 +110,24 @@ def test_what_is_drawn_is_where_the_hand_wants_it(opened):
     np.testing.assert_array_equal(before, again)
 
 
+@IN_BOTH
 def test_fingers_turn_pinch_and_move(opened):
     tab = opened(size=PHONE, touch=True)
-    before = shown(tab)
+    before = arrived(tab)
     tab.touch([(200, 300)], [(230, 300)], [(260, 300)])
-    turned = shown(tab)
+    turned = arrived(tab)
     assert turned["yaw"] < before["yaw"] - 15 and turned["distance"] == before["distance"]
     tab.touch([(150, 400), (250, 400)], [(125, 400), (275, 400)], [(100, 400), (300, 400)])
-    pinched = shown(tab)
+    pinched = arrived(tab)
     assert pinched["distance"] == pytest.approx(turned["distance"] / 2, rel=0.02) and pinched["yaw"] == turned["yaw"]
     tab.touch([(150, 400), (250, 400)], [(150, 430), (250, 430)], [(150, 460), (250, 460)])
-    moved = shown(tab)
+    moved = arrived(tab)
     assert moved["distance"] == pytest.approx(pinched["distance"], rel=0.02)
     assert np.linalg.norm(np.subtract(moved["pivot"], pinched["pivot"])) > 0.1
     assert not tab.exceptions
 
 
+@IN_BOTH
 def test_keys(opened):
     tab = opened()
     first = shown(tab)
@@ -205,6 +217,7 @@ def test_an_opening_move_goes_on_until_a_hand_comes(opened):
     assert shown(tab)["taken"] and abs(shown(tab)["yaw"] - yaw) < 90  # a flick may run on, and the move is over
 
 
+@IN_BOTH
 def test_reduced_motion_plays_nothing_by_itself(opened):
     tab = opened("move.html")
     assert shown(tab)["playing"] is False and shown(tab)["frame"] == 0
@@ -216,6 +229,7 @@ def test_reduced_motion_plays_nothing_by_itself(opened):
     assert not tab.evaluate("fastgs.orbit.speed")
 
 
+@IN_BOTH
 def test_addresses_are_followed_and_made(opened, browser):
     tab = opened("knot.html#t=1.2&view=0.1,0.2,0.9,-40,25,4", reduced_motion=False)
     seen = shown(tab)
@@ -253,6 +267,7 @@ def test_a_page_in_another_page_waits_for_a_hand_unless_that_page_asks(browser, 
     tab.close()
 
 
+@IN_BOTH
 def test_a_window_of_another_size_is_filled_again(opened):
     tab = opened()
     for (width, height), scale in (((700, 300), 1), (PHONE, 2), (PHONE, 3)):
@@ -267,6 +282,7 @@ def test_a_window_of_another_size_is_filled_again(opened):
     assert inside
 
 
+@IN_BOTH
 def test_lost_graphics_come_back(opened):
     tab = opened()
     before = tab.array("fastgs.settled().then(() => fastgs.renderer.pixels())")
@@ -286,6 +302,7 @@ def test_graphics_that_stay_lost_end_in_a_sentence(opened):
     assert "Reload" in sentence(tab)
 
 
+@IN_BOTH
 def test_without_webgl2_a_sentence_says_so_and_the_poster_stays(opened):
     tab = opened(before="HTMLCanvasElement.prototype.getContext = () => null;")
     assert state(tab) == "failed" and "WebGL2" in sentence(tab)
@@ -338,6 +355,7 @@ def test_a_page_whose_player_is_damaged_says_so_without_it(browser, page, change
     tab.close()
 
 
+@IN_BOTH
 def test_sound_is_silent_until_a_hand_wants_it_and_leads_the_clock(opened):
     tab = opened("loud.html", reduced_motion=False)
     tab.until("fastgs.clock.playing && fastgs.clock.sound.playing")

@@ -11,6 +11,7 @@ from ...cameras.cameras_json import resized
 from ...rendering import colour
 from ...rendering.api import render
 from ...rendering.instances import Instance
+from ...rendering.passes import PassSettings
 from ...util.picture_files import png
 from .page import Page
 
@@ -21,7 +22,7 @@ Draw = Callable[[list[Instance], Camera], tuple[np.ndarray, np.ndarray]]
 
 def linear(instances: list[Instance], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied scene-linear colour [h, w, 3] and alpha [h, w] of models in one colour space."""
-    image = render(instances, camera)
+    image = render(instances, camera, settings=PassSettings(film="transparent"))  # the page's background is put behind it
     return colour.scene_linear(image["rgb"], image["alpha"], instances[0].model.colour_space), image["alpha"]
 
 

@@ -82,11 +82,11 @@ export class Sorter {
     return { count, list: out, channels };
   }
 
-  /** Culls one instance; see kernels/cpu/visible.py, whose lines these are.  Returns how many have been written. */
+  /** Culls one instance; see kernels/cpu/visible.py, whose lines these are, but for camera.around: pixels beyond the edges.  Returns how many have been written. */
   visible(instance, { kinds, arrays, faintness, longest, count }, camera, offset, out) {
     const { t, look, rows: m, near, far, ball, crops, sampling, stretch } = instance, { raster, motion, terms, logarithms, code } = kinds;
     const { position, mu_tau: centres, temporal } = arrays, parameters = logarithms.length, cut = raster.alpha_cut;
-    const { fx, fy, cx, cy, width, height, orthographic } = camera, [spreadX, spreadY] = camera.spread.map((s) => s * stretch);
+    const { fx, fy, cx, cy, width, height, orthographic, around } = camera, [spreadX, spreadY] = camera.spread.map((s) => s * stretch);
     const weights = motion.centred ? new Float64Array(terms) : motion.weights(t);
     const first = Math.max(weights.findIndex((w) => w !== 0), 0);
     let last = weights.length;
@@ -126,7 +126,8 @@ export class Sorter {
       }
       const reach = Math.sqrt(2 * Math.log(sigma / cut));
       const radiusX = reach * Math.sqrt((size * spreadX) ** 2 + blur), radiusY = reach * Math.sqrt((size * spreadY) ** 2 + blur);
-      if (!(x + radiusX >= 0 && x - radiusX <= width && y + radiusY >= 0 && y - radiusY <= height)) continue;
+      const left = x + radiusX >= -around, right = x - radiusX <= width + around, above = y + radiusY >= -around, below = y - radiusY <= height + around;
+      if (!(left && right && above && below)) continue;
       this.keys[out] = z;
       this.taken[out] = taken;
       this.places[out++] = offset + n;

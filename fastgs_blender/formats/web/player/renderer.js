@@ -9,6 +9,7 @@ import { spreads, viewed } from "./views.js";
 
 const { WIDTH, ORDER_WIDTH } = LIBRARY.textures;
 const PIECE = 64; // rows of texels that are sent at a time
+const AROUND = 1 / 8; // of a picture's longer side: orders reach so far beyond its edges, for the view moves on before the next one comes
 
 export class Renderer {
   /** Throws PageError where the browser cannot draw it.  onfresh is called when a picture has become better than the last draw(). */
@@ -97,7 +98,8 @@ export class Renderer {
     this.list = null;
     const instances = views.map(({ model, t, look, rows, near, far, ball, crops, sampling, stretch }) =>
       ({ model, t, look, rows, near, far, ball, crops, stretch, sampling: { ...sampling, cameras: [] } }));
-    const given = { instances, camera: { ...camera, pose: null, spread: spreads(camera) }, width: ORDER_WIDTH, list,
+    const around = AROUND * Math.max(camera.width, camera.height);
+    const given = { instances, camera: { ...camera, pose: null, spread: spreads(camera), around }, width: ORDER_WIDTH, list,
                     volumes: views.some(({ crops }) => crops.some(({ shape }) => shape === "VOLUME")) ? this.scene.volumes : [] };
     this.work = this.scene.calls.call("order", given, list ? [list.buffer] : []).then((order) => {
       if (graphics !== this.graphics) return;

@@ -143,7 +143,7 @@ def test_tables_texels_and_orders_are_those_of_viewports(node, rng, tmp_path, ki
         const table = frameTable(camera, views, places, 321, [0, 1], 8192);
         const texels = Object.fromEntries(["geometry", "colour"].map((kind) =>
             [kind, [...rowsOf(model, kind, 64, 3)].flatMap(({texels}) => [...texels])]));
-        const asked = {instances: views, camera: {...camera, spread: spreads(camera)}, width: 64, volumes: []};
+        const asked = {instances: views, camera: {...camera, spread: spreads(camera), around: 0}, width: 64, volumes: []};
         const {count, list, channels} = new Sorter().order(asked, [{...model, ...prepared(model)}]);
         console.log(JSON.stringify({table: [...table.data], rows: table.height, texels, channels, order: [...list.slice(0, 2 * count)],
                                     groups: grouped(views).groups.length}));
