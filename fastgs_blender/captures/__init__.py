@@ -18,7 +18,8 @@ from ..util.errors import FastGSError
 from ..util.reading import reading
 from .capture import Capture, Options, Points, Shot
 from .clocks.files import read_clocks
-from .clocks.timecode import timecode_offsets
+from .clocks.timecode import RIGHT_TO
+from .clocks.timecode import first_clocks as clocks_of_films
 
 LAYOUTS = ("fastgs", "panoptic", "transforms", "immersive", "n3v", "technicolor", "metashape", "qualisys", "toml", "colmap", "opencv",
            "realityscan", "folders")
@@ -66,7 +67,7 @@ def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames:
 
     scale, frames, held_out  see Options; layout: its name, where it is not to be found out
     offsets  of the cameras' clocks, in frames (see Options); None: those in sync.json beside the capture or, where there is none, those
-             of the films' timecode
+             of the films' GPS time or timecode
     Raises FastGSError where the folder is no capture, or its description cannot be read; pixels.checks.check() looks at its pictures.
 
     Example:
@@ -78,15 +79,17 @@ def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames:
     with reading(path, "its description is damaged, so copy or export it again"):
         module = identify(path, layout)
         capture = module.load(path, options)
-        if offsets is None and clocks is None and (first := timecode_offsets(capture)):
-            capture = module.load(path, replace(options, offsets=first))
-            capture.notes.append("these clocks are those of the films' timecode, right to about a frame; fastgs sync refines them")
+        if offsets is None and clocks is None and (first := clocks_of_films(capture)) is not None:
+            capture = module.load(path, replace(options, offsets=first.offsets))
+            capture.notes.append(f"these clocks are those of the films' {first.found_by}, right to about {RIGHT_TO[first.found_by]}; "
+                                 "fastgs sync refines them")
         return capture
 
 
 def first_clocks(path: str | os.PathLike, layout: str | None = None) -> Mapping[str, float]:
-    """The offsets that the films' timecode gives, whatever sync.json says; none where they have none."""
-    return timecode_offsets(open_capture(path, layout=layout, offsets={}))
+    """The offsets that the films' GPS time or timecode gives, whatever sync.json says; none where they have neither."""
+    found = clocks_of_films(open_capture(path, layout=layout, offsets={}))
+    return {} if found is None else found.offsets
 
 
 def _existing(path: str | os.PathLike) -> Path:

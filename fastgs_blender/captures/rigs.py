@@ -14,6 +14,7 @@ from ..model.gaussians import Clip
 from ..util.errors import FastGSError, printable
 from .capture import Capture, Options, Points, Shot
 from .pixels.probe import facts
+from .pixels.sequences import Unreadable
 from .sources import Source
 
 MOST_SHOTS = 1_000_000
@@ -155,7 +156,9 @@ def from_entries(
     faults = [*faults]
     if lost or gaps:
         missing, of = len(lost) + len(gaps), len(entries) + len(lost) + len(gaps)
-        clauses = [*(gap_sentences(gaps, start_frame) if frame_count > 1 else _names(gaps)), *lost]
+        films = [str(fault).rstrip(".") for fault in faults if gaps and isinstance(fault, Unreadable)]
+        faults = [fault for fault in faults if not films or not isinstance(fault, Unreadable)]
+        clauses = [*films, *(gap_sentences(gaps, start_frame) if frame_count > 1 else _names(gaps)), *lost]
         text = "; ".join(clauses[:MOST_TOLD]) + (f"; and {len(clauses) - MOST_TOLD} more" if len(clauses) > MOST_TOLD else "")
         text = text.replace(f"{path}{os.sep}", "")
         if missing > MOST_LOST * of:

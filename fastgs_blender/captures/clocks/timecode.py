@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads the cameras' first clock from the timecode of their films: QuickTime's track of it (tmcd), which GoPros and most others write."""
+"""Reads the cameras' first clocks from their films: GPS time, or else timecode, which QuickTime keeps in a track (tmcd)."""
 import re
-from collections.abc import Mapping
 
 import numpy as np
 
 from ..capture import Capture
 from ..pixels.video import index
 from ..rigs import LEAST_COMMON
+from .files import Clocks
+from .gpmf import first_frame_utc
 
 DAY = 86_400
+GPS, TIMECODE = "GPS time", "timecode"
+RIGHT_TO = {GPS: "a tenth of a second", TIMECODE: "a frame"}
 
 
 def frame_of(timecode: str, fps: float) -> int | None:
@@ -26,24 +29,32 @@ def frame_of(timecode: str, fps: float) -> int | None:
     return (60 * minute + seconds) * beat + frames - dropped
 
 
-def timecode_offsets(capture: Capture) -> Mapping[str, float]:
-    """The offsets of the films of a capture that was opened without any, in whole frames, their median 0.
+def first_clocks(capture: Capture) -> Clocks | None:
+    """The clocks that the films themselves tell, of a capture that was opened without offsets: in whole frames, their median 0.
 
-    None, an empty table, where a film has no timecode, rates differ, all begin alike, or the films would have less than half of the longest
-    in common: clocks that nobody set say nothing.  Raises FastGSError where a film cannot be read.
+    They are the satellites' where all films have them (gpmf.py), else the timecode's.  None where a film has neither, rates differ, all
+    begin alike, or the films would have less than half of the longest in common: clocks that nobody set say nothing.  Raises FastGSError
+    where a film cannot be read.
     """
     first = {shot.view: shot for shot in reversed(capture.shots)}
     if any(shot.image.frame is None for shot in first.values()):
-        return {}
-    known = {view: index(shot.image.path) for view, shot in first.items()}
-    fps = next(iter(known.values())).fps
-    starts = [frame_of(each.timecode, fps) for each in known.values()]
-    if None in starts or len(set(starts)) < 2 or max(abs(each.fps - fps) for each in known.values()) > 0.01:
-        return {}
-    day = round(fps) * DAY
-    late = np.array(starts, float) - starts[0]
-    late = (late + day / 2) % day - day / 2  # past midnight
-    late -= np.round(np.median(late))
+        return None
+    known = [index(shot.image.path) for shot in first.values()]
+    fps = known[0].fps
+    if max(abs(each.fps - fps) for each in known) > 0.01:
+        return None
+    begun = [first_frame_utc(shot.image.path) for shot in first.values()]
+    by_gps = None not in begun
+    starts = np.array([utc * fps for utc in begun] if by_gps else [frame_of(each.timecode, fps) for each in known], float)
+    if not np.isfinite(starts).all():
+        return None
+    late = starts - starts[0]
+    if not by_gps:
+        day = round(fps) * DAY
+        late = (late + day / 2) % day - day / 2  # past midnight
+    late = np.round(late - np.round(np.median(late)))
     counts = np.array([sum(shot.view == view for shot in capture.shots) for view in first])
     common = (late + counts).min() - late.max()
-    return dict(zip(first, late.tolist())) if common >= LEAST_COMMON * counts.max() else {}
+    if not late.any() or common < LEAST_COMMON * counts.max():
+        return None
+    return Clocks(dict(zip(first, late.tolist())), found_by=GPS if by_gps else TIMECODE)

@@ -16,6 +16,12 @@ MOST_DIGITS = 18
 """Of a picture's number: more would not fit 64 bits."""
 
 
+class Unreadable(str):
+    """A clause about a film that cannot be read.  Its frames are missing pictures, of which a few may be (rigs.py)."""
+
+    __slots__ = ()
+
+
 def numbered_pictures(folder: Path) -> dict[int, Path]:
     """Picture files of a folder by the last number in their names; files without a number are left out.
 
@@ -103,8 +109,12 @@ def video_frames(path: Path, faults: list[str], **settings) -> tuple[Sequence[So
         if missing:
             raise FastGSError(f"{chapters[-1][1]}: the chapter {missing[0]} of this film is not there; copy it beside this one, or remove "
                               "the chapters behind the gap.")
-        found = [(chapter, index(chapter)) for _, chapter in chapters]
     except FastGSError as error:
         faults.append(str(error))
+        return (), None
+    try:
+        found = [(chapter, index(chapter)) for _, chapter in chapters]
+    except FastGSError as error:
+        faults.append(Unreadable(error))
         return (), None
     return [Source(chapter, i, **settings) for chapter, known in found for i in range(known.count)], found[0][1].fps

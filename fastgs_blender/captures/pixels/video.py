@@ -88,6 +88,28 @@ def _timed(stamps: list, base, rate, size) -> Index:
     return Index(len(stamps), *size, fps, float(stamps[0] * base), constant, tuple(stamps))
 
 
+def telemetry(path: Path, begin: bytes, most: int) -> list[tuple[float, bytes]]:
+    """(seconds after the first frame, bytes) of the first packets of a film's track of data whose packets begin so; none without one.
+
+    Raises FastGSError where the film cannot be read.
+    """
+    first = index(path).first
+    with _opened(path) as container:
+        for stream in container.streams.data:
+            found = []
+            for packet in container.demux(stream):
+                if packet.size and not (data := bytes(packet)).startswith(begin):
+                    break
+                if packet.size and packet.pts is not None:
+                    found.append((float(packet.pts * packet.time_base) - first, data))
+                if len(found) == most:
+                    break
+            if found:
+                return found
+            container.seek(0)
+    return []
+
+
 def frames(path: Path, wanted: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
     """(number, pixels [H, W, 3] uint8 RGB) of the wanted frames, in rising order, in one pass over the part that they lie in.
 

@@ -109,7 +109,10 @@ def test_damaged_poses_are_one_sentence(pictures, content, sentence):
     assert "poses_bounds.npy" in str(error.value) and str(error.value).count("\n") == 0
 
 
-def test_unreadable_video_is_told_with_the_others(videos):
+def test_films_that_cannot_be_read_are_left_out_up_to_a_third(videos):
     (videos / "cam02.mp4").write_bytes(b"no video")
-    found = problems(load(videos))
-    assert any("cam02.mp4" in text and "cannot be read" in text for text in found)
+    capture = load(videos)
+    assert not problems(capture) and capture.views == ["cam00", "cam03", "cam13"]
+    assert any("cam02.mp4: it cannot be read" in text and "cam02 lacks 3 frames: 0-2" in text for text in capture.notes)
+    (videos / "cam03.mp4").write_bytes(b"no video")
+    assert any("more than a third" in text and "cam03.mp4: it cannot be read" in text for text in problems(load(videos)))

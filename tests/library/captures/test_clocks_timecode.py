@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The timecode of films is the first clock of their cameras, where it can be one."""
+"""The GPS time or the timecode of films is the first clock of their cameras, where it can be one."""
 from __future__ import annotations
+
+import struct
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -8,11 +11,12 @@ import pytest
 from fastgs_blender.captures import first_clocks, open_capture
 from fastgs_blender.captures.clocks.files import Clocks, write_clocks
 from fastgs_blender.captures.clocks.find import find_offsets
+from fastgs_blender.captures.clocks.gpmf import first_frame_utc
 from fastgs_blender.captures.clocks.timecode import frame_of
 
 
-def write_films(folder, begun, frames=48, ending="mov"):
-    """Films of a square that darts about: name -> (timecode or None, moment of the first frame)."""
+def write_films(folder, begun, frames=48, ending="mov", telemetry=lambda name: []):
+    """Films of a square that darts about: name -> (timecode or None, moment of the first frame), with payloads of GPMF by the second."""
     av = pytest.importorskip("av")
     steps = np.random.default_rng(3).uniform(0, 6, 400)
     for name, (timecode, first) in begun.items():
@@ -21,12 +25,37 @@ def write_films(folder, begun, frames=48, ending="mov"):
             stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
             if timecode:
                 stream.metadata["timecode"] = timecode
+            if payloads := telemetry(name):
+                data = container.add_data_stream("bin_data")  # which the muxer calls gpmd
+                data.time_base = Fraction(1, 1000)
+            for second, payload in enumerate(payloads):
+                packet = av.Packet(payload)
+                packet.stream, packet.time_base, packet.pts, packet.dts = data, data.time_base, 1000 * second, 1000 * second
+                container.mux(packet)
             for moment in range(first, first + frames):
                 picture = np.full((48, 64, 3), 60, np.uint8)
                 x = int(20 + 18 * np.sin(steps[:moment].sum() / 7))
                 picture[10:30, x:x + 14] = 220
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             container.mux(stream.encode(None))
+
+
+def entry(key, kind, size, values):
+    """An entry of GPMF: key, type, size of a value, count of values; padded to 4 bytes."""
+    return struct.pack(">4scBH", key, kind, size, len(values) // size) + values + bytes(-len(values) % 4)
+
+
+def payload(milliseconds, fix=3, ninth=False):
+    """A payload of a GoPro (HERO5 to 10; ninth: HERO11 and 13) so many milliseconds after noon of the 1st of March 2026."""
+    noon, days = 12 * 3_600_000, 9556
+    if ninth:
+        places = entry(b"GPS9", b"?", 32, struct.pack(">7l2H", 0, 0, 0, 0, 0, days, noon + milliseconds, 154, fix))
+    else:
+        second, rest = divmod(milliseconds, 1000)
+        places = (entry(b"GPSF", b"L", 4, struct.pack(">L", fix)) + entry(b"GPSP", b"S", 2, struct.pack(">H", 154))
+                  + entry(b"GPSU", b"U", 16, b"2603011200%02d.%03d" % (second, rest)))
+    other = entry(b"STRM", b"\0", 1, entry(b"STNM", b"c", 1, b"gyroscope"))
+    return entry(b"DEVC", b"\0", 1, entry(b"DVID", b"L", 4, bytes(4)) + other + entry(b"STRM", b"\0", 1, places))
 
 
 @pytest.mark.parametrize(("timecode", "fps", "frame"), [
@@ -55,3 +84,26 @@ def test_timecodes_that_are_no_clock(tmp_path, third):
     assert first_clocks(tmp_path) == {}
     write_films(tmp_path, {"a": ("23:59:59:29", 0), "b": ("00:00:00:01", 2), "c": ("00:00:00:00", 1)})
     assert first_clocks(tmp_path) == {"a": -1, "b": 1, "c": 0}
+
+
+@pytest.mark.parametrize("ninth", [False, True])
+def test_satellites_know_better_than_the_cameras_clock(tmp_path, ninth):
+    """The third film begins 11 frames later by GPS.  Its timecode is wrong, and so is the first payload of each film, as real ones are."""
+    late = {"a": 0, "b": 0, "c": 11}
+
+    def telemetry(name):
+        begun = 5000 + round(1000 * late[name] / 30)
+        return [payload(begun - 1500, ninth=ninth), *(payload(begun + 1000 * k + 30 * (k % 2), ninth=ninth) for k in range(1, 5))]
+
+    films = {"a": ("10:00:00:00", 0), "b": ("10:00:00:00", 0), "c": ("10:00:00:05", 11)}
+    write_films(tmp_path, films, ending="mp4", telemetry=telemetry)
+    assert first_clocks(tmp_path) == late and "GPS time" in open_capture(tmp_path).notes[-1]
+    write_films(tmp_path, films, ending="mp4", telemetry=lambda name: telemetry(name) if name != "b" else [payload(5000, fix=0)] * 5)
+    assert first_clocks(tmp_path) == {"a": 0, "b": 0, "c": 5}, "one film without satellites: all go by timecode"
+
+
+@pytest.mark.parametrize("damaged", [b"DEVC", payload(5000)[:-6], b"DEVC\0\xff\xff\xff" + bytes(40),
+                                     payload(5000).replace(b"2603", b"26xx")])
+def test_damaged_telemetry_is_no_clock(tmp_path, damaged):
+    write_films(tmp_path, {"a": (None, 0)}, ending="mp4", telemetry=lambda name: [damaged] * 4)
+    assert first_frame_utc(tmp_path / "a.mp4") is None
